@@ -1,0 +1,1 @@
+"""Where does a roadside sensor stand, and where does it look?"""

@@ -1,0 +1,1 @@
+"""Sensor-independent calibration: no files, no OpenCV."""

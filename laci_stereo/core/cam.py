@@ -1,0 +1,193 @@
+"""Cooperative Awareness Messages: the log of one sender, and its vehicle's track in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.interpolate import Akima1DInterpolator
+
+from laci_stereo.core.errors import CamError
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.world import World
+
+MAX_GAP_S = 1.5
+"""A gap between messages that is longer than this is not interpolated across (ETSI's slowest rate is 1 Hz)."""
+
+STANDING_MPS = 0.5
+"""Below this speed the heading, which is the direction of motion, says nothing about the vehicle's body."""
+
+
+@dataclass(frozen=True)
+class CamLog:
+    """Messages in the order of time. What a sender did not know is NaN.
+
+    Attributes
+    ----------
+    stamps_ns : ndarray of int64, shape (n,)
+        Unix time (UTC), nanoseconds, ascending.
+    station_id : ndarray of int64, shape (n,)
+    latitude_deg, longitude_deg : ndarray, shape (n,)
+        Of the reference point, WGS84.
+    heading_deg : ndarray, shape (n,)
+        Direction of motion, clockwise from true north.
+    speed_mps, altitude_m : ndarray, shape (n,)
+    length_m, width_m : ndarray, shape (n,)
+        Of the vehicle.
+    semi_major_95_m, semi_minor_95_m, ellipse_orientation_deg : ndarray, shape (n,)
+        The 95 % ellipse of the position; its orientation is that of the major axis, clockwise from true north.
+    """
+
+    stamps_ns: IntArray
+    station_id: IntArray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    heading_deg: FloatArray
+    speed_mps: FloatArray
+    altitude_m: FloatArray
+    length_m: FloatArray
+    width_m: FloatArray
+    semi_major_95_m: FloatArray
+    semi_minor_95_m: FloatArray
+    ellipse_orientation_deg: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __getitem__(self, keep: BoolArray) -> CamLog:
+        return CamLog(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+    def stations(self) -> list[int]:
+        """Return the stations in the log, the one with most messages first."""
+        ids, counts = np.unique(self.station_id, return_counts=True)
+        return [int(station) for station in ids[np.argsort(-counts, kind="stable")]]
+
+    def of(self, station: int) -> CamLog:
+        """Return the messages of one station."""
+        return self[self.station_id == station]
+
+
+@dataclass(frozen=True)
+class ReferencePoint:
+    """Where in the vehicle frame (x forward, y left, from the box's centre) the sender's positions are.
+
+    ETSI EN 302 637-2 puts it on the ground under the centre of the vehicle's front side; ``x_m`` is then half the
+    vehicle's length, and None says so.
+    """
+
+    x_m: float | None = None
+    y_m: float = 0.0
+
+    def offset(self, length_m: float) -> FloatArray:
+        """Return the point in the vehicle frame, shape (2,)."""
+        return np.array([length_m / 2 if self.x_m is None else self.x_m, self.y_m])
+
+
+FRONT = ReferencePoint()
+CENTRE = ReferencePoint(x_m=0.0)
+
+
+@dataclass(frozen=True)
+class VehicleTrack:
+    """A vehicle's poses in the world at the stamps of its messages.
+
+    Attributes
+    ----------
+    stamps_s : ndarray, shape (n,)
+        Seconds since ``epoch_ns``, ascending.
+    epoch_ns : int
+        Unix time of second zero: the recording's first stamp.
+    xy : ndarray, shape (n, 2)
+        Under the centre of the vehicle's box, in the world.
+    yaw_rad : ndarray, shape (n,)
+        Of the vehicle's body, unwrapped.
+    length_m, width_m : float
+    """
+
+    stamps_s: FloatArray
+    epoch_ns: int
+    xy: FloatArray
+    yaw_rad: FloatArray
+    length_m: float
+    width_m: float
+
+    def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Interpolate the track.
+
+        Positions follow a modified Akima spline, which does not overshoot where the motion changes abruptly; yaw
+        goes the short way round.
+
+        Returns
+        -------
+        xy : ndarray, shape (m, 2)
+        yaw_rad : ndarray, shape (m,)
+        known : ndarray of bool, shape (m,)
+            False before the first message, after the last one, and in gaps longer than `MAX_GAP_S`; the pose is NaN
+            there.
+        """
+        after = np.searchsorted(self.stamps_s, stamps_s, side="left").clip(1, len(self.stamps_s) - 1)
+        gap = self.stamps_s[after] - self.stamps_s[after - 1]
+        known = (stamps_s >= self.stamps_s[0]) & (stamps_s <= self.stamps_s[-1]) & (gap <= MAX_GAP_S)
+        xy = np.full((len(stamps_s), 2), np.nan)
+        yaw = np.full(len(stamps_s), np.nan)
+        xy[known] = Akima1DInterpolator(self.stamps_s, self.xy, method="makima")(stamps_s[known])
+        yaw[known] = np.interp(stamps_s[known], self.stamps_s, self.yaw_rad)
+        return xy, yaw, known
+
+
+def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:
+    """Turn one station's messages into the track of the centre of its vehicle.
+
+    Parameters
+    ----------
+    log : CamLog
+        Of one station.
+    world : World
+    epoch_ns : int
+        Second zero of the track's stamps.
+    reference : ReferencePoint
+        Where on the vehicle the positions are.
+
+    Raises
+    ------
+    CamError
+        If there are fewer than two messages with a position, or the vehicle's dimensions were never sent.
+    """
+    located = np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)
+    log = log[located]
+    if len(log) < 2:
+        raise CamError(f"the CAM log has {len(log)} messages with a position; needed are at least 2")
+    length = _dimension(log.length_m, "length")
+    width = _dimension(log.width_m, "width")
+    xy_reference = world.from_geodetic(log.latitude_deg, log.longitude_deg)
+    stamps_s = (log.stamps_ns - epoch_ns) / 1e9
+    yaw = _body_yaw(log, world, xy_reference)
+    xy = xy_reference - rotate_xy(yaw, np.tile(reference.offset(length), (len(log), 1)))
+    return VehicleTrack(stamps_s, epoch_ns, xy, yaw, length, width)
+
+
+def _dimension(values_m: FloatArray, what: str) -> float:
+    known = values_m[np.isfinite(values_m)]
+    if len(known) == 0:
+        raise CamError(f"the vehicle's {what} is in none of the {len(values_m)} messages; needed is at least one")
+    return float(np.median(known))
+
+
+def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
+    """Return the body's yaw, unwrapped: the sent heading while the vehicle moves, the nearest such one while it stands."""
+    yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
+    speed = np.where(np.isfinite(log.speed_mps), log.speed_mps, _speed(xy, log.stamps_ns))
+    sure = np.isfinite(yaw) & (speed >= STANDING_MPS)
+    if not sure.any():
+        raise CamError(
+            f"the vehicle's speed is at most {np.nanmax(speed, initial=0.0):.2f} m/s and its heading unknown; "
+            f"needed is a drive at {STANDING_MPS} m/s or more with a heading"
+        )
+    unwrapped = np.unwrap(yaw[sure])
+    filled: FloatArray = np.interp(log.stamps_ns.astype(np.float64), log.stamps_ns[sure].astype(np.float64), unwrapped)
+    return filled
+
+
+def _speed(xy: FloatArray, stamps_ns: IntArray) -> FloatArray:
+    step = np.linalg.norm(np.diff(xy, axis=0), axis=1) / (np.diff(stamps_ns) / 1e9)
+    return np.concatenate([step[:1], step])

@@ -1,0 +1,84 @@
+"""What the core knows of a sensor: clouds of points with their noise, one per frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """One frame of a sensor.
+
+    Noise is given along and across the line of sight from the sensor's origin: a stereo camera is exact in bearing
+    and poor in depth, a LiDAR is the other way round, and one ellipsoid of revolution per point describes both.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Unix time, nanoseconds.
+    points : ndarray, shape (n, 3)
+        In the sensor frame, metres, finite.
+    sigma_along_m, sigma_across_m : ndarray, shape (n,)
+        Standard deviations along and across the line of sight, metres.
+    at_edge : ndarray of bool, shape (n,)
+        The point lies at the border of the field of view, so that what it belongs to may be cut off there.
+    """
+
+    stamp_ns: int
+    points: FloatArray
+    sigma_along_m: FloatArray
+    sigma_across_m: FloatArray
+    at_edge: BoolArray
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        assert self.points.shape == (n, 3), self.points.shape
+        assert self.sigma_along_m.shape == self.sigma_across_m.shape == self.at_edge.shape == (n,)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, keep: BoolArray) -> PointCloud:
+        return PointCloud(
+            self.stamp_ns, self.points[keep], self.sigma_along_m[keep], self.sigma_across_m[keep], self.at_edge[keep]
+        )
+
+
+class PointCloudSource(Protocol):
+    """A recording: frames that are made when they are asked for, as often as they are asked for.
+
+    Memory must not grow with the recording's length, so neither method may keep what it has yielded.
+    """
+
+    @property
+    def kind(self) -> str:
+        """``stereo``, ``lidar`` or ``detections``."""
+
+    @property
+    def name(self) -> str:
+        """What people call this sensor."""
+
+    @property
+    def axes(self) -> Axes:
+        """Where forward and up are in the sensor frame."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        """Yield every frame in the order of time. Points that the source knows to be static may be missing."""
+
+    def survey(self) -> Iterator[PointCloud]:
+        """Yield some whole frames, spread over the recording, those in which little moves first of all."""
+
+
+def empty_cloud(stamp_ns: int) -> PointCloud:
+    """Return a frame in which nothing was seen."""
+    nothing = np.zeros(0)
+    return PointCloud(stamp_ns, np.zeros((0, 3)), nothing, nothing, np.zeros(0, dtype=bool))

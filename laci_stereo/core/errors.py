@@ -1,0 +1,82 @@
+"""The exceptions of the whole project, drawn once.
+
+LaciError
+├── InputError            it cannot be read or makes no sense      (exit code 2)
+│   ├── ImageError        an image folder or a pair of folders
+│   ├── RigError          a stereo calibration
+│   ├── CamError          a log of Cooperative Awareness Messages
+│   ├── MapError          a lane map
+│   ├── SettingError      an argument or a setting
+│   ├── CalibrationFileError  a calibration.json
+│   └── OutputError       the place where the result should go
+└── CalibrationError      it was read, but cannot be calibrated    (exit code 1)
+    ├── GroundError       no ground plane
+    ├── BackgroundError   no frame shows the scene at rest
+    ├── BoxError          points that span no box
+    ├── TrackError        no vehicle, or one that stands still
+    └── MatchError        the two tracks do not fit on each other
+
+A message is one line: the file, the quantity, the value found and the value needed.
+"""
+
+from __future__ import annotations
+
+
+class LaciError(Exception):
+    """Root of everything that this project raises on purpose."""
+
+
+class InputError(LaciError):
+    """The input cannot be read or makes no sense."""
+
+
+class ImageError(InputError):
+    """An image, a folder of images, or a pair of folders is unusable."""
+
+
+class RigError(InputError):
+    """A stereo calibration is unusable."""
+
+
+class CamError(InputError):
+    """A log of Cooperative Awareness Messages is unusable."""
+
+
+class MapError(InputError):
+    """A lane map is unusable."""
+
+
+class SettingError(InputError):
+    """An argument or a setting is out of its range."""
+
+
+class CalibrationFileError(InputError):
+    """A calibration.json is unusable."""
+
+
+class OutputError(InputError):
+    """The result cannot be written where it should go."""
+
+
+class CalibrationError(LaciError):
+    """The input was read, but does not determine a calibration."""
+
+
+class GroundError(CalibrationError):
+    """No ground plane was found."""
+
+
+class BackgroundError(CalibrationError):
+    """The static background could not be learned."""
+
+
+class BoxError(CalibrationError):
+    """The points do not span a box."""
+
+
+class TrackError(CalibrationError):
+    """No vehicle was found that could be the sender."""
+
+
+class MatchError(CalibrationError):
+    """The vehicle's track in the sensor does not fit its track in the world."""

@@ -1,0 +1,120 @@
+"""The world frame: true metres around a whole-metre UTM point, and the way into it from latitude and longitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from pyproj import CRS, Proj, Transformer
+from pyproj.aoi import AreaOfInterest
+from pyproj.database import query_utm_crs_info
+from pyproj.exceptions import CRSError
+
+from laci_stereo.core.errors import CamError, SettingError
+from laci_stereo.core.frames import FloatArray, rigid
+
+
+@dataclass(frozen=True)
+class World:
+    """A metric frame on the map: UTM = ``origin_utm`` + ``grid_scale`` * world.
+
+    Attributes
+    ----------
+    crs : str
+        The UTM zone, as ``EPSG:32632``.
+    origin_utm : tuple of float
+        East and north of the origin, whole metres.
+    grid_scale : float
+        UTM's point scale at the origin (0.9996 to 1.0010): grid metres per true metre.
+    """
+
+    crs: str
+    origin_utm: tuple[float, float]
+    grid_scale: float
+
+    @classmethod
+    def around(cls, latitude_deg: float, longitude_deg: float, crs: str | None = None) -> World:
+        """Lay the frame around a position, in its own UTM zone and hemisphere unless ``crs`` names another.
+
+        Raises
+        ------
+        CamError
+            If UTM is not defined there (beyond 84 deg north or 80 deg south).
+        SettingError
+            If ``crs`` is not a UTM zone known to PROJ.
+        """
+        code = _utm_crs(latitude_deg, longitude_deg) if crs is None else _checked_utm(crs)
+        proj = Proj(code)
+        east, north = proj(longitude_deg, latitude_deg)
+        scale = proj.get_factors(longitude_deg, latitude_deg).meridional_scale
+        return cls(code, (float(round(east)), float(round(north))), float(scale))
+
+    @cached_property
+    def _transformer(self) -> Transformer:
+        return Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
+
+    @cached_property
+    def _proj(self) -> Proj:
+        return Proj(self.crs)
+
+    def from_geodetic(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
+        """Map WGS84 positions, shapes (n,), to x and y in the world frame, shape (n, 2)."""
+        east, north = self._transformer.transform(longitude_deg, latitude_deg)
+        return self.from_utm(np.column_stack([east, north]))
+
+    def from_utm(self, utm: FloatArray) -> FloatArray:
+        """Map UTM east and north, shape (n, 2), to the world frame."""
+        xy: FloatArray = (utm - np.array(self.origin_utm)) / self.grid_scale
+        return xy
+
+    def to_utm(self, xy: FloatArray) -> FloatArray:
+        """Map x and y in the world frame, shape (n, 2), to UTM east and north."""
+        utm: FloatArray = np.array(self.origin_utm) + self.grid_scale * xy
+        return utm
+
+    def to_geodetic(self, xy: FloatArray) -> FloatArray:
+        """Map x and y in the world frame, shape (n, 2), to WGS84 latitude and longitude in degrees, shape (n, 2)."""
+        utm = self.to_utm(xy)
+        longitude, latitude = self._transformer.transform(utm[:, 0], utm[:, 1], direction="INVERSE")
+        return np.column_stack([latitude, longitude])
+
+    def yaw_from_heading(
+        self, heading_deg: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
+    ) -> FloatArray:
+        """Turn headings (clockwise from true north, deg) into yaw (counter-clockwise from grid east, rad)."""
+        convergence_deg = self._proj.get_factors(longitude_deg, latitude_deg).meridian_convergence
+        yaw: FloatArray = np.radians(90.0 - heading_deg + np.asarray(convergence_deg))
+        return yaw
+
+    def utm_from_sensor(self, T_world_sensor: FloatArray, centre_sensor: FloatArray) -> FloatArray:
+        """Return ``T_utm_sensor``, shape (4, 4): rigid, and exact in the plane at one point, shape (3,), in the sensor.
+
+        The grid's scale cannot be part of a rigid transform, so it is spent where it matters: around the track.
+        """
+        rotation, translation = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
+        centre_world = rotation @ centre_sensor + translation
+        shift = translation.copy()
+        shift[:2] += self.to_utm(centre_world[None, :2])[0] - centre_world[:2]
+        return rigid(rotation, shift)
+
+
+def _utm_crs(latitude_deg: float, longitude_deg: float) -> str:
+    if not -80.0 <= latitude_deg <= 84.0:
+        raise CamError(f"latitude is {latitude_deg:.3f} deg; UTM is defined between -80 and 84 deg")
+    point = AreaOfInterest(longitude_deg, latitude_deg, longitude_deg, latitude_deg)
+    zones = query_utm_crs_info("WGS 84", area_of_interest=point, contains=True)
+    north = latitude_deg >= 0.0
+    codes = [z.code for z in zones if z.code.startswith("326" if north else "327")]
+    assert codes, (latitude_deg, longitude_deg)
+    return f"EPSG:{min(codes)}"
+
+
+def _checked_utm(crs: str) -> str:
+    try:
+        parsed = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise SettingError(f"coordinate system {crs!r} is not known to PROJ; needed is a UTM zone such as EPSG:32632") from error
+    if parsed.utm_zone is None or parsed.to_epsg() is None:
+        raise SettingError(f"coordinate system {crs!r} is {parsed.name}; needed is a UTM zone such as EPSG:32632")
+    return f"EPSG:{parsed.to_epsg()}"
