@@ -1,1 +1,1 @@
-"""Where does a roadside sensor stand, and where does it look?"""
+"""Find where a roadside sensor stands and looks, from one connected vehicle that drives by."""

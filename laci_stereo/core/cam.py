@@ -62,6 +62,11 @@ class CamLog:
         ids, counts = np.unique(self.station_id, return_counts=True)
         return [int(station) for station in ids[np.argsort(-counts, kind="stable")]]
 
+    def between(self, first_ns: int, last_ns: int) -> CamLog:
+        """Return the messages from just before to just after an interval, so that its ends can be interpolated."""
+        margin_ns = int(MAX_GAP_S * 1e9)
+        return self[(self.stamps_ns >= first_ns - margin_ns) & (self.stamps_ns <= last_ns + margin_ns)]
+
     def of(self, station: int) -> CamLog:
         """Return the messages of one station."""
         return self[self.station_id == station]
@@ -174,7 +179,7 @@ def _dimension(values_m: FloatArray, what: str) -> float:
 
 
 def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
-    """Return the body's yaw, unwrapped: the sent heading while the vehicle moves, the nearest such one while it stands."""
+    """Return the body's yaw, unwrapped: the sent heading while the vehicle moves, interpolated while it stands."""
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
     speed = np.where(np.isfinite(log.speed_mps), log.speed_mps, _speed(xy, log.stamps_ns))
     sure = np.isfinite(yaw) & (speed >= STANDING_MPS)

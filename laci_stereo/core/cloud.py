@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from laci_stereo.core.frames import Axes, BoolArray, FloatArray
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.points)
 
-    def __getitem__(self, keep: BoolArray) -> PointCloud:
+    def __getitem__(self, keep: BoolArray | IntArray) -> PointCloud:
         return PointCloud(
             self.stamp_ns, self.points[keep], self.sigma_along_m[keep], self.sigma_across_m[keep], self.at_edge[keep]
         )
@@ -67,6 +67,10 @@ class PointCloudSource(Protocol):
     @property
     def axes(self) -> Axes:
         """Where forward and up are in the sensor frame."""
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp, Unix time, nanoseconds."""
 
     def __len__(self) -> int:
         """Return the number of frames."""

@@ -18,7 +18,7 @@ Yaw is counter-clockwise from x, in radians. CAM heading is clockwise from true 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,8 @@ import numpy.typing as npt
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
+Raster: TypeAlias = npt.NDArray[Any]
+"""An image of any depth, shape (height, width) or (height, width, 3)."""
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,25 @@ class GroundSettings:
         and rolled by a few; a wall that faces a sensor pitched by 35 deg appears 55 deg from up.
     min_height_m, max_height_m : float
         Between these the sensor hangs over the ground.
+    unevenness_m : float
+        Largest standard deviation of a road about its plane (crown, ruts). The fit estimates what it really is; what
+        is farther away, such as a pavement behind its kerb of 10 to 15 cm, is not the ground.
+    min_points : int
+        Fewer points than this are no cloud.
+    min_cells : int
+        Cells of bearing (0.05 rad wide) that must support the plane: as many as a patch of 0.3 rad square has.
+    min_support_share : float
+        Of the cells whose rays meet the plane within the range seen, so many must support it. A plane through the
+        foot of a wall is supported by one row of some thirty.
     """
 
     max_tilt_deg: float = 48.0
     min_height_m: float = 1.5
     max_height_m: float = 40.0
+    unevenness_m: float = 0.02
+    min_points: int = 50
+    min_cells: int = 36
+    min_support_share: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -30,13 +44,182 @@ class BoxSettings:
     Attributes
     ----------
     light_bin_m : float
-        Width dx of the bins of the light beams.
+        Width dx of the bins of the light beams. The shortest side, 1.6 m, gets five beams when it is lit in full, and a
+        beam is hit by some points of the near sides even where a vehicle has only 60.
     bar_bin_m : float
-        Width of the bins of the histogram along the line, whose densest is the bar P.
+        Width of the bins of the histogram along the line, whose densest is the bar P. Never narrower than the
+        tolerance, or noise would spread a bar over several bins.
     line_tolerance_m : float
-        theta_thresh: points this near to the line are its points Q.
+        theta_thresh: points this near to the line are its points Q. It must cover the noise, and the error of a line
+        through few lit points; it widens to two standard deviations where the noise is larger.
+    max_tolerance_m : float
+        Where that widening ends: at half the width of a narrow car, where one line takes up two parallel sides.
     """
 
-    light_bin_m: float = 0.2
+    light_bin_m: float = 0.3
     bar_bin_m: float = 0.2
     line_tolerance_m: float = 0.2
+    max_tolerance_m: float = 0.8
+
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """How points are grouped on the ground plan.
+
+    Attributes
+    ----------
+    cell_m : float
+        Side of the cells in which points are counted; well below `reach_m`, so that it does not matter.
+    reach_m : float
+        Points nearer than this belong together: more than the gap that a car's windows or an eight-layer scanner's
+        beams leave, less than the 1 m that traffic keeps at least.
+    min_points : int
+        Points within reach that make a cluster rather than noise.
+    """
+
+    cell_m: float = 0.1
+    reach_m: float = 0.7
+    min_points: int = 5
+
+
+@dataclass(frozen=True)
+class BackgroundSettings:
+    """How the static background is learnt (paper section III-B).
+
+    Attributes
+    ----------
+    min_height_m : float
+        theta_g: what is higher above the ground plane is not ground.
+    max_height_m : float
+        What is higher hangs above the traffic (EU directive 96/53/EC: vehicles are at most 4 m high).
+    cell_m : float
+        Side of the cells in which frames are compared.
+    tight_share : float
+        A box is split in two while points cover less than this share of it: the box of an L-shaped building would
+        cover the street before it.
+    smallest_box_m : float
+        Boxes no longer than this are not split.
+    margin_m : float
+        Boxes are grown by this much before they are tested against, for foliage and the noise of their outline.
+    """
+
+    min_height_m: float = 0.5
+    max_height_m: float = 4.0
+    cell_m: float = 0.5
+    tight_share: float = 0.5
+    smallest_box_m: float = 2.0
+    margin_m: float = 0.3
+
+
+@dataclass(frozen=True)
+class VehicleSettings:
+    """Which clusters can be a vehicle, and which frames of it are used.
+
+    Attributes
+    ----------
+    min_height_m : float
+        Points higher above the ground plane are the vehicle's: above kerbs (up to 0.15 m) and lawns, and below the
+        bumpers, where a car is longest.
+    ground_sigmas : float
+        A point must also be above the plane by this many of its own standard deviations.
+    max_sigma_m : float
+        Points whose noise along the line of sight is larger are too far away: a quarter of a car's width, beyond
+        which its two sides run into one another.
+    min_points : int
+        A cluster with fewer is too thin for a box.
+    min_extent_m : float
+        A cluster whose box is shorter is too small: the narrowest side of a car that can be seen is 1.4 m.
+    density_cell_m : float
+        Side of the cells in which the density of a cluster is counted.
+    density_share : float
+        Points where the cluster is thinner than this share of its median density are noise.
+    max_edge_share : float
+        A cluster with more of its points at the border of the field of view is cut off there.
+    """
+
+    min_height_m: float = 0.25
+    ground_sigmas: float = 3.0
+    max_sigma_m: float = 0.45
+    min_points: int = 10
+    min_extent_m: float = 1.0
+    density_cell_m: float = 0.2
+    density_share: float = 0.35
+    max_edge_share: float = 0.02
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """How clusters are linked into tracks.
+
+    Attributes
+    ----------
+    max_speed_mps : float
+        Of a vehicle whose speed is not known yet.
+    max_acceleration_mps2 : float
+        Emergency braking on dry asphalt is 9 m/s^2.
+    jitter_m : float
+        By how much the middle of what is visible of a vehicle jumps from frame to frame.
+    max_lost_s : float
+        A track that was not seen for longer is over.
+    """
+
+    max_speed_mps: float = 40.0
+    max_acceleration_mps2: float = 9.0
+    jitter_m: float = 1.0
+    max_lost_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """How the vehicle's two tracks are matched (paper section III-D).
+
+    Attributes
+    ----------
+    min_vector_m : float
+        theta_beta: shorter location vectors, relative to the last point of the trace, are left out.
+    min_frames : int
+        Frames in which the vehicle must be seen and its position be known.
+    min_path_m : float
+        The vehicle must move by this much while it is seen.
+    clear_share : float
+        A second candidate that explains more than this share of what the best one explains is a tie.
+    """
+
+    min_vector_m: float = 5.0
+    min_frames: int = 10
+    min_path_m: float = 5.0
+    clear_share: float = 0.8
+
+
+@dataclass(frozen=True)
+class QualitySettings:
+    """The published thresholds of the verdict.
+
+    Attributes
+    ----------
+    max_sigma_m : float
+        Up to this standard deviation along the track the verdict is a pass: half a lane's width would put a vehicle
+        into the wrong lane, and three sigma must stay below it.
+    max_sigma_deg : float
+        The same for angles: three sigma shift an object 60 m away by half a lane.
+    fail_factor : float
+        Beyond this multiple of a limit the verdict is a fail, in between a warning.
+    """
+
+    max_sigma_m: float = 0.5
+    max_sigma_deg: float = 0.5
+    fail_factor: float = 3.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of the core."""
+
+    ground: GroundSettings = field(default_factory=GroundSettings)
+    background: BackgroundSettings = field(default_factory=BackgroundSettings)
+    cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    box: BoxSettings = field(default_factory=BoxSettings)
+    vehicle: VehicleSettings = field(default_factory=VehicleSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
+    match: MatchSettings = field(default_factory=MatchSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)

@@ -114,7 +114,9 @@ def _checked_utm(crs: str) -> str:
     try:
         parsed = CRS.from_user_input(crs)
     except CRSError as error:
-        raise SettingError(f"coordinate system {crs!r} is not known to PROJ; needed is a UTM zone such as EPSG:32632") from error
+        raise SettingError(
+            f"coordinate system {crs!r} is not known to PROJ; needed is a UTM zone such as EPSG:32632"
+        ) from error
     if parsed.utm_zone is None or parsed.to_epsg() is None:
         raise SettingError(f"coordinate system {crs!r} is {parsed.name}; needed is a UTM zone such as EPSG:32632")
     return f"EPSG:{parsed.to_epsg()}"

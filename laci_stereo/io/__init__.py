@@ -1,0 +1,1 @@
+"""Reading what users have, writing what they need."""

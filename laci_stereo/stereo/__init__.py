@@ -1,0 +1,1 @@
+"""Image pairs in, rectified disparity, point clouds out."""

@@ -1,0 +1,142 @@
+"""How far the paper's estimate can be trusted: its covariance and a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.result import Quality, Verdict
+from laci_stereo.core.settings import QualitySettings
+from laci_stereo.core.tracking import Track
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One standard deviation of each thing that the paper's method estimates.
+
+    Attributes
+    ----------
+    position_m : float
+        Of the track as a whole, along each axis of the plane.
+    yaw_rad : float
+    spread_m : float
+        Root of the mean squared distance of the track from its middle.
+    """
+
+    position_m: float
+    yaw_rad: float
+    spread_m: float
+
+    @property
+    def track_xy_m(self) -> float:
+        """Root of the mean squared error in the plane along the track."""
+        return float(np.sqrt(2 * self.position_m**2 + (self.yaw_rad * self.spread_m) ** 2))
+
+
+def doubt_of(
+    match: PlanarMatch, xy_level: FloatArray, xy_world: FloatArray, track: Track, vehicle: VehicleTrack
+) -> Doubt:
+    """Estimate the errors of the paper's match.
+
+    What remains between the tracks is the error of box centres. It changes as slowly as the side of the vehicle that
+    is in view, so it is not averaged over frames. The match cannot see the part that all frames share; half of what
+    the boxes lack of the vehicle's true length and width bounds it. The yaw leans on the last point of the trace
+    and on the mean of the others, each with that error.
+
+    Parameters
+    ----------
+    match : PlanarMatch
+    xy_level, xy_world : ndarray, shape (n, 2)
+        The two tracks at the frames used.
+    track : Track
+    vehicle : VehicleTrack
+    """
+    remains = match(xy_level) - xy_world
+    length = np.median([sighting.box.length_m for sighting in track.usable])
+    width = np.median([sighting.box.width_m for sighting in track.usable])
+    lacking = np.array([max(vehicle.length_m - length, 0.0), max(vehicle.width_m - width, 0.0)]) / 2
+    position = float(np.sqrt((remains**2).mean() + (lacking**2).mean()))
+    lengths = np.linalg.norm(xy_world[:-1] - xy_world[-1], axis=1)
+    spread = float(np.sqrt(((xy_world - xy_world.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    yaw = np.sqrt(2) * position / max(float(np.sqrt((lengths**2).mean())), 1e-9)
+    return Doubt(position, float(yaw), spread)
+
+
+def covariance_of(
+    doubt: Doubt, ground_covariance: FloatArray, match: PlanarMatch, middle_level: FloatArray
+) -> FloatArray:
+    """Return the covariance of (rotation vector, translation) in the world, about the track's middle, shape (6, 6).
+
+    Parameters
+    ----------
+    doubt : Doubt
+    ground_covariance : ndarray, shape (3, 3)
+        Of (rotation about level x, about level y, height), see `GroundPlane.covariance_level`.
+    match : PlanarMatch
+    middle_level : ndarray, shape (2,)
+        The track's middle in the level frame; there the tilt moves the ground by (d x p)_z = d_x p_y - d_y p_x.
+    """
+    to_world = np.zeros((6, 3))
+    to_world[:2, :2] = rotate_xy(match.yaw_rad, np.eye(2)).T
+    to_world[5] = [middle_level[1], -middle_level[0], 1.0]
+    covariance: FloatArray = to_world @ ground_covariance @ to_world.T
+    covariance[2, 2] += doubt.yaw_rad**2
+    covariance[3, 3] += doubt.position_m**2
+    covariance[4, 4] += doubt.position_m**2
+    return covariance
+
+
+def judge(
+    doubt: Doubt,
+    ground_covariance: FloatArray,
+    residual_rms_m: float,
+    track: Track,
+    known: BoolArray,
+    settings: QualitySettings,
+) -> Quality:
+    """Hold the doubt against the thresholds.
+
+    Parameters
+    ----------
+    doubt : Doubt
+    ground_covariance : ndarray, shape (3, 3)
+    residual_rms_m : float
+    track : Track
+    known : ndarray of bool, shape (n,)
+        Of the track's usable sightings: the sender's position at that time is known.
+    settings : QualitySettings
+    """
+    yaw_deg = float(np.degrees(doubt.yaw_rad))
+    tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(ground_covariance[:2, :2])[-1])))
+    height = float(np.sqrt(ground_covariance[2, 2]))
+    checks = [
+        ("position along the track", doubt.track_xy_m, "m", settings.max_sigma_m),
+        ("yaw", yaw_deg, "deg", settings.max_sigma_deg),
+        ("tilt", tilt_deg, "deg", settings.max_sigma_deg),
+    ]
+    reasons = tuple(
+        f"{what} is known to {value:.2f} {unit}; the limit is {limit:.2f} {unit}"
+        for what, value, unit, limit in checks
+        if value > limit
+    )
+    worst = max(value / limit for _, value, _, limit in checks)
+    verdict: Verdict = "pass" if worst <= 1 else "warn" if worst <= settings.fail_factor else "fail"
+    left_out = dict(track.flaws())
+    if not known.all():
+        left_out["unknown"] = int((~known).sum())
+    return Quality(
+        verdict=verdict,
+        reasons=reasons,
+        track_xy_sigma_m=doubt.track_xy_m,
+        yaw_sigma_deg=yaw_deg,
+        tilt_sigma_deg=tilt_deg,
+        height_sigma_m=height,
+        residual_rms_m=residual_rms_m,
+        frames_used=int(known.sum()),
+        frames_seen=len(track.sightings),
+        left_out=left_out,
+    )

@@ -1,0 +1,146 @@
+"""The result of a calibration, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from laci_stereo.core.background import Background
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.frames import Axes, FloatArray, invert, transform
+from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.tracking import Track
+from laci_stereo.core.world import World
+
+Verdict = Literal["pass", "warn", "fail"]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How far a calibration can be trusted.
+
+    Attributes
+    ----------
+    verdict : {"pass", "warn", "fail"}
+    reasons : tuple of str
+        Why it is not a pass.
+    track_xy_sigma_m : float
+        By how much an object on the vehicle's track would be misplaced in the plane: the root of the mean square of
+        the two-dimensional error, one sigma.
+    yaw_sigma_deg, tilt_sigma_deg, height_sigma_m : float
+    residual_rms_m : float
+        Distance between the two tracks after the match.
+    frames_used, frames_seen : int
+        Frames of the vehicle in the match, and frames in which it was seen at all.
+    left_out : dict of str to int
+        Frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time).
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    track_xy_sigma_m: float
+    yaw_sigma_deg: float
+    tilt_sigma_deg: float
+    height_sigma_m: float
+    residual_rms_m: float
+    frames_used: int
+    frames_seen: int
+    left_out: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Where a sensor stands and looks, and what that was concluded from.
+
+    Attributes
+    ----------
+    world : World
+    T_world_sensor : ndarray, shape (4, 4)
+    T_level_sensor : ndarray, shape (4, 4)
+    covariance : ndarray, shape (6, 6)
+        Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``.
+    centre_world : ndarray, shape (3,)
+        The middle of the vehicle's track.
+    time_offset_s : float
+        To be added to the sensor's stamps to get the CAMs' time.
+    station_id : int
+    ground : GroundPlane
+    background : Background
+    track : Track
+        Of the vehicle, in the level frame.
+    vehicle : VehicleTrack
+        In the world.
+    match : PlanarMatch
+    axes : Axes
+        Of the sensor.
+    quality : Quality
+    method : str
+    """
+
+    world: World
+    T_world_sensor: FloatArray
+    T_level_sensor: FloatArray
+    covariance: FloatArray
+    centre_world: FloatArray
+    time_offset_s: float
+    station_id: int
+    ground: GroundPlane
+    background: Background
+    track: Track
+    vehicle: VehicleTrack
+    match: PlanarMatch
+    axes: Axes
+    quality: Quality
+    method: str
+
+    @property
+    def T_utm_sensor(self) -> FloatArray:
+        """The best rigid transform into UTM around the track, shape (4, 4)."""
+        centre_sensor = transform(invert(self.T_world_sensor), self.centre_world[None])[0]
+        return self.world.utm_from_sensor(self.T_world_sensor, centre_sensor)
+
+    @property
+    def height_m(self) -> float:
+        """Of the sensor above the ground."""
+        return self.ground.height_m
+
+    @property
+    def viewing_angles(self) -> ViewingAngles:
+        """Where the sensor looks."""
+        return viewing_angles(self.T_world_sensor, self.axes)
+
+
+@dataclass(frozen=True)
+class ViewingAngles:
+    """Where a sensor looks, in words that a person on site can check.
+
+    Attributes
+    ----------
+    yaw_deg : float
+        Of the forward axis, counter-clockwise from grid east.
+    down_deg : float
+        By how much the forward axis points below the horizon.
+    roll_deg : float
+        By how much the sensor is turned clockwise about the forward axis, seen from behind it.
+    """
+
+    yaw_deg: float
+    down_deg: float
+    roll_deg: float
+
+
+def viewing_angles(T_world_sensor: FloatArray, axes: Axes) -> ViewingAngles:
+    """Read the viewing direction off a transform, shape (4, 4)."""
+    forward = T_world_sensor[:3, :3] @ np.array(axes.forward)
+    up = T_world_sensor[:3, :3] @ np.array(axes.up)
+    right_level = np.cross(forward, [0.0, 0.0, 1.0])
+    right_level /= max(float(np.linalg.norm(right_level)), 1e-12)
+    up_level = np.cross(right_level, forward)
+    return ViewingAngles(
+        yaw_deg=float(np.degrees(np.arctan2(forward[1], forward[0]))),
+        down_deg=float(np.degrees(np.arcsin(np.clip(-forward[2], -1, 1)))),
+        roll_deg=float(np.degrees(np.arctan2(up @ right_level, up @ up_level))),
+    )

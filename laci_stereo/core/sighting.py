@@ -1,0 +1,124 @@
+"""What of a frame can be the vehicle: points above ground and outside of the background, in clusters with boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from laci_stereo.core.background import Background
+from laci_stereo.core.box import Box, fit_box
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.cluster import cluster
+from laci_stereo.core.errors import BoxError
+from laci_stereo.core.frames import BoolArray, FloatArray, transform
+from laci_stereo.core.settings import Settings, VehicleSettings
+
+Flaw = Literal["cut", "far", "thin"]
+"""Why a sighting is left out: cut by the border of the field of view, too far away, too thin for a box."""
+
+KEPT_POINTS = 200
+"""Points of a cluster that are kept, so that memory does not grow with the sensor's density."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A cluster that may be a vehicle, in one frame.
+
+    Attributes
+    ----------
+    stamp_s : float
+        Seconds since the recording's first stamp.
+    points : ndarray, shape (n, 3)
+        Some of its points, level frame, metres.
+    count : int
+        How many it has in all.
+    middle : ndarray, shape (2,)
+        The median of all its points on the ground plan: biased towards the sensor, but steadier than the box.
+    box : Box
+        On the ground plan of the level frame.
+    flaw : {"cut", "far", "thin"} or None
+        Why its box is not to be trusted.
+    """
+
+    stamp_s: float
+    points: FloatArray
+    count: int
+    middle: FloatArray
+    box: Box
+    flaw: Flaw | None
+
+
+def find_vehicles(
+    cloud: PointCloud, stamp_s: float, T_level_sensor: FloatArray, background: Background, settings: Settings
+) -> list[Sighting]:
+    """Find what may be a vehicle in a frame (paper section III-C).
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    stamp_s : float
+        Seconds since the recording's first stamp.
+    T_level_sensor : ndarray, shape (4, 4)
+    background : Background
+    settings : Settings
+
+    Returns
+    -------
+    list of Sighting
+        The one with most points first.
+    """
+    points = transform(T_level_sensor, cloud.points)
+    sight = points - T_level_sensor[:3, 3]
+    slope = sight[:, 2] / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
+    sigma_z = np.hypot(slope * cloud.sigma_along_m, np.sqrt(1 - slope**2) * cloud.sigma_across_m)
+    limits = settings.vehicle
+    standing = points[:, 2] > np.maximum(limits.min_height_m, limits.ground_sigmas * sigma_z)
+    # A vehicle at the limit has points on both sides of it; the cluster's median decides.
+    near = cloud.sigma_along_m < 2 * limits.max_sigma_m
+    candidates = np.flatnonzero(standing & near & (points[:, 2] < settings.background.max_height_m))
+    candidates = candidates[~background.covers(points[candidates, :2])]
+    found = []
+    for group in cluster(points[candidates, :2], settings.cluster):
+        members = candidates[group].astype(np.int64)
+        sighting = _sighting(points[members], cloud[members], stamp_s, settings)
+        if sighting is not None:
+            found.append(sighting)
+    return found
+
+
+def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:
+    """Tell which points, shape (n, 2), stand where the outline is dense.
+
+    Upright sides stack their points on the ground plan; matches that bleed from them to the road behind are strewn
+    along the line of sight. With the few points of a sparse scanner this keeps everything.
+    """
+    cells = np.floor(xy / settings.density_cell_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    counts = np.zeros(cells.max(axis=0) + 3, dtype=np.int64)
+    np.add.at(counts, (cells[:, 0] + 1, cells[:, 1] + 1), 1)
+    around = uniform_filter(counts.astype(np.float64), 3, mode="constant")[cells[:, 0] + 1, cells[:, 1] + 1]
+    keep: BoolArray = around >= settings.density_share * np.median(around)
+    return keep
+
+
+def _sighting(points: FloatArray, cloud: PointCloud, stamp_s: float, settings: Settings) -> Sighting | None:
+    limits = settings.vehicle
+    flaw: Flaw | None = None
+    if cloud.at_edge.mean() > limits.max_edge_share:
+        flaw = "cut"
+    elif np.median(cloud.sigma_along_m) > limits.max_sigma_m:
+        flaw = "far"
+    elif len(points) < limits.min_points:
+        flaw = "thin"
+    try:
+        outline = dense(points[:, :2], limits)
+        box = fit_box(points[outline, :2], settings.box)
+    except BoxError:
+        return None
+    if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
+        flaw = "thin"
+    kept = np.unique(np.linspace(0, len(points) - 1, KEPT_POINTS).round().astype(int))
+    return Sighting(stamp_s, points[kept], len(points), np.median(points[:, :2], axis=0), box, flaw)

@@ -1,0 +1,170 @@
+"""The quantities in a log of messages: what their columns are called, their units, their missing values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray
+
+BAD_SHARE = 0.2
+"""More than a fifth of bad values is no exception any more, but says something about the file."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column is called.
+
+    Attributes
+    ----------
+    name : str
+        The canonical name.
+    synonyms : tuple of str
+        Other names of it, the better ones first; case, spaces and underscores do not matter.
+    """
+
+    name: str
+    synonyms: tuple[str, ...]
+
+    def find(self, header: list[str]) -> int | None:
+        """Return the index of the column in a header, or None."""
+        plain = [plain_name(title) for title in header]
+        return next((plain.index(name) for name in (plain_name(self.name), *self.synonyms) if name in plain), None)
+
+
+@dataclass(frozen=True)
+class Quantity(Column):
+    """A column of numbers, and how ETSI TS 102 894-2 sends them.
+
+    Attributes
+    ----------
+    unit : str
+    etsi_per_unit : float
+        How many of what a raw integer counts are in one ``unit``.
+    unavailable : int
+        The raw integer that says that the sender does not know.
+    lowest, highest : float
+        What the quantity can be, in ``unit``.
+    """
+
+    unit: str
+    etsi_per_unit: float
+    unavailable: int
+    lowest: float
+    highest: float
+
+    def known(self, values: FloatArray) -> FloatArray:
+        """Return values with "unavailable" codes, raw or converted along with the others, replaced by NaN."""
+        codes = (self.unavailable, self.unavailable / self.etsi_per_unit)
+        unavailable = np.any([np.isclose(values, code, rtol=1e-12, atol=0.0) for code in codes], axis=0)
+        return np.where(unavailable, np.nan, values)
+
+    @property
+    def etsi_text(self) -> str:
+        """What a raw integer counts, in words."""
+        return f"{1 / self.etsi_per_unit:g} {self.unit}".replace("e-0", "e-")
+
+    def possible(self, values: FloatArray) -> BoolArray:
+        """Return which values the quantity can have; what is missing is possible."""
+        return np.isnan(values) | ((values >= self.lowest) & (values <= self.highest))
+
+    def looks_raw(self, values: FloatArray, others_are_raw: bool) -> bool:
+        """Return whether a column holds raw ETSI integers.
+
+        They are integers that cannot be in ``unit``, or that can be raw in a file whose other columns are.
+        """
+        values = values[np.isfinite(values)]
+        if not _are_whole(values):
+            return False
+        if np.median(np.abs(values)) > self.highest:
+            return True
+        return others_are_raw and bool(np.median(values) / self.etsi_per_unit >= self.lowest)
+
+
+TIMESTAMP = Column(
+    "timestamp",
+    (
+        *("timestamputc", "timestampunix", "timestamps", "time", "ts", "t", "stamp", "unixtime", "utc", "utctime"),
+        *("datetime", "epoch", "timestampns", "timestampus", "timestampms", "timens", "timeus", "timems"),
+        *("gpstime", "timestampits", "referencetime", "generationtime"),
+    ),
+)
+STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "vehicleid"))
+
+LATITUDE = Quantity("latitude", ("lat", "latitudedeg", "latdeg"), "deg", 1e7, 900000001, -90.0, 90.0)
+LONGITUDE = Quantity(
+    "longitude", ("lon", "lng", "long", "longitudedeg", "londeg"), "deg", 1e7, 1800000001, -180.0, 180.0
+)
+HEADING = Quantity(
+    "heading", ("headingdeg", "headingvalue", "course", "coursedeg", "cog"), "deg", 10, 3601, -180.0, 360.0
+)
+SPEED = Quantity(
+    "speed", ("speedmps", "speedms", "speedvalue", "velocity", "velocitymps"), "m/s", 100, 16383, 0.0, 130.0
+)
+LENGTH = Quantity(
+    "vehicle_length", ("vehiclelengthm", "vehiclelengthvalue", "length", "lengthm"), "m", 10, 1023, 0.5, 60.0
+)
+WIDTH = Quantity("vehicle_width", ("vehiclewidthm", "width", "widthm"), "m", 10, 62, 0.3, 6.1)
+ALTITUDE = Quantity(
+    "altitude", ("altitudem", "altitudevalue", "alt", "altm", "elevation", "ele"), "m", 100, 800001, -1000.0, 9000.0
+)
+SEMI_MAJOR = Quantity(
+    "semi_major_95",
+    ("semimajor95m", "semimajoraxislength", "semimajorconfidence", "semimajor"),
+    *("m", 100, 4095, 0.0, 100.0),
+)
+SEMI_MINOR = Quantity(
+    "semi_minor_95",
+    ("semiminor95m", "semiminoraxislength", "semiminorconfidence", "semiminor"),
+    *("m", 100, 4095, 0.0, 100.0),
+)
+ELLIPSE_ORIENTATION = Quantity(
+    "ellipse_orientation",
+    ("ellipseorientationdeg", "semimajororientation", "semimajoraxisorientation"),
+    *("deg", 10, 3601, -180.0, 360.0),
+)
+
+REQUIRED: tuple[Column, ...] = (TIMESTAMP, LATITUDE, LONGITUDE, HEADING, LENGTH, WIDTH)
+POSITION = (LATITUDE, LONGITUDE)
+DIMENSIONS = (LENGTH, WIDTH)
+QUANTITIES = (*POSITION, HEADING, SPEED, ALTITUDE, *DIMENSIONS, SEMI_MAJOR, SEMI_MINOR, ELLIPSE_ORIENTATION)
+COLUMNS: tuple[Column, ...] = (TIMESTAMP, STATION_ID, *QUANTITIES)
+
+Values: TypeAlias = Mapping[Quantity, FloatArray]
+"""The values of each quantity, shape (n,), NaN where missing."""
+
+
+def in_units(raw_or_not: Values) -> tuple[Values, list[str]]:
+    """Convert those columns that hold raw ETSI integers, and say which."""
+    positions = _positions_look_raw(np.concatenate([raw_or_not[quantity] for quantity in POSITION]))
+    # 47 can be either unit of a length, but 18 only one of a width, so the width speaks for both.
+    dimensions = WIDTH.looks_raw(raw_or_not[WIDTH], positions)
+    raw = [
+        quantity
+        for quantity in QUANTITIES
+        if (positions if quantity in POSITION else quantity.looks_raw(raw_or_not[quantity], positions))
+        or (quantity is LENGTH and quantity.looks_raw(raw_or_not[quantity], dimensions))
+    ]
+    values = {
+        quantity: found / quantity.etsi_per_unit if quantity in raw else found for quantity, found in raw_or_not.items()
+    }
+    return values, [f"{quantity.name}: raw ETSI integers of {quantity.etsi_text}" for quantity in raw]
+
+
+def plain_name(title: str) -> str:
+    """Return a column's title in lower case, without spaces, underscores and other marks."""
+    return "".join(character for character in title.lower() if character.isalnum())
+
+
+def _positions_look_raw(values: FloatArray) -> bool:
+    """Return whether they are whole numbers that no angle in degrees can be."""
+    # Zero stands for a position that is not known in either unit.
+    values = values[np.isfinite(values) & (values != 0)]
+    return _are_whole(values) and bool(np.median(np.abs(values)) > LONGITUDE.highest)
+
+
+def _are_whole(values: FloatArray) -> bool:
+    return len(values) > 0 and float(np.mean(values == np.round(values))) >= 1 - BAD_SHARE

@@ -1,0 +1,43 @@
+"""Whether a log's latitude and longitude are exchanged, as the motion tells that its messages also send."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from laci_stereo.core.cam import MAX_GAP_S, CamLog
+from laci_stereo.core.frames import FloatArray
+
+_METRES_PER_DEG = 111_195.0
+_MOVING_MPS = 2.0
+_FEWEST_STEPS = 5
+_DISAGREES = 0.25
+_AGREES = 0.1
+
+
+def look_exchanged(log: CamLog) -> bool:
+    """Return whether only exchanged positions move as heading and speed say.
+
+    False where the log does not tell: no speeds, no motion, or motion that fits to neither.
+    """
+    errors = [_motion_errors(log.of(station)) for station in log.stations()]
+    as_given, exchanged = np.concatenate(errors, axis=1)
+    if len(as_given) < _FEWEST_STEPS:
+        return False
+    return bool(np.median(as_given) > _DISAGREES and np.median(exchanged) < _AGREES)
+
+
+def _motion_errors(log: CamLog) -> FloatArray:
+    """Return how far the motion is off the sent one, relative to its speed: as given and exchanged, shape (2, n)."""
+    log = log[np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)]
+    step_s = np.diff(log.stamps_ns) / 1e9
+    speed = (log.speed_mps[1:] + log.speed_mps[:-1]) / 2
+    heading = np.radians(log.heading_deg[1:])
+    # Comparisons with NaN are False, so what was not sent drops out.
+    usable = (step_s > 0) & (step_s <= MAX_GAP_S) & (speed >= _MOVING_MPS) & np.isfinite(heading)
+    sent = np.stack([np.sin(heading), np.cos(heading)])
+    errors = []
+    for latitude, longitude in ((log.latitude_deg, log.longitude_deg), (log.longitude_deg, log.latitude_deg)):
+        east = np.diff(longitude)[usable] * np.cos(np.radians(latitude[1:][usable]))
+        moved = _METRES_PER_DEG * np.stack([east, np.diff(latitude)[usable]]) / (step_s * speed)[usable]
+        errors.append(np.linalg.norm(moved - sent[:, usable], axis=0))
+    return np.stack(errors)

@@ -1,0 +1,199 @@
+"""OpenCV's FileStorage files, read without OpenCV, whose own reader hangs or crashes on many a malformed one."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from typing import TypeAlias
+from xml.etree.ElementTree import Element
+
+from laci_stereo.io.safe_xml import XmlError, parse_xml
+
+Node: TypeAlias = "float | str | list[Node] | dict[str, Node]"
+"""What stands in such a file: a number, a text, a sequence, or a map of names to nodes."""
+
+_DEEPEST = 20
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?\.?(nan|inf)", re.IGNORECASE)
+_TAG = re.compile(r"!\S*\s*|&\S+\s*")
+_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s"'\[\]{},#][^"'\[\]{}:]*?)\s*:(?:\s+(.*))?""", re.DOTALL)
+_QUOTED = r""""(?:[^"\\]|\\.)*"|'[^']*'"""
+_COMMENT = re.compile(rf"({_QUOTED})|(?:^|(?<=\s))#.*")
+_FLOW_WORD = re.compile(rf"""{_QUOTED}|[\[\]{{}},]|[^\s\[\]{{}},"'][^\[\]{{}},"']*""")
+
+
+class StorageError(ValueError):
+    """The text is not what OpenCV's FileStorage writes."""
+
+
+def parse_file_storage(text: str) -> Mapping[str, Node]:
+    """Read YAML, JSON or XML as OpenCV writes them; which of them it is, the first character tells.
+
+    Of YAML this is the part that such files use: block and flow maps and sequences of plain scalars, one document.
+
+    Raises
+    ------
+    StorageError
+        If it is none of these, or nests deeper than such files do.
+    """
+    start = text.lstrip()[:1]
+    if start == "{":
+        root = _parse_json(text)
+    elif start == "<":
+        root = _parse_xml(text)
+    else:
+        root = _YamlReader(text).read()
+    if not isinstance(root, dict):
+        raise StorageError("it holds no names; needed are entries such as 'K1: ...'")
+    return root
+
+
+def _parse_json(text: str) -> Node:
+    try:
+        return _from_json(json.loads(text, parse_int=float), 0)
+    except (ValueError, RecursionError) as problem:
+        raise StorageError(f"{problem}; needed is well-formed JSON") from problem
+
+
+def _from_json(value: object, depth: int) -> Node:
+    _check_depth(depth)
+    if isinstance(value, dict):
+        return {str(key): _from_json(inner, depth + 1) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_from_json(inner, depth + 1) for inner in value]
+    return value if isinstance(value, float) else str(value)
+
+
+def _parse_xml(text: str) -> Node:
+    try:
+        return _from_xml(parse_xml(text), 0)
+    except XmlError as problem:
+        raise StorageError(str(problem)) from problem
+
+
+def _from_xml(element: Element, depth: int) -> Node:
+    _check_depth(depth)
+    if len(element) and all(child.tag == "_" for child in element):
+        return [_from_xml(child, depth + 1) for child in element]
+    if len(element):
+        return {child.tag: _from_xml(child, depth + 1) for child in element}
+    words = (element.text or "").split()
+    if not words or not all(_NUMBER.fullmatch(word) for word in words):
+        return (element.text or "").strip().strip('"')
+    numbers: list[Node] = [_scalar(word) for word in words]
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _check_depth(depth: int) -> None:
+    if depth > _DEEPEST:
+        raise StorageError(f"it nests deeper than {_DEEPEST} levels")
+
+
+def _scalar(word: str) -> Node:
+    if word[:1] in "\"'" and word[:1] == word[-1:]:
+        return word[1:-1]
+    return float(word.lower().replace(".nan", "nan").replace(".inf", "inf")) if _NUMBER.fullmatch(word) else word
+
+
+class _YamlReader:
+    """Lines of a YAML document with their indents, read from the first to the last."""
+
+    def __init__(self, text: str) -> None:
+        self._lines = list(_logical_lines(text))
+        self._at = 0
+
+    def read(self) -> Node:
+        root = self._block(0)
+        if self._at < len(self._lines):
+            raise StorageError(f"line {self._lines[self._at][0]}: the indent fits to no line above")
+        return root
+
+    def _block(self, depth: int) -> Node:
+        _check_depth(depth)
+        if self._at >= len(self._lines):
+            return ""
+        _, indent, content = self._lines[self._at]
+        if content == "-" or content.startswith("- "):
+            return self._sequence(indent, depth)
+        if _KEY.fullmatch(content):
+            return self._map(indent, depth)
+        self._at += 1
+        return _flow(content, self._lines[self._at - 1][0])
+
+    def _sequence(self, indent: int, depth: int) -> list[Node]:
+        items: list[Node] = []
+        while self._at < len(self._lines):
+            line, found, content = self._lines[self._at]
+            if found != indent or not (content == "-" or content.startswith("- ")):
+                break
+            inner = content[1:].lstrip()
+            if inner:
+                # What follows the dash is a block of its own, as if it stood on its own line.
+                self._lines[self._at] = (line, indent + len(content) - len(inner), inner)
+                items.append(self._block(depth + 1))
+            else:
+                self._at += 1
+                items.append(self._inner(indent + 1, depth))
+        return items
+
+    def _map(self, indent: int, depth: int) -> dict[str, Node]:
+        entries: dict[str, Node] = {}
+        while self._at < len(self._lines):
+            line, found, content = self._lines[self._at]
+            match = _KEY.fullmatch(content)
+            if found != indent or match is None:
+                break
+            self._at += 1
+            value = _TAG.sub("", match[2] or "", count=1) if (match[2] or "")[:1] in "!&" else match[2]
+            key = match[1].strip("\"'")
+            entries[key] = _flow(value, line) if value else self._value_below(indent, depth)
+        return entries
+
+    def _value_below(self, indent: int, depth: int) -> Node:
+        # YAML lets a map's sequence stand at the indent of its key.
+        dash = self._at < len(self._lines) and self._lines[self._at][2].startswith("-")
+        return self._inner(indent if dash else indent + 1, depth)
+
+    def _inner(self, least_indent: int, depth: int) -> Node:
+        if self._at < len(self._lines) and self._lines[self._at][1] >= least_indent:
+            return self._block(depth + 1)
+        return ""
+
+
+def _logical_lines(text: str) -> Iterator[tuple[int, int, str]]:
+    """Yield number, indent and content of each line; a flow collection over several lines is one of them."""
+    pending, start, depth = "", 0, 0
+    for i, raw in enumerate(text.splitlines(), start=1):
+        line = _COMMENT.sub(lambda match: match[1] or "", raw).rstrip()
+        if not line.strip() or line.startswith(("%", "---", "...")):
+            continue
+        pending, start = (f"{pending} {line.strip()}", start) if depth else (line, i)
+        bare = re.sub(_QUOTED, "", line)
+        depth += bare.count("[") + bare.count("{") - bare.count("]") - bare.count("}")
+        if depth <= 0:
+            content = pending.lstrip()
+            yield start, len(pending) - len(content), content
+            depth = 0
+    if depth:
+        raise StorageError(f"line {start}: a bracket is never closed")
+
+
+def _flow(text: str, line: int) -> Node:
+    """Return a scalar or a sequence. The entries of flow maps, of which calibrations have none, stay texts."""
+    if text[:1] not in ("[", "{"):
+        return _scalar(text)
+    open_sequences: list[list[Node]] = [[]]
+    for word in _FLOW_WORD.findall(text):
+        if word in ("[", "{"):
+            _check_depth(len(open_sequences))
+            open_sequences.append([])
+        elif word in ("]", "}"):
+            closed = open_sequences.pop()
+            if not open_sequences:
+                break
+            open_sequences[-1].append(closed)
+        elif word != ",":
+            open_sequences[-1].append(_scalar(word.strip()))
+    if len(open_sequences) != 1 or len(open_sequences[0]) != 1:
+        raise StorageError(f"line {line}: the brackets do not match")
+    return open_sequences[0][0]

@@ -1,0 +1,94 @@
+"""What decoders let pass: an image that was cut off decodes into grey garbage with no more than a warning."""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+_JPEG_MARKER = re.compile(rb"\xff[\xc0-\xcf\xd8-\xfe]")
+_PNM_HEADER = re.compile(
+    rb"P([1-6])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:(?:\s|#[^\n]*\n)+(\d{1,6}))?\s"
+)
+_CUT_OFF = "is cut off"
+
+
+def damage(content: bytes) -> str | None:
+    """Return what is wrong with the content of an image file, or None if that can only be told by decoding it."""
+    if not content:
+        return "is empty"
+    if content.startswith(_PNG):
+        return _png_damage(content)
+    if content.startswith(_JPEG):
+        return _jpeg_damage(content)
+    if content.startswith(b"BM"):
+        return _bmp_damage(content)
+    if content.startswith((b"P4", b"P5", b"P6")):
+        return _pnm_damage(content)
+    return None
+
+
+def _png_damage(content: bytes) -> str | None:
+    at = len(_PNG)
+    while at + 12 <= len(content):
+        (length,) = struct.unpack_from(">I", content, at)
+        body = content[at + 4 : at + 8 + length]
+        checksum = content[at + 8 + length : at + 12 + length]
+        if len(checksum) < 4:
+            break
+        if zlib.crc32(body).to_bytes(4, "big") != checksum:
+            return f"is damaged (checksum of the PNG chunk at byte {at})"
+        if body[:4] == b"IEND":
+            return None
+        at += 12 + length
+    return f"{_CUT_OFF} after {len(content)} bytes (a PNG without its end)"
+
+
+def _jpeg_damage(content: bytes) -> str | None:
+    # A thumbnail in the EXIF data has an end marker of its own, so the segments must be walked.
+    at = 2
+    while (match := _JPEG_MARKER.search(content, at)) is not None:
+        marker = content[match.start() + 1]
+        if marker == 0xD9:
+            return None
+        if match.end() + 2 > len(content):
+            break
+        (length,) = struct.unpack_from(">H", content, match.end())
+        at = match.end() + length
+    return f"{_CUT_OFF} after {len(content)} bytes (a JPEG without its end)"
+
+
+def _bmp_damage(content: bytes) -> str | None:
+    if len(content) < 54:
+        return f"{_CUT_OFF} after {len(content)} bytes (a BMP)"
+    (offset,) = struct.unpack_from("<I", content, 10)
+    (header,) = struct.unpack_from("<I", content, 14)
+    if header < 40:
+        return None
+    width, height, _, depth, compression = struct.unpack_from("<iiHHI", content, 18)
+    if compression not in (0, 3):
+        return None
+    needed = offset + (abs(width) * depth + 31) // 32 * 4 * abs(height)
+    return _short(content, needed, "BMP")
+
+
+def _pnm_damage(content: bytes) -> str | None:
+    match = _PNM_HEADER.match(content)
+    if match is None:
+        return None
+    kind, width, height = (int(match[i]) for i in (1, 2, 3))
+    if kind == 4:
+        # A bitmap has no largest value, so what follows its height is already pixels.
+        return _short(content, match.end(3) + 1 + (width + 7) // 8 * height, "PBM")
+    if match[4] is None:
+        return None
+    channels, depth = 3 if kind == 6 else 1, 2 if int(match[4]) > 255 else 1
+    return _short(content, match.end() + width * height * channels * depth, "PGM or PPM")
+
+
+def _short(content: bytes, needed: int, kind: str) -> str | None:
+    if len(content) >= needed:
+        return None
+    return f"{_CUT_OFF} after {len(content)} of {needed} bytes (a {kind})"

@@ -1,0 +1,188 @@
+"""Folders of images, their times, and the images themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from laci_stereo.core.errors import ImageError
+from laci_stereo.core.frames import IntArray
+from laci_stereo.io.image_integrity import damage
+from laci_stereo.io.stamps import folder_stamps, iso_text
+
+Image: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+"""Grey, shape (h, w), or blue-green-red, shape (h, w, 3)."""
+
+SUFFIXES = frozenset({".bmp", ".jpe", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"})
+
+# A damaged image is one line of ours; OpenCV's own warnings say the same once more, with its source lines.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
+@dataclass(frozen=True)
+class ImageFolder:
+    """The images of one camera, none of them read yet, in the order of time.
+
+    Attributes
+    ----------
+    path : Path
+    files : tuple of Path
+    stamps_ns : ndarray of int64, shape (n,)
+        Unix time, nanoseconds, strictly ascending.
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    stamps_ns: IntArray
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    @classmethod
+    def open(cls, path: Path) -> ImageFolder:
+        """List the images in a folder. Hidden files and files that are no images are left out.
+
+        Raises
+        ------
+        ImageError
+            If the folder is missing, holds no image, or an image has no time or the time of another one.
+        """
+        names = _image_names(path)
+        stamps = folder_stamps(path, names)
+        order = np.argsort(stamps, kind="stable")
+        files = tuple(path / names[i] for i in order)
+        stamps = stamps[order]
+        doubled = np.flatnonzero(np.diff(stamps) == 0)
+        if len(doubled):
+            first, second = files[doubled[0]].name, files[doubled[0] + 1].name
+            raise ImageError(
+                f"{path}: {first} and {second} have the same time, {iso_text(int(stamps[doubled[0]]))} "
+                f"({stamps[doubled[0]]} ns); needed is one time for each image"
+            )
+        return cls(path, files, stamps)
+
+    @property
+    def period_ns(self) -> float:
+        """The median time between two images, nanoseconds."""
+        return float(np.median(np.diff(self.stamps_ns)))
+
+
+@dataclass(frozen=True)
+class StereoPair:
+    """Two images that were taken together, at the time of the left one (Unix, nanoseconds)."""
+
+    stamp_ns: int
+    left: Path
+    right: Path
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The pairs of a stereo recording in the order of time, and how many images have no partner."""
+
+    pairs: tuple[StereoPair, ...]
+    unpaired_left: int
+    unpaired_right: int
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+
+def pair_images(left: ImageFolder, right: ImageFolder) -> Pairs:
+    """Pair the images of two cameras by the nearest time within half a frame period, one to one.
+
+    Raises
+    ------
+    ImageError
+        If one of the folders holds less than two images, or less than half of the images find a partner.
+    """
+    for folder in (left, right):
+        if len(folder) < 2:
+            raise ImageError(f"{folder.path} holds {len(folder)} image; needed are at least 2")
+    tolerance_ns = min(left.period_ns, right.period_ns) / 2
+    partner = _nearest(left.stamps_ns, right.stamps_ns)
+    gap_ns = np.abs(right.stamps_ns[partner] - left.stamps_ns)
+    mutual = _nearest(right.stamps_ns, left.stamps_ns)[partner] == np.arange(len(left))
+    paired = np.flatnonzero(mutual & (gap_ns <= tolerance_ns))
+    pairs = tuple(StereoPair(int(left.stamps_ns[i]), left.files[i], right.files[partner[i]]) for i in paired)
+    if 2 * len(pairs) < max(len(left), len(right)):
+        difference_s = int(right.stamps_ns[0] - left.stamps_ns[0]) / 1e9
+        raise ImageError(
+            f"{len(pairs)} pairs are within half a frame period ({tolerance_ns / 1e6:.1f} ms); needed are at least "
+            f"half of the images: {_span(left)}, {_span(right)}, difference {difference_s:.1f} s"
+        )
+    return Pairs(pairs, len(left) - len(pairs), len(right) - len(pairs))
+
+
+def read_image(path: Path) -> Image:
+    """Read an image as it was stored: 8 or 16 bit, grey or colour, without alpha, not turned by its EXIF data.
+
+    Raises
+    ------
+    ImageError
+        If it is missing, no image, cut off or otherwise damaged.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as problem:
+        what = "is a folder" if path.is_dir() else problem.strerror
+        raise ImageError(f"{path} cannot be read: {what}; needed is an image") from problem
+    damaged = damage(content)
+    if damaged is not None:
+        raise ImageError(f"{path} {damaged}; needed is a whole image")
+    try:
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as problem:
+        raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image") from problem
+    if image is None:
+        raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise ImageError(f"{path} has pixels of type {image.dtype}; needed are 8 or 16 bit integers")
+    return _without_alpha(image)
+
+
+def _without_alpha(image: npt.NDArray[np.generic]) -> Image:
+    if image.ndim == 3:
+        image = image[:, :, 0] if image.shape[2] < 3 else image[:, :, :3]
+    return np.ascontiguousarray(image)
+
+
+def _image_names(folder: Path) -> list[str]:
+    if not folder.exists():
+        raise ImageError(f"{folder} does not exist; needed is a folder of images")
+    if not folder.is_dir():
+        raise ImageError(f"{folder} is a file; needed is a folder of images")
+    try:
+        inside = sorted(folder.iterdir())
+    except OSError as problem:
+        raise ImageError(f"{folder} cannot be read: {problem.strerror}") from problem
+    names = [entry.name for entry in inside if _is_image(entry)]
+    if not inside:
+        raise ImageError(f"{folder} is empty; needed are images")
+    if not names:
+        raise ImageError(
+            f"{folder} holds {len(inside)} files but no image; needed are PNG, JPEG, TIFF, PGM or BMP files"
+        )
+    return names
+
+
+def _is_image(entry: Path) -> bool:
+    return entry.suffix.lower() in SUFFIXES and not entry.name.startswith(".") and entry.is_file()
+
+
+def _nearest(stamps_ns: IntArray, among_ns: IntArray) -> IntArray:
+    """Return for each stamp the index of the nearest one among the others, the earlier of two as near."""
+    after = np.searchsorted(among_ns, stamps_ns).clip(1, len(among_ns) - 1)
+    before = after - 1
+    nearer_before = stamps_ns - among_ns[before] <= among_ns[after] - stamps_ns
+    return np.where(nearer_before, before, after)
+
+
+def _span(folder: ImageFolder) -> str:
+    first, last = int(folder.stamps_ns[0]), int(folder.stamps_ns[-1])
+    return f"{folder.path} ({len(folder)} images) spans {iso_text(first)} to {iso_text(last)}"

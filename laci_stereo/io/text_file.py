@@ -1,0 +1,51 @@
+"""Reading a text file whole, and quoting what was found in it within one line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from laci_stereo.core.errors import InputError
+
+_LONGEST_QUOTE = 60
+
+
+def read_text(path: Path, error: type[InputError]) -> str:
+    """Return the content of a UTF-8 file, without a byte order mark.
+
+    Raises
+    ------
+    InputError
+        Of the class ``error``, if the file is missing, a folder, empty, unreadable or not text.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise error(f"{path} does not exist") from None
+    except IsADirectoryError:
+        raise error(f"{path} is a folder; needed is a file") from None
+    except (OSError, ValueError) as problem:
+        what = "is a folder; needed is a file" if path.is_dir() else f"cannot be read: {problem}"
+        raise error(f"{path} {what}") from problem
+    if not content.strip():
+        raise error(f"{path} is empty")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        byte = f"byte {problem.start} is 0x{content[problem.start]:02x}"
+        raise error(f"{path} is not a text file: {byte}; needed is UTF-8 text") from problem
+    if "\0" in text:
+        raise error(f"{path} is not a text file: character {text.index(chr(0))} is NUL; needed is UTF-8 text")
+    return text
+
+
+def quoted(text: str) -> str:
+    """Return text as found in a file in quotes, on one line, shortened."""
+    shown = re.sub(r"\s+", " ", text)
+    return repr(shown if len(shown) <= _LONGEST_QUOTE else shown[: _LONGEST_QUOTE - 3] + "...")
+
+
+def listed(texts: list[str], most: int = 20) -> str:
+    """Return texts as found in a file as one line, the first few of them."""
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return ", ".join(re.sub(r"\s+", " ", text)[:_LONGEST_QUOTE] for text in texts[:most]) + more

@@ -1,0 +1,162 @@
+"""Disparity of a rectified pair: semi-global matching, a sub-pixel estimate, and what is unreliable dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.errors import RigError
+from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.stereo.settings import StereoSettings
+
+SATURATED = 254
+REFINE_STEPS = 2
+MIN_MATCHED_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of the rectified left image and the disparities that can occur in it.
+
+    Attributes
+    ----------
+    x0, y0, x1, y1 : int
+        First and one-after-last column and row.
+    smallest, largest : int
+        Disparities, pixels.
+    """
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+    smallest: int
+    largest: int
+
+    @property
+    def reach(self) -> int:
+        """How many columns of context on the left the matcher needs: a multiple of 16 disparities from the smallest."""
+        return self.smallest + self.count
+
+    @property
+    def count(self) -> int:
+        """Number of disparities to search, a multiple of 16 as SGBM demands."""
+        return max(16, -(-(self.largest - self.smallest + 1) // 16) * 16)
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Disparities of a region.
+
+    Attributes
+    ----------
+    values : ndarray, shape (height, width)
+        Pixels; NaN where there is no reliable one.
+    sigma : ndarray, shape (height, width)
+        Standard deviation, pixels.
+    """
+
+    values: FloatArray
+    sigma: FloatArray
+
+
+def match(left: Raster, right: Raster, region: Region, settings: StereoSettings) -> Disparity:
+    """Match a region of a rectified pair.
+
+    Semi-global matching (Hirschmueller, PAMI 2008; OpenCV's variant) gives whole pixels and rejects what is
+    ambiguous, inconsistent between left and right, or a speckle. Its fraction of a pixel is biased towards whole
+    numbers and fronto-parallel surfaces, so the shift is estimated again by least squares over a window (Lucas and
+    Kanade, IJCAI 1981), whose information also tells the noise and which pixels have no texture.
+
+    Parameters
+    ----------
+    left, right : ndarray of uint8, shape (height, width)
+        The region with ``region.reach`` columns of context on its left.
+    region : Region
+    settings : StereoSettings
+
+    Returns
+    -------
+    Disparity
+        Of the region, without the context.
+    """
+    area = settings.block_size**2
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=region.smallest,
+        numDisparities=region.count,
+        blockSize=settings.block_size,
+        P1=8 * area,
+        P2=32 * area,
+        disp12MaxDiff=settings.left_right_px,
+        uniquenessRatio=settings.uniqueness_percent,
+        speckleWindowSize=settings.speckle_px,
+        speckleRange=2,
+    )
+    coarse = matcher.compute(left, right).astype(np.float32) / 16
+    found = coarse >= region.smallest
+    refined, variance = _refine(left.astype(np.float32), right.astype(np.float32), coarse, found, settings)
+    sigma = np.sqrt(variance + settings.disparity_floor_px**2)
+    white = cv2.blur((left >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
+    # A shift of a pixel or more means that the window holds something else than the matched surface.
+    keep = found & (np.abs(refined - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
+    values = np.where(keep, refined, np.nan)
+    return Disparity(values[:, region.reach :].astype(np.float64), sigma[:, region.reach :].astype(np.float64))
+
+
+def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], settings: StereoSettings) -> None:
+    """Refuse a pair that does not match, and say whether it would if the cameras were exchanged.
+
+    Random images leave less than a twentieth of the pixels after the tests of `match`; a scene with sky, shadow and
+    bare asphalt leaves several times as much.
+
+    Raises
+    ------
+    RigError
+        If the rectified images, whole and without context, do not match.
+    """
+    share = float(np.isfinite(disparity.values).mean())
+    if share >= MIN_MATCHED_SHARE:
+        return
+    height, width = images[0].shape
+    region = Region(0, 0, width, height, 0, min(width // 4, 128))
+    flipped = [cv2.copyMakeBorder(np.fliplr(image), 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
+    other = float(np.isfinite(match(flipped[0], flipped[1], region, settings).values).mean())
+    hint = (
+        f"with the cameras exchanged {other:.0%} would: are the folders swapped, or is T given in the other direction?"
+        if other >= max(2 * share, MIN_MATCHED_SHARE)
+        else "is the calibration another rig's, or stale?"
+    )
+    raise RigError(
+        f"{folder}: after rectification {share:.1%} of the pixels match between left and right; "
+        f"needed are {MIN_MATCHED_SHARE:.0%}; {hint}"
+    )
+
+
+def _refine(
+    left: Raster, right: Raster, coarse: Raster, found: Raster, settings: StereoSettings
+) -> tuple[Raster, Raster]:
+    """Return disparities that minimise the squared difference over a window, and their variance.
+
+    The variance is that of least squares: the mean squared residual over the sum of squared gradients. A window's
+    own residual counts where it is larger than the image's typical one: occlusion, gloss, another surface.
+    """
+    side = (settings.refine_window_px, settings.refine_window_px)
+    height, width = left.shape
+    u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    weight = found.astype(np.float32)
+    slope_left = cv2.Scharr(left, cv2.CV_32F, 1, 0, scale=1 / 32)
+    disparity = coarse
+    for _ in range(REFINE_STEPS):
+        warped = cv2.remap(right, u - disparity, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        slope = (slope_left + cv2.Scharr(warped, cv2.CV_32F, 1, 0, scale=1 / 32)) * (weight / 2)
+        apart = left - warped
+        information = cv2.boxFilter(slope * slope, -1, side, normalize=False) + 1e-3
+        step = cv2.boxFilter(slope * apart, -1, side, normalize=False) / information
+        disparity = disparity - np.clip(step, -0.5, 0.5)
+    residual = cv2.blur(apart * apart * weight, side) / np.maximum(cv2.blur(weight, side), 1e-3)
+    typical = np.median(residual[found]) if found.any() else 0.0
+    return disparity, np.maximum(residual, typical) / information

@@ -1,0 +1,252 @@
+"""A stereo recording as a source of point clouds: only what can hold something new is matched."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.cloud import PointCloud, empty_cloud
+from laci_stereo.core.errors import ImageError
+from laci_stereo.core.frames import OPENCV_AXES, Axes, BoolArray, FloatArray, IntArray, Raster
+from laci_stereo.core.ground import fit_ground
+from laci_stereo.core.settings import GroundSettings
+from laci_stereo.io.images import StereoPair
+from laci_stereo.io.stereo_calibration import StereoRig
+from laci_stereo.stereo.ahead import map_ahead, workers
+from laci_stereo.stereo.disparity import Region, check_matched, match
+from laci_stereo.stereo.reader import GreyReader
+from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify
+from laci_stereo.stereo.scene import Look, RoadDisparity, learn_look, regions, shrink
+from laci_stereo.stereo.settings import StereoSettings
+
+log = logging.getLogger(__name__)
+
+LOOK_FRAMES = 31
+"""Frames whose median is the scene at rest: a vehicle in fewer than half of them leaves no trace."""
+
+SURVEY_FRAMES = 10
+"""Whole frames that are matched for the ground and the background."""
+
+SURVEY_STRIDE = 2
+"""Of a whole frame, every second pixel in both directions: neighbours share the matcher's window anyway."""
+
+COARSE_WIDTH = 480
+"""Width to which a pair is shrunk for the first look at the road, pixels."""
+
+NEAREST_M = 1.5
+"""Nothing is nearer than this in the first look; the lowest mounting that is calibrated is 1.5 m high."""
+
+POINTING_SIGMA_PX = 0.3
+"""Standard deviation of a pixel's bearing: uniform within the pixel."""
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is learnt from a spread of frames before the recording is streamed.
+
+    Attributes
+    ----------
+    look : Look
+    road : RoadDisparity
+    quiet : tuple of StereoPair
+        Those in which least moves.
+    """
+
+    look: Look
+    road: RoadDisparity
+    quiet: tuple[StereoPair, ...]
+
+
+class StereoRecording:
+    """Frames of a stereo camera (implements `PointCloudSource`).
+
+    Parameters
+    ----------
+    pairs : sequence of StereoPair
+        Ascending in time.
+    rig : StereoRig
+    settings : StereoSettings
+    ground : GroundSettings
+        For the first look at the road, from which the range of disparities follows.
+    background : sequence of StereoPair or None
+        Pairs without moving objects. None: they are looked for.
+    """
+
+    kind = "stereo"
+
+    def __init__(
+        self,
+        pairs: Sequence[StereoPair],
+        rig: StereoRig,
+        settings: StereoSettings | None = None,
+        ground: GroundSettings | None = None,
+        background: Sequence[StereoPair] | None = None,
+        name: str = "stereo camera",
+    ) -> None:
+        self.name = name
+        self.pairs = pairs
+        self.settings = settings or StereoSettings()
+        self.rig = already_rectified(rig) if self.settings.rectified else rig
+        self.reader = GreyReader(self.rig)
+        self._ground = ground or GroundSettings()
+        self._background = background
+        self._threads = workers(self.settings.workers)
+
+    @property
+    def axes(self) -> Axes:
+        """OpenCV's: x right, y down, z forward."""
+        return OPENCV_AXES
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp."""
+        return self.pairs[0].stamp_ns, self.pairs[-1].stamp_ns
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        """Yield every frame: the points of what differs from the scene at rest."""
+        scene = self._scene
+        clouds = map_ahead(partial(self._moving_cloud, scene), self.pairs, self._threads)
+        for pair, cloud in zip(self.pairs, clouds, strict=True):
+            yield empty_cloud(pair.stamp_ns) if cloud is None else cloud
+        self.reader.check(len(self.pairs))
+
+    def survey(self) -> Iterator[PointCloud]:
+        """Yield whole frames, thinned, those in which the image differs least from the scene at rest."""
+        scene = self._scene
+        clouds = map_ahead(partial(self._whole_cloud, scene), scene.quiet, self._threads)
+        yield from (cloud for cloud in clouds if cloud is not None)
+
+    @cached_property
+    def rectification(self) -> Rectification:
+        """The common image plane of both cameras."""
+        return rectify(self.rig)
+
+    @cached_property
+    def _scene(self) -> Scene:
+        candidates = spread(self.pairs if self._background is None else self._background, LOOK_FRAMES)
+        read = [(pair, self._shrunken(pair)) for pair in candidates]
+        self.reader.check(len(candidates))
+        usable = [(pair, image) for pair, image in read if image is not None]
+        look = learn_look([image for _, image in usable])
+        ranked = sorted(usable, key=lambda item: float(look.changed(item[1]).mean()))
+        quiet = sorted((pair for pair, _ in ranked[:SURVEY_FRAMES]), key=lambda pair: pair.stamp_ns)
+        return Scene(look, self._first_look(ranked[0][0]), tuple(quiet))
+
+    def _shrunken(self, pair: StereoPair) -> Raster | None:
+        image = self.reader.read(pair.left)
+        return None if image is None else shrink(self.rectification.left.look_up(image))
+
+    def _first_look(self, pair: StereoPair) -> RoadDisparity:
+        """Find the road in one shrunken pair, with every disparity that is possible at all."""
+        plane = self.rectification
+        left, right = self.reader.read(pair.left), self.reader.read(pair.right)
+        if left is None or right is None:
+            raise ImageError(self.reader.first_complaint())
+        factor = max(plane.size[0] // COARSE_WIDTH, 1)
+        small = (plane.size[0] // factor, plane.size[1] // factor)
+        largest = min(int(plane.focal_px * plane.baseline_m / NEAREST_M / factor), small[0])
+        region = Region(0, 0, *small, 0, largest)
+        images = [
+            cv2.resize(view.look_up(image), small, interpolation=cv2.INTER_AREA)
+            for view, image in ((plane.left, left), (plane.right, right))
+        ]
+        padded = [cv2.copyMakeBorder(image, 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
+        disparity = match(padded[0], padded[1], region, self.settings)
+        check_matched(disparity, self.pairs[0].left.parent, images, self.settings)
+        v, u = np.nonzero(np.isfinite(disparity.values))
+        cloud = self._points(
+            pair.stamp_ns,
+            v * factor + factor // 2,
+            u * factor + factor // 2,
+            disparity.values[v, u] * factor,
+            disparity.sigma[v, u] * factor,
+        )
+        ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, self.axes.up, self._ground)
+        log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
+        return RoadDisparity.of(ground, plane)
+
+    def _whole_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud | None:
+        left, right = self.reader.read(pair.left), self.reader.read(pair.right)
+        if left is None or right is None:
+            return None
+        width, height = self.rectification.size
+        region = self._limited(Region(0, 0, width, height, *scene.road.range(0, 0, width, height)))
+        seen = np.zeros((height, width), dtype=bool)
+        seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
+        return self._cloud(pair.stamp_ns, left, right, [region], seen)
+
+    def _moving_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud | None:
+        left = self.reader.read(pair.left)
+        if left is None:
+            return None
+        changed = scene.look.changed(shrink(self.rectification.left.look_up(left)))
+        found = [self._limited(region) for region in regions(changed, self.rectification.size, scene.road)]
+        if not found:
+            return None
+        right = self.reader.read(pair.right)
+        if right is None:
+            return None
+        seen = cv2.resize(changed.astype(np.uint8), self.rectification.size, interpolation=cv2.INTER_NEAREST) > 0
+        return self._cloud(pair.stamp_ns, left, right, found, seen)
+
+    def _limited(self, region: Region) -> Region:
+        """Apply the disparities that the user set; never search for what lies nearer than `NEAREST_M`."""
+        if self.settings.disparities is not None:
+            return replace(region, smallest=self.settings.disparities[0], largest=self.settings.disparities[1])
+        largest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
+        return replace(region, largest=min(region.largest, largest, region.x1))
+
+    def _cloud(
+        self, stamp_ns: int, left: Raster, right: Raster, found: Sequence[Region], seen: BoolArray
+    ) -> PointCloud | None:
+        parts = []
+        for region in found:
+            disparity = match(
+                _with_context(self.rectification.left, left, region),
+                _with_context(self.rectification.right, right, region),
+                region,
+                self.settings,
+            )
+            v, u = np.nonzero(np.isfinite(disparity.values) & seen[region.y0 : region.y1, region.x0 : region.x1])
+            parts.append((v + region.y0, u + region.x0, disparity.values[v, u], disparity.sigma[v, u]))
+        return self._points(stamp_ns, *(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def _points(self, stamp_ns: int, v: IntArray, u: IntArray, d: FloatArray, sigma_px: FloatArray) -> PointCloud:
+        """Reproject pixels with a disparity: depth = f b / d along the pixel's ray."""
+        plane = self.rectification
+        u_right = np.rint(u - d).astype(np.int64)
+        usable = (d > 0) & (u_right >= 0) & plane.left.valid[v, u] & plane.right.valid[v, u_right.clip(0)]
+        v, u, d, sigma_px, u_right = v[usable], u[usable], d[usable], sigma_px[usable], u_right[usable]
+        depth = plane.focal_px * plane.baseline_m / d
+        points = plane.rays[v, u] * depth[:, None]
+        inner = plane.left.inner[v, u] & plane.right.inner[v, u_right]
+        return PointCloud(
+            stamp_ns,
+            points,
+            sigma_along_m=np.linalg.norm(points, axis=1) * sigma_px / d,
+            sigma_across_m=depth * (POINTING_SIGMA_PX / plane.focal_px),
+            at_edge=~inner,
+        )
+
+
+def spread(items: Sequence[Item], count: int) -> list[Item]:
+    """Take at most ``count`` items, evenly spread."""
+    return [items[index] for index in np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))]
+
+
+def _with_context(view: View, image: Raster, region: Region) -> Raster:
+    """Rectify a region with the columns on its left that the matcher needs; beyond the image its border is repeated."""
+    start = region.x0 - region.reach
+    part = view.look_up(image, slice(region.y0, region.y1), slice(max(start, 0), region.x1))
+    return cv2.copyMakeBorder(part, 0, 0, max(-start, 0), 0, cv2.BORDER_REPLICATE)

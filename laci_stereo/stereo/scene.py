@@ -1,0 +1,125 @@
+"""What a camera that stands still knows of its scene: what it looks like at rest, and where its road lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, Raster
+from laci_stereo.core.ground import GroundPlane
+from laci_stereo.stereo.disparity import Region
+from laci_stereo.stereo.rectify import Rectification
+
+SHRINK = 2
+"""Change is looked for in images that are smaller by this factor, which also averages the noise."""
+
+CHANGE_SIGMAS = 5.0
+"""A grey value has changed when it is this many standard deviations off: one false pixel in 10^6."""
+
+MIN_NOISE = 0.5
+"""Standard deviation of a grey value at least: rounding alone is 0.3, and both images are rounded."""
+
+BLEED_PX = 12
+"""Around a change by so much (full size) the matcher's and the refinement's windows still touch what moved."""
+
+TALLEST_VEHICLE_M = 4.0
+"""Road vehicles are at most so tall (EU directive 96/53/EC)."""
+
+MIN_CLEARANCE_M = 1.0
+"""Nothing comes nearer to the camera's height than this."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """The scene at rest, in the shrunken left image.
+
+    Attributes
+    ----------
+    image : ndarray of float32, shape (height, width)
+        Median over the recording.
+    noise : ndarray of float32, shape (height, width)
+        Standard deviation per pixel over the recording: foliage moves, walls do not.
+    """
+
+    image: Raster
+    noise: Raster
+
+    def changed(self, shrunken: Raster) -> BoolArray:
+        """Return where an image differs from the scene at rest, at the shrunken size, holes filled.
+
+        The light may have changed since: one gain for the whole image is taken out first.
+        """
+        image = shrunken.astype(np.float32)
+        gain = float(np.median(image / np.maximum(self.image, 1.0)))
+        apart = np.abs(image / max(gain, 1e-3) - self.image) > CHANGE_SIGMAS * self.noise
+        mask = cv2.morphologyEx(apart.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+        reach = 2 * (BLEED_PX // SHRINK) + 1
+        mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
+        outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        filled: BoolArray = cv2.drawContours(mask, outlines, -1, 1, cv2.FILLED) > 0
+        return filled
+
+
+def shrink(image: Raster) -> Raster:
+    """Make an image smaller by `SHRINK`."""
+    return cv2.resize(image, None, fx=1 / SHRINK, fy=1 / SHRINK, interpolation=cv2.INTER_AREA)
+
+
+def learn_look(shrunken: list[Raster]) -> Look:
+    """Take the median of frames from all over the recording, and the noise of each pixel from its deviations."""
+    stack = np.stack(shrunken).astype(np.float32)
+    median = np.median(stack, axis=0)
+    deviation = 1.4826 * np.median(np.abs(stack - median), axis=0)
+    # Where fewer than half of the frames deviate, the median deviation may be zero: no pixel is better than most.
+    typical = max(float(np.median(deviation)), MIN_NOISE)
+    return Look(median, np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical))
+
+
+@dataclass(frozen=True)
+class RoadDisparity:
+    """The ground plane in disparity space: d = row . (u, v, 1).
+
+    Attributes
+    ----------
+    row : ndarray, shape (3,)
+    height_m : float
+        Of the camera above the road.
+    """
+
+    row: FloatArray
+    height_m: float
+
+    @classmethod
+    def of(cls, ground: GroundPlane, rectification: Rectification) -> RoadDisparity:
+        """Write a plane as disparity: n . p = -h with p = ray f b / d gives d = -(f b / h) n . ray, linear in u, v."""
+        corner, right, down = (rectification.rays[v, u] @ ground.normal for v, u in ((0, 0), (0, 1), (1, 0)))
+        scale = -rectification.focal_px * rectification.baseline_m / ground.height_m
+        return cls(scale * np.array([right - corner, down - corner, corner]), ground.height_m)
+
+    def range(self, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int]:
+        """Return the smallest and largest disparity that can occur in a rectangle.
+
+        Nothing lies beneath the road, but the road may fall off behind the crossing: a fifth below the plane's
+        disparity and two pixels. The roof of the tallest vehicle is nearer than the road behind it by
+        h / (h - its height).
+        """
+        u, v = np.array([x0, x1, x0, x1]), np.array([y0, y0, y1, y1])
+        road = self.row @ np.stack([u, v, np.ones(4)])
+        clearance = max(self.height_m - TALLEST_VEHICLE_M, MIN_CLEARANCE_M)
+        nearest = max(float(road.max()), 4.0) * self.height_m / min(clearance, self.height_m)
+        return max(int(0.8 * road.min()) - 2, 0), int(np.ceil(nearest)) + 2
+
+
+def regions(changed: BoolArray, size: tuple[int, int], road: RoadDisparity) -> list[Region]:
+    """Put rectangles around what has changed, at full size, with the disparities that each can hold."""
+    width, height = size
+    grown = cv2.dilate(changed.astype(np.uint8), np.ones((2 * BLEED_PX // SHRINK + 1,) * 2, np.uint8))
+    count, _, stats, _ = cv2.connectedComponentsWithStats(grown)
+    found = []
+    for index in range(1, count):
+        x, y, w, h = (int(value) * SHRINK for value in stats[index, :4])
+        x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
+        found.append(Region(x0, y0, x1, y1, *road.range(x0, y0, x1, y1)))
+    return found

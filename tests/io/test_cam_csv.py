@@ -1,0 +1,509 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from laci_stereo.core.cam import CamLog
+from laci_stereo.core.errors import CamError
+from laci_stereo.io.cam_csv import read_cam_csv
+from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
+
+START_NS = 1760000002_237000000
+PERIOD_NS = 100_000_000
+METRES_PER_DEG = 111_195.0
+
+
+@dataclass(frozen=True)
+class Message:
+    """What one message says, in the units of the canonical columns."""
+
+    ns: int
+    latitude: float
+    longitude: float
+    heading: float
+    speed: float
+    station: int = 4711
+    length: float = 4.7
+    width: float = 1.8
+    altitude: float = 560.25
+
+
+def drive(n: int = 20, heading: float = 75.3, speed: float = 12.5, latitude: float = 48.4226) -> list[Message]:
+    """Return messages of a vehicle that drives straight ahead."""
+    steps = np.arange(n) * PERIOD_NS / 1e9 * speed / METRES_PER_DEG
+    north, east = np.cos(np.radians(heading)), np.sin(np.radians(heading)) / np.cos(np.radians(latitude))
+    return [
+        Message(START_NS + i * PERIOD_NS, latitude + step * north, 9.9434 + step * east, heading, speed)
+        for i, step in enumerate(steps)
+    ]
+
+
+def seconds(ns: int) -> str:
+    return f"{ns // 10**9}.{ns % 10**9:09d}"
+
+
+CANONICAL: dict[str, Callable[[Message], str]] = {
+    "timestamp": lambda m: seconds(m.ns),
+    "station_id": lambda m: str(m.station),
+    "latitude": lambda m: f"{m.latitude:.7f}",
+    "longitude": lambda m: f"{m.longitude:.7f}",
+    "heading": lambda m: f"{m.heading:.1f}",
+    "speed": lambda m: f"{m.speed:.2f}",
+    "vehicle_length": lambda m: f"{m.length:.1f}",
+    "vehicle_width": lambda m: f"{m.width:.1f}",
+    "altitude": lambda m: f"{m.altitude:.2f}",
+}
+RAW: dict[str, Callable[[Message], str]] = {
+    "timestamp": lambda m: str(m.ns // 10**6),
+    "station_id": lambda m: str(m.station),
+    "latitude": lambda m: str(round(m.latitude * 1e7)),
+    "longitude": lambda m: str(round(m.longitude * 1e7)),
+    "heading": lambda m: str(round(m.heading * 10)),
+    "speed": lambda m: str(round(m.speed * 100)),
+    "vehicle_length": lambda m: str(round(m.length * 10)),
+    "vehicle_width": lambda m: str(round(m.width * 10)),
+    "altitude": lambda m: str(round(m.altitude * 100)),
+}
+Columns = dict[str, Callable[[Message], str]]
+
+
+def table(messages: list[Message], columns: Columns = CANONICAL) -> list[list[str]]:
+    return [list(columns), *([cell(message) for cell in columns.values()] for message in messages)]
+
+
+def write(path: Path, rows: list[list[str]], separator: str = ",", encoding: str = "utf-8") -> Path:
+    path.write_text("\n".join(separator.join(row) for row in rows) + "\n", encoding=encoding)
+    return path
+
+
+def put(rows: list[list[str]], column: str, value: str, count: int) -> list[list[str]]:
+    """Return a table with a value in the first rows of a column."""
+    place = rows[0].index(column)
+    return [[*row[:place], value, *row[place + 1 :]] if 0 < i <= count else row for i, row in enumerate(rows)]
+
+
+def assert_same(found: CamLog, wanted: CamLog) -> None:
+    for field in fields(CamLog):
+        np.testing.assert_array_equal(getattr(found, field.name), getattr(wanted, field.name), field.name)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> CamLog:
+    return read_cam_csv(write(tmp_path / "plain.csv", table(drive()))).log
+
+
+def test_canonical_columns_need_no_interpretation(tmp_path: Path) -> None:
+    recording = read_cam_csv(write(tmp_path / "cam.csv", table(drive())))
+    assert recording.notes == ()
+    log = recording.log
+    assert log.stamps_ns.dtype == log.station_id.dtype == np.int64
+    assert log.stamps_ns.tolist() == [message.ns for message in drive()]
+    np.testing.assert_allclose(log.latitude_deg, [message.latitude for message in drive()], rtol=0, atol=5.1e-8)
+    np.testing.assert_allclose(log.longitude_deg, [message.longitude for message in drive()], rtol=0, atol=5.1e-8)
+    values = (log.heading_deg, log.speed_mps, log.length_m, log.width_m, log.altitude_m)
+    assert [set(found.tolist()) for found in values] == [{75.3}, {12.5}, {4.7}, {1.8}, {560.25}]
+    assert np.isnan(log.semi_major_95_m).all()
+
+
+MESSAGES = st.lists(
+    st.builds(
+        Message,
+        ns=st.integers(10**17, 4 * 10**18),
+        latitude=st.integers(-899999999, 899999999).map(lambda raw: raw / 1e7),
+        longitude=st.integers(-1799999999, 1799999999).map(lambda raw: raw / 1e7),
+        heading=st.integers(0, 3599).map(lambda raw: raw / 10),
+        speed=st.integers(0, 12000).map(lambda raw: raw / 100),
+        station=st.integers(0, 2**63 - 1),
+        length=st.integers(10, 600).map(lambda raw: raw / 10),
+        width=st.integers(5, 61).map(lambda raw: raw / 10),
+        altitude=st.integers(-10000, 800000).map(lambda raw: raw / 100),
+    ),
+    min_size=1,
+    max_size=6,
+    unique_by=lambda message: message.ns,
+)
+
+
+@fuzz
+@given(MESSAGES, st.sampled_from(",;\t"), st.sampled_from(["utf-8", "utf-8-sig"]))
+def test_every_number_comes_back_exactly(
+    tmp_path: Path, messages: list[Message], separator: str, encoding: str
+) -> None:
+    exact: Columns = {**CANONICAL, "latitude": lambda m: repr(m.latitude), "longitude": lambda m: repr(m.longitude)}
+    # One position off the integers keeps degrees from being taken for 1e-7 of them.
+    messages = [replace(messages[0], latitude=48.42265, longitude=9.94345), *messages[1:]]
+    path = write(tmp_path / "cam.csv", table(messages, exact), separator, encoding)
+    recording = read_or_refused(lambda: read_cam_csv(path), CamError)
+    if recording is None:
+        # Only positions by the ten thousandth of a degree around 0, 0 and jumps that look exchanged are refused.
+        assert len(messages) > 1
+        return
+    by_stamp = {message.ns: message for message in messages}
+    log = recording.log
+    assert sorted(by_stamp) == log.stamps_ns.tolist()
+    for i, ns in enumerate(log.stamps_ns.tolist()):
+        message = by_stamp[ns]
+        assert log.station_id[i] == message.station
+        assert (log.heading_deg[i], log.speed_mps[i], log.length_m[i]) == (
+            message.heading,
+            message.speed,
+            message.length,
+        )
+        if max(abs(message.latitude), abs(message.longitude)) > 1e-4:
+            assert (log.latitude_deg[i], log.longitude_deg[i]) == (message.latitude, message.longitude)
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    [
+        lambda ns: str(ns),
+        lambda ns: str(ns // 10**3),
+        lambda ns: str(ns // 10**6),
+        lambda ns: f"{ns // 10**6 / 1e3:.3f}",
+        lambda ns: f"{ns / 1e9:.12e}",
+        lambda ns: f"{datetime.fromtimestamp(ns // 10**9, timezone.utc):%Y-%m-%dT%H:%M:%S}.{ns % 10**9:09d}Z",
+        lambda ns: (
+            f"{datetime.fromtimestamp(ns // 10**9 + 7200, timezone.utc):%Y-%m-%d %H:%M:%S}.{ns % 10**9:09d}+02:00"
+        ),
+        lambda ns: f"{datetime.fromtimestamp(ns // 10**9, timezone.utc):%Y-%m-%dT%H:%M:%S}.{ns % 10**9 // 10**6:03d}",
+    ],
+)
+def test_times_in_their_ways(tmp_path: Path, log: CamLog, stamp: Callable[[int], str]) -> None:
+    columns: Columns = {**CANONICAL, "timestamp": lambda m: stamp(m.ns)}
+    assert_same(read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns))).log, log)
+
+
+def test_a_time_without_a_zone_is_noted(tmp_path: Path) -> None:
+    columns: Columns = {
+        **CANONICAL,
+        "timestamp": lambda m: datetime.fromtimestamp(m.ns / 1e9, timezone.utc).isoformat()[:-6],
+    }
+    notes = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns))).notes
+    assert notes == ("timestamp: 20 times without a zone, taken for UTC",)
+
+
+@pytest.mark.parametrize(
+    "titles",
+    [
+        ("time", "stationID", "lat", "lon", "course", "velocity", "length", "width", "alt"),
+        (
+            "Unix Time",
+            "Station ID",
+            "Latitude",
+            "Longitude",
+            "Heading",
+            "Speed",
+            "Vehicle Length",
+            "Vehicle Width",
+            "Altitude",
+        ),
+        ("ts", "id", "LAT", "LNG", "headingDeg", "speed_mps", "vehicleLength", "vehicleWidth", "altitude_m"),
+        ("t", "station", "lat_deg", "long", "heading_deg", "speed", "vehicle_length_m", "vehicle_width_m", "elevation"),
+        (
+            "gpsTime",
+            "sender_id",
+            "latitudeDeg",
+            "longitude_deg",
+            "headingValue",
+            "speedValue",
+            "length_m",
+            "width_m",
+            "ele",
+        ),
+    ],
+)
+def test_synonyms_are_known_and_noted(tmp_path: Path, log: CamLog, titles: tuple[str, ...]) -> None:
+    rows = [list(titles), *table(drive())[1:]]
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert_same(recording.log, log)
+    assert f"column {titles[0]} read as timestamp" in recording.notes
+
+
+def test_the_canonical_column_goes_before_its_synonyms(tmp_path: Path, log: CamLog) -> None:
+    rows = [["time", "lat", *titles] if i == 0 else ["1", "2", *titles] for i, titles in enumerate(table(drive()))]
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert_same(recording.log, log)
+    assert recording.notes == ()
+
+
+def test_yaw_is_no_heading(tmp_path: Path) -> None:
+    rows = table(drive())
+    rows[0][rows[0].index("heading")] = "yaw"
+    with pytest.raises(CamError, match=r"lacks the column heading; .* it holds timestamp, .*yaw"):
+        read_cam_csv(write(tmp_path / "cam.csv", rows))
+
+
+def test_raw_etsi_integers_are_recognised_and_noted(tmp_path: Path, log: CamLog) -> None:
+    recording = read_cam_csv(write(tmp_path / "raw.csv", table(drive(), RAW)))
+    assert_same(recording.log, replace(log, stamps_ns=log.stamps_ns))
+    assert "latitude: raw ETSI integers of 1e-7 deg" in recording.notes
+    assert "heading: raw ETSI integers of 0.1 deg" in recording.notes
+    assert "speed: raw ETSI integers of 0.01 m/s" in recording.notes
+    assert "vehicle_length: raw ETSI integers of 0.1 m" in recording.notes
+    assert "timestamp: Unix time in milliseconds" in recording.notes
+
+
+def test_units_are_decided_for_the_file_and_not_for_each_value(tmp_path: Path) -> None:
+    # Northwards the raw heading runs from 3590 over 0 to 10, a car that stops sends the speed 0.
+    headings = [(359.0 + 0.1 * i) % 360 for i in range(21)]
+    messages = [replace(drive()[0], ns=START_NS + i * PERIOD_NS, heading=h, speed=0.0) for i, h in enumerate(headings)]
+    log = read_cam_csv(write(tmp_path / "raw.csv", table(messages, RAW))).log
+    np.testing.assert_allclose(log.heading_deg, headings, atol=1e-9)
+    assert set(log.speed_mps.tolist()) == {0.0}
+
+
+def test_columns_may_be_raw_while_others_are_not(tmp_path: Path, log: CamLog) -> None:
+    names = ["heading", "speed", "vehicle_length", "vehicle_width"]
+    degrees = read_cam_csv(
+        write(tmp_path / "a.csv", table(drive(), {**CANONICAL, **{name: RAW[name] for name in names}}))
+    )
+    assert_same(degrees.log, log)
+    metres = read_cam_csv(
+        write(tmp_path / "b.csv", table(drive(), {**RAW, **{name: CANONICAL[name] for name in names}}))
+    )
+    assert_same(metres.log, log)
+
+
+def test_whole_numbers_of_metres_and_degrees_are_no_raw_integers(tmp_path: Path) -> None:
+    messages = [
+        replace(message, heading=90.0, length=12.0, width=3.0, speed=12.0)
+        for message in drive(heading=90.0, speed=12.0)
+    ]
+    whole: Columns = {
+        **CANONICAL,
+        "heading": lambda m: f"{m.heading:.0f}",
+        "speed": lambda m: f"{m.speed:.0f}",
+        "vehicle_length": lambda m: f"{m.length:.0f}",
+        "vehicle_width": lambda m: f"{m.width:.0f}",
+    }
+    recording = read_cam_csv(write(tmp_path / "cam.csv", table(messages, whole)))
+    log = recording.log
+    assert (log.heading_deg[0], log.speed_mps[0], log.length_m[0], log.width_m[0]) == (90.0, 12.0, 12.0, 3.0)
+    assert recording.notes == ()
+
+
+@pytest.mark.parametrize("columns", [CANONICAL, RAW], ids=["degrees", "raw"])
+@pytest.mark.parametrize(
+    ("column", "code", "field"),
+    [
+        ("latitude", "900000001", "latitude_deg"),
+        ("longitude", "1800000001", "longitude_deg"),
+        ("altitude", "800001", "altitude_m"),
+        ("heading", "3601", "heading_deg"),
+        ("speed", "16383", "speed_mps"),
+        ("vehicle_length", "1023", "length_m"),
+        ("vehicle_width", "62", "width_m"),
+    ],
+)
+def test_unavailable_is_missing(tmp_path: Path, columns: Columns, column: str, code: str, field: str) -> None:
+    recording = read_cam_csv(write(tmp_path / "cam.csv", put(table(drive(), columns), column, code, 3)))
+    values = getattr(recording.log, field)
+    assert np.isnan(values).tolist() == [True] * 3 + [False] * 17
+    assert f'{column}: 3 times {code}, ETSI\'s "unavailable"; taken as missing' in recording.notes
+
+
+@pytest.mark.parametrize(("column", "code"), [("latitude", "90.0000001"), ("heading", "360.1"), ("speed", "163.83")])
+def test_unavailable_that_was_converted_along_is_missing_too(tmp_path: Path, column: str, code: str) -> None:
+    log = read_cam_csv(write(tmp_path / "cam.csv", put(table(drive()), column, code, 3))).log
+    assert {"latitude": log.latitude_deg, "heading": log.heading_deg, "speed": log.speed_mps}[column][2:4].tolist()[
+        0
+    ] != 0
+    assert (
+        np.isnan({"latitude": log.latitude_deg, "heading": log.heading_deg, "speed": log.speed_mps}[column]).sum() == 3
+    )
+
+
+def test_confidence_ellipses_are_read(tmp_path: Path) -> None:
+    columns: Columns = {
+        **RAW,
+        "semiMajorConfidence": lambda m: "120",
+        "semiMinorConfidence": lambda m: "4095",
+        "semiMajorOrientation": lambda m: "905",
+    }
+    log = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns))).log
+    assert set(log.semi_major_95_m.tolist()) == {1.2}
+    assert set(log.ellipse_orientation_deg.tolist()) == {90.5}
+    assert np.isnan(log.semi_minor_95_m).all()
+
+
+def test_rows_are_sorted_and_doubled_ones_merged(tmp_path: Path, log: CamLog) -> None:
+    rows = table(drive())
+    lacking = put([rows[0], rows[5]], "speed", "", 1)[1]
+    shuffled = [rows[0], rows[7], *rows[1:5], lacking, *rows[6:7], *rows[8:], rows[5], rows[9], rows[9]]
+    recording = read_cam_csv(write(tmp_path / "cam.csv", shuffled))
+    assert_same(recording.log, log)
+    assert "9 rows out of order sorted" in recording.notes
+    assert "3 doubled rows merged" in recording.notes
+
+
+def test_the_same_time_from_two_stations_is_not_doubled(tmp_path: Path) -> None:
+    messages = [replace(message, station=station) for message in drive() for station in (2**62, 7)]
+    log = read_cam_csv(write(tmp_path / "cam.csv", table(messages))).log
+    assert len(log) == 40
+    assert set(log.stations()) == {7, 2**62}
+
+
+def test_times_in_whole_seconds_are_refused_rather_than_merged(tmp_path: Path) -> None:
+    columns: Columns = {**CANONICAL, "timestamp": lambda m: str(m.ns // 10**9)}
+    with pytest.raises(CamError, match=r"cam\.csv: timestamp and station_id are those of another row in 17 of 20 rows"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns)))
+
+
+@pytest.mark.parametrize(
+    ("column", "note"),
+    [
+        ("station_id", "no station_id; all rows are taken for those of one station, 0"),
+        ("speed", "no column speed; it follows"),
+    ],
+)
+def test_what_may_be_absent_is_noted(tmp_path: Path, column: str, note: str) -> None:
+    columns = {name: cell for name, cell in CANONICAL.items() if name != column}
+    recording = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns)))
+    assert any(found.startswith(note) for found in recording.notes)
+    assert len(recording.log) == 20
+
+
+@pytest.mark.parametrize("column", ["timestamp", "latitude", "longitude", "heading", "vehicle_length", "vehicle_width"])
+def test_what_may_not_be_absent_is_named(tmp_path: Path, column: str) -> None:
+    columns = {name: cell for name, cell in CANONICAL.items() if name != column}
+    with pytest.raises(CamError, match=rf"cam\.csv lacks the column {column}; needed are .*, it holds .*station_id"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns)))
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("latitude", "north"),
+        ("timestamp", "soon"),
+        ("timestamp", ""),
+        ("heading", "1,5x"),
+        ("station_id", "car"),
+        ("speed", "inf"),
+    ],
+)
+def test_a_few_bad_rows_are_skipped_and_more_refused(tmp_path: Path, column: str, value: str) -> None:
+    rows = put(table(drive()), column, value.replace(",", " "), 4)
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert recording.log.stamps_ns.tolist() == [message.ns for message in drive()[4:]]
+    skipped = next(note for note in recording.notes if "skipped" in note)
+    assert skipped.startswith(f"4 bad rows skipped, the first of them row 2: {column} is ")
+    with pytest.raises(CamError, match=rf"cam\.csv, row 2: {column} is .*; needed is .* \(5 of 20 rows are bad"):
+        read_cam_csv(write(tmp_path / "cam.csv", put(rows, column, value.replace(",", " "), 5)))
+
+
+def test_a_row_with_too_many_fields_is_bad(tmp_path: Path) -> None:
+    rows = table(drive())
+    rows[3] = ["", *rows[3], "x"]
+    notes = read_cam_csv(write(tmp_path / "cam.csv", rows)).notes
+    assert notes == ("1 bad rows skipped, the first of them row 4: it has 11 fields; needed are 9",)
+
+
+@pytest.mark.parametrize(("column", "value"), [("heading", "999"), ("speed", "-3"), ("vehicle_length", "250.5")])
+def test_an_impossible_value_is_missing_and_many_are_refused(tmp_path: Path, column: str, value: str) -> None:
+    recording = read_cam_csv(write(tmp_path / "cam.csv", put(table(drive()), column, value, 4)))
+    assert len(recording.log) == 20
+    assert any(note.startswith(f"4 values taken as missing: {column} is {value}") for note in recording.notes)
+    with pytest.raises(CamError, match=rf"{column} is {value} .* in row 2 and the like in 5 of 20 rows; needed is"):
+        read_cam_csv(write(tmp_path / "cam.csv", put(table(drive()), column, value, 5)))
+
+
+def test_positions_at_zero_and_missing_ones_are_no_positions(tmp_path: Path) -> None:
+    rows = put(put(table(drive()), "latitude", "0.0", 3), "longitude", "0", 3)
+    rows = [*rows[:1], *put([rows[0], *rows[1:][::-1]], "latitude", "", 2)[1:]]
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert np.isnan(recording.log.latitude_deg).sum() == 5
+    assert "3 positions are 0, 0; taken as missing" in recording.notes
+    assert "5 rows without position" in recording.notes
+    for value in ("0", "", "900000001"):
+        none = put(put(table(drive()), "latitude", value, 20), "longitude", value or "9.9", 20)
+        with pytest.raises(CamError, match=r"cam\.csv holds no position"):
+            read_cam_csv(write(tmp_path / "cam.csv", none))
+
+
+def exchanged(rows: list[list[str]]) -> list[list[str]]:
+    a, b = rows[0].index("latitude"), rows[0].index("longitude")
+    return [rows[0], *([*row[:a], row[b], *row[a + 1 : b], row[a], *row[b + 1 :]] for row in rows[1:])]
+
+
+@pytest.mark.parametrize("columns", [CANONICAL, RAW], ids=["degrees", "raw"])
+@pytest.mark.parametrize("heading", [0.0, 45.0, 75.0, 120.0, 200.0, 315.0])
+def test_exchanged_positions_do_not_move_as_they_should(tmp_path: Path, columns: Columns, heading: float) -> None:
+    rows = table(drive(heading=heading), columns)
+    assert len(read_cam_csv(write(tmp_path / "right.csv", rows)).log) == 20
+    with pytest.raises(CamError, match=r"wrong\.csv: latitude and longitude look exchanged"):
+        read_cam_csv(write(tmp_path / "wrong.csv", exchanged(rows)))
+
+
+@given(st.floats(0, 359.9), st.floats(-70, 70))
+@fuzz
+def test_a_reversing_vehicle_is_not_taken_for_exchanged_positions(
+    tmp_path: Path, heading: float, latitude: float
+) -> None:
+    reversing = [
+        replace(message, heading=(heading + 180) % 360) for message in drive(heading=heading, latitude=latitude)
+    ]
+    path = write(tmp_path / "cam.csv", table(reversing))
+    if abs(np.cos(np.radians(latitude)) - np.cos(np.radians(9.9434))) > 0.15:
+        assert len(read_cam_csv(path).log) == 20
+
+
+def test_a_latitude_beyond_the_pole_is_a_longitude(tmp_path: Path) -> None:
+    rows = table([replace(message, longitude=message.longitude + 100) for message in drive()])
+    assert len(read_cam_csv(write(tmp_path / "right.csv", rows)).log) == 20
+    with pytest.raises(
+        CamError, match=r"latitude and longitude look exchanged: they are 109\.94\d\d and 48\.42\d\d deg"
+    ):
+        read_cam_csv(write(tmp_path / "wrong.csv", exchanged(rows)))
+
+
+def test_what_is_no_log(tmp_path: Path) -> None:
+    path = tmp_path / "cam.csv"
+    header = ",".join(CANONICAL)
+    for content, message in (
+        (None, "does not exist"),
+        (b"", "is empty"),
+        (b"\n\n", "is empty"),
+        (header.encode(), "holds a header but no rows"),
+        (bytes(range(256)) * 4, "is not a text file"),
+        (b"\x7fELF\0\0\0\0", "is not a text file: character 4 is NUL"),
+        ("\n".join(",".join(row) for row in table(drive())[1:]).encode(), "begins with 1760000002.237000000, 4711"),
+        (b"hello\nworld\n", "lacks the column timestamp, latitude, longitude, heading, vehicle_length, vehicle_width"),
+    ):
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(CamError, match=rf"cam\.csv {message}"):
+            read_cam_csv(path)
+    with pytest.raises(CamError, match="is a folder; needed is a file"):
+        read_cam_csv(tmp_path)
+
+
+def test_any_file_is_read_or_refused(tmp_path: Path) -> None:
+    whole = write(tmp_path / "cam.csv", table(drive(n=4))).read_bytes()
+    words = (",".join(CANONICAL) + "\n", ",", "\n", ";", '"', "1760000000.5", "48.4", "9e9", "-1", "0", "1e999", "\r")
+
+    @fuzz
+    @given(st.one_of(mutations(whole), noise(*words)))
+    def check(content: bytes) -> None:
+        path = tmp_path / "x.csv"
+        path.write_bytes(content)
+        recording = read_or_refused(lambda: read_cam_csv(path), CamError)
+        if recording is not None:
+            assert (np.diff(recording.log.stamps_ns) >= 0).all()
+            assert np.nanmax(np.abs(recording.log.latitude_deg)) <= 90
+
+    check()
+
+
+@needs_shared
+@pytest.mark.parametrize(("name", "count"), [("crossing", 99), ("crossing_b", 95)])
+def test_the_shared_logs(name: str, count: int) -> None:
+    recording = read_cam_csv(SHARED / "data" / name / "cam.csv")
+    assert (len(recording.log), recording.notes, recording.log.stations()) == (count, (), [4711])
+    assert recording.log.stamps_ns[0] == 1760000002_237000000

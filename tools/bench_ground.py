@@ -1,0 +1,98 @@
+"""Prints how far the ground fit is from the truth on random scenes, and how long it takes.
+
+Run from the repository's root: ``python -m tools.bench_ground --scenes 200``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.errors import GroundError
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.ground import GroundPlane, fit_ground
+from tests.scenes import GroundScene, ground_scene
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One scene: errors are infinite where no plane was found."""
+
+    tilt_deg: float
+    height_m: float
+    above_ground: float
+    angle_deg: float
+    height_error_m: float
+    mahalanobis_squared: float
+    seconds: float
+
+
+def outcome(scene: GroundScene) -> Outcome:
+    """Fit one scene and compare with its truth."""
+    begin = time.perf_counter()
+    try:
+        plane = fit_ground(scene.points, scene.sigma_along_m, scene.sigma_across_m, scene.up)
+    except GroundError:
+        angle = height_error = normalised = float("inf")
+    else:
+        # The arc cosine of nearly 1 is exact to only 1e-8.
+        angle = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(plane.normal, scene.normal)))))
+        height_error = abs(plane.height_m - scene.height_m)
+        normalised = mahalanobis_squared(scene, plane)
+    seconds = time.perf_counter() - begin
+    above = float(np.mean(scene.points @ scene.normal + scene.height_m > 0.05))
+    return Outcome(scene.tilt_deg, scene.height_m, above, angle, height_error, normalised, seconds)
+
+
+def mahalanobis_squared(scene: GroundScene, plane: GroundPlane) -> float:
+    """Return the squared error of (rotation about level x, about level y, height) in standard deviations."""
+    R = plane.T_level_sensor(scene.axes)[:3, :3]
+    turn = np.cross(R @ scene.normal, [0.0, 0.0, 1.0])
+    error = np.array([turn[0], turn[1], scene.height_m - plane.height_m])
+    return float(error @ np.linalg.solve(plane.covariance_level(scene.axes), error))
+
+
+def row(name: str, outcomes: list[Outcome]) -> str:
+    """Return one line of the table."""
+
+    def three(values: FloatArray, digits: int) -> str:
+        median, most = np.quantile(values, [0.5, 0.95], method="inverted_cdf")
+        return " ".join(f"{v:8.{digits}f}" for v in (median, most, values.max()))
+
+    angle = three(np.array([o.angle_deg for o in outcomes]), 4)
+    height = three(np.array([100 * o.height_error_m for o in outcomes]), 2)
+    seconds = three(np.array([1000 * o.seconds for o in outcomes]), 0)
+    normalised = np.mean([o.mahalanobis_squared for o in outcomes])
+    return f"{name:<22}{len(outcomes):>5} |{angle} |{height} |{seconds} |{normalised:6.2f}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=200, help="per kind of sensor")
+    parser.add_argument("--rays", type=int, default=20_000, help="cast per scene")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    arguments = parser.parse_args()
+    columns = f"{'median':>8} {'95 %':>8} {'worst':>8}"
+    print(f"{'':<27} |{'angle [deg]':^26} |{'height [cm]':^26} |{'time [ms]':^26} | error^2 / covariance")
+    print(f"{'':<22}{'n':>5} |{columns} |{columns} |{columns} | (3 expected)")
+    for kind in ("stereo", "lidar"):
+        seeds = range(arguments.first, arguments.first + arguments.scenes)
+        outcomes = [outcome(ground_scene(seed, kind, rays=arguments.rays)) for seed in seeds]
+        print(row(kind, outcomes))
+        for low, high in ((0, 10), (10, 20), (20, 35)):
+            chosen = [o for o in outcomes if low <= o.tilt_deg < high]
+            if chosen:
+                print(row(f"  tilt {low} to {high} deg", chosen))
+        for low, high in ((3, 6), (6, 10), (10, 15)):
+            chosen = [o for o in outcomes if low <= o.height_m < high]
+            if chosen:
+                print(row(f"  height {low} to {high} m", chosen))
+        print(f"  above ground: median {100 * np.median([o.above_ground for o in outcomes]):.0f} % of the points")
+
+
+if __name__ == "__main__":
+    main()
