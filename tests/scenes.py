@@ -62,7 +62,12 @@ class Pattern:
 
 
 def ground_scene(
-    seed: int, kind: str, tilt_deg: float | None = None, height_m: float | None = None, rays: int = 20_000
+    seed: int,
+    kind: str,
+    tilt_deg: float | None = None,
+    height_m: float | None = None,
+    rays: int = 20_000,
+    pavements: bool = True,
 ) -> GroundScene:
     """Draw a scene; ``kind`` is ``stereo`` or ``lidar``; tilt and height are drawn too where they are not given."""
     rng = np.random.default_rng(seed)
@@ -73,7 +78,7 @@ def ground_scene(
     directions = pattern.directions @ R.T
     # Crowded streets, but no car park seen from three metres: where no road is in view none can be found.
     for attempt in range(30):
-        distance, ground = _cast(directions, height_m, _objects(rng, directions, height_m, 0.9**attempt))
+        distance, ground = _cast(directions, height_m, _objects(rng, directions, height_m, 0.9**attempt, pavements))
         if np.count_nonzero(ground) > (1 - ABOVE_GROUND_SHARE) * np.count_nonzero(np.isfinite(distance)):
             break
     else:
@@ -85,7 +90,7 @@ def ground_scene(
 
 
 def walls_only(seed: int, kind: str) -> GroundScene:
-    """Return a scene of a facing and an oblique wall whose foot the sensor does not see."""
+    """Return a facing and an oblique wall, down to their feet on a road that gives no points."""
     rng = np.random.default_rng(seed)
     height_m, tilt_deg = 6.0, 15.0
     R = _mounting(tilt_deg, 1.0)
@@ -95,7 +100,7 @@ def walls_only(seed: int, kind: str) -> GroundScene:
         xy=np.array([[20.0, 0.0], [12.0, 12.0]]),
         yaw=np.array([0.0, rng.uniform(0.3, 1.0)]),
         half=np.array([[0.2, 40.0], [25.0, 0.2]]),
-        z=np.array([[-30.0, 25.0], [-30.0, 25.0]]),
+        z=np.array([[0.0, 25.0], [0.0, 25.0]]),
     )
     distance, ground = _cast(directions, height_m, walls)
     return _measure(rng, pattern, np.isfinite(distance) & ~ground, distance, R, height_m, tilt_deg)
@@ -164,7 +169,7 @@ def _lidar_pattern(rng: np.random.Generator, R: FloatArray, height_m: float, ray
     )
 
 
-def _objects(rng: np.random.Generator, directions: FloatArray, height_m: float, crowd: float) -> Boxes:
+def _objects(rng: np.random.Generator, directions: FloatArray, height_m: float, crowd: float, pavements: bool) -> Boxes:
     """Draw walls that stand where the view ends, parked cars, trees, and pavements 10 to 15 cm high."""
     down = np.minimum(directions[:, 2], -1e-9)
     reach = height_m * np.linalg.norm(directions[:, :2], axis=1) / -down
@@ -177,7 +182,7 @@ def _objects(rng: np.random.Generator, directions: FloatArray, height_m: float, 
     ]
     for sign in (-1, 1):  # pavements along the road
         edge = rng.uniform(0.5, 0.9) * side
-        high = rng.uniform(0.10, 0.15)
+        high = rng.uniform(0.10, 0.15) if pavements else 0.0
         wide = rng.uniform(0.75, 1.5)
         rows.append((facing, sign * (edge + wide), 0.0, 100.0, wide, 0.0, high))
     for _ in range(int(crowd * rng.integers(3, 9))):  # cars: body and cabin
@@ -197,7 +202,7 @@ def _objects(rng: np.random.Generator, directions: FloatArray, height_m: float, 
 
 
 def _cast(directions: FloatArray, height_m: float, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
-    """Return the distance to what each ray hits first (inf: nothing), and whether that is the ground."""
+    """Return the distance to what each ray hits first (inf: nothing in range), and whether that is the ground."""
     with np.errstate(divide="ignore"):
         distance = np.where(directions[:, 2] < 0.0, -height_m / directions[:, 2], np.inf)
     ground = np.isfinite(distance)
@@ -213,7 +218,8 @@ def _cast(directions: FloatArray, height_m: float, boxes: Boxes) -> tuple[FloatA
         hit = (enter < leave) & (enter > 0.0) & (enter < distance)
         distance = np.where(hit, enter, distance)
         ground &= ~hit
-    return distance, ground
+    reached = distance < MAX_RANGE_M
+    return np.where(reached, distance, np.inf), ground & reached
 
 
 def _holes(rng: np.random.Generator, hits: FloatArray, ground: BoolArray) -> BoolArray:

@@ -77,7 +77,9 @@ def calibrate(
     )
     tracks = link_tracks(sightings, settings.track)
 
-    world, vehicles = _vehicles(messages.between(*source.span_ns), epoch_ns, reference, crs)
+    messages = messages.between(*source.span_ns)
+    world = world_around(messages, crs)
+    vehicles = _vehicles(messages, world, epoch_ns, reference)
     choice = choose_track(tracks, vehicles, settings.match)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
@@ -121,16 +123,30 @@ def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> Gro
     return ground
 
 
-def _vehicles(
-    messages: CamLog, epoch_ns: int, reference: ReferencePoint, crs: str | None
-) -> tuple[World, dict[int, VehicleTrack]]:
-    """Lay the world around where the messages are, and every sender's track into it."""
+def world_around(messages: CamLog, crs: str | None = None) -> World:
+    """Lay the world around where the messages are.
+
+    Raises
+    ------
+    CamError
+        If none has a position.
+    """
     located = messages[np.isfinite(messages.latitude_deg) & np.isfinite(messages.longitude_deg)]
     if len(located) == 0:
-        raise CamError(
-            "no message with a position falls into the recording's time; needed is a drive that was recorded"
-        )
+        raise CamError("0 CAMs with a position fall into the recording's time; needed is a drive that was recorded")
     middle = len(located) // 2
-    world = World.around(float(located.latitude_deg[middle]), float(located.longitude_deg[middle]), crs)
-    tracks = {station: vehicle_track(located.of(station), world, epoch_ns, reference) for station in located.stations()}
-    return world, tracks
+    return World.around(float(located.latitude_deg[middle]), float(located.longitude_deg[middle]), crs)
+
+
+def _vehicles(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:
+    """Lay the track of every station that has one into the world; the rest, such as roadside units, are no vehicles."""
+    tracks: dict[int, VehicleTrack] = {}
+    problems: list[CamError] = []
+    for station in messages.stations():
+        try:
+            tracks[station] = vehicle_track(messages.of(station), world, epoch_ns, reference)
+        except CamError as error:
+            problems.append(error)
+    if not tracks:
+        raise problems[0]
+    return tracks

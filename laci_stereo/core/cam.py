@@ -161,7 +161,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     located = np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)
     log = log[located]
     if len(log) < 2:
-        raise CamError(f"the CAM log has {len(log)} messages with a position; needed are at least 2")
+        raise CamError(f"{len(log)} CAMs with a position while it is recorded; needed are at least 2")
     length = _dimension(log.length_m, "length")
     width = _dimension(log.width_m, "width")
     xy_reference = world.from_geodetic(log.latitude_deg, log.longitude_deg)

@@ -37,6 +37,8 @@ _SCENE_HEIGHT_M = 10.0
 _SQRT_2_PI = float(np.sqrt(2.0 * np.pi))
 _PASSES = 3
 _MAX_ITERATIONS = 30
+# After six halvings the largest unevenness is a third of a millimetre.
+_ANNEALING = 6
 # Squared length of a step in standard deviations of the result.
 _SETTLED = 1e-6
 # Beyond three standard deviations lies 0.3 % of normal noise.
@@ -45,6 +47,10 @@ _GATE = 3.0
 _TUKEY = 4.685
 # Blocks of five by five cells: wider than a matcher's window reaches, and about as wide as a pavement.
 _BLOCK = 5
+# A road falls from its crown to its gutter: its height is common to about as much as half its width.
+_BEND_M = 7.0
+# What is common to more than so small a part of the view is no unevenness of the plane but the plane.
+_PATCHES = 12
 # Half of the cells on the road: an eighth of the triples are.
 _CELL_TRIPLES = 300
 # Three directions as near to one plane as a cell is wide span none: their determinant is below _CELL cubed.
@@ -419,7 +425,7 @@ class _Cells:
 
     ``variance`` is that of the mean residual if the points are independent, ``noise`` that of one point, ``per_metre``
     what a height of 1 m above the plane adds to 1 / range. ``place`` is (azimuth, logarithm of range) in steps of
-    `_CELL`, and ``seen`` the number of all cells.
+    `_CELL`, ``area_m2`` that of the whole cell on the plane, to within the slant, and ``seen`` the number of all cells.
     """
 
     residual: FloatArray
@@ -428,8 +434,15 @@ class _Cells:
     noise: FloatArray
     per_metre: FloatArray
     place: IntArray
-    common: FloatArray
+    area_m2: FloatArray
     seen: int
+
+    @property
+    def common(self) -> FloatArray:
+        """How many cells share one unevenness of the ground."""
+        bend_m2 = min(_BEND_M**2, float(self.area_m2.sum()) / _PATCHES)
+        shared: FloatArray = np.maximum(bend_m2 / self.area_m2, 1.0)
+        return shared
 
 
 def _fit_inverse_range(rays: _Rays, m: FloatArray, settings: GroundSettings) -> _Fit:
@@ -520,7 +533,7 @@ def _fit_cells(partition: _Partition, m: FloatArray, settings: GroundSettings) -
     m = _lowest(_cell_means(partition, m, settings), m, settings)
     for iteration in range(_MAX_ITERATIONS):
         cells = _cell_means(partition, m, settings)
-        shared, unevenness_m = _scatter(cells)
+        shared, unevenness_m = _scatter(cells, settings)
         unevenness_m = max(unevenness_m, settings.unevenness_m * 0.5 ** (iteration + 1))
         noise = cells.variance + shared * cells.noise
         uneven = (unevenness_m * cells.per_metre) ** 2
@@ -530,18 +543,16 @@ def _fit_cells(partition: _Partition, m: FloatArray, settings: GroundSettings) -
         information = (cells.direction * pull[:, None]).T @ cells.direction
         step = np.linalg.solve(information, cells.direction.T @ (pull * cells.residual))
         m = m + step
-        if step @ information @ step < _SETTLED:
+        if iteration >= _ANNEALING and step @ information @ step < _SETTLED:
             break
     supports = weight > 0.0
-    inverse = cells.direction[supports] @ m
-    steepness = np.minimum(inverse / np.linalg.norm(m), 0.99)
     return _Fit(
         m=m,
         covariance=np.linalg.inv(information) * _inflation(cells, pull, cells.residual - cells.direction @ step),
         unevenness_m=unevenness_m,
         cells=int(supports.sum()),
         cells_seen=cells.seen,
-        area_m2=float(np.sum((_CELL / inverse) ** 2 / np.sqrt(1.0 - steepness**2))),
+        area_m2=float(cells.area_m2[supports].sum()),
     )
 
 
@@ -629,33 +640,25 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
         noise=sums[5],
         per_metre=sums[6],
         place=partition.place[kept],
-        common=_common(sums[6] / np.linalg.norm(m), np.linalg.norm(m)),
+        area_m2=(_CELL * np.linalg.norm(m) / sums[6]) ** 2,
         seen=int(np.count_nonzero(count)),
     )
 
 
-def _scatter(cells: _Cells):
+def _scatter(cells: _Cells, settings: GroundSettings) -> tuple[float, float]:
+    """Return how the cells below the plane scatter beyond the noise of independent points.
+
+    The share of a point's variance that all points of a cell have in common, as a matcher's window makes it, and the
+    standard deviation of the ground's height: the likeliest pair under Student's t. Only cells below are asked: those
+    above may be pavement or grass, but below the ground there is nothing but noise.
+    """
     below = cells.residual < 0.0
-    squared = cells.residual[below] ** 2
-    per_metre = cells.per_metre[below]
-    shared, height_m = (a.ravel() for a in np.meshgrid(_SHARED, GRID))
+    squared, per_metre = cells.residual[below] ** 2, cells.per_metre[below]
+    shared, height_m = (a.ravel() for a in np.meshgrid(_SHARED, settings.unevenness_m * _FRACTIONS))
     variance = cells.variance[below] + shared[:, None] * cells.noise[below] + (height_m[:, None] * per_metre) ** 2
-    lc = np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * variance))
-    cost = lc @ (1 / cells.common[below]) if AREA else lc.sum(1)
+    cost = np.sum(np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * variance)), axis=1)
     best = int(np.argmin(cost))
     return float(shared[best]), float(height_m[best])
-
-
-GRID = np.array([0.005, 0.0075, 0.01, 0.015, 0.02])
-AREA = False
-TAU = 0.01
-L = 7.0
-
-
-def _common(inverse, m):
-    st = np.minimum(inverse / m, 0.99)
-    area = (_CELL / inverse) ** 2
-    return np.maximum(1.0, L**2 / area)
 
 
 def _tukey(standardised: FloatArray) -> FloatArray:

@@ -36,21 +36,21 @@ _CLOCK_ERRORS = (
         for hours in range(1, _FARTHEST_ZONE_H + 1)
         for sign in (1, -1)
     ),
-    _ClockError(
-        _ETSI_AHEAD_S - _ETSI_EPOCH_S,
-        f"the messages count from ETSI's epoch, 2004-01-01; add {_ETSI_EPOCH_S - _ETSI_AHEAD_S} s to their times",
+    *(
+        _ClockError(
+            ahead_s - _ETSI_EPOCH_S,
+            f"the messages count from ETSI's epoch, 2004-01-01; add {_ETSI_EPOCH_S - _ETSI_AHEAD_S} s to their times, "
+            f"or {_ETSI_EPOCH_S} s if leap seconds are left out",
+        )
+        for ahead_s in (_ETSI_AHEAD_S, 0)
     ),
-    _ClockError(
-        -_ETSI_EPOCH_S,
-        f"the messages count from ETSI's epoch, 2004-01-01, without leap seconds; add {_ETSI_EPOCH_S} s to their times",
-    ),
-    _ClockError(
-        _GPS_AHEAD_S - _GPS_EPOCH_S,
-        f"the messages count from GPS's epoch, 1980-01-06; add {_GPS_EPOCH_S - _GPS_AHEAD_S} s to their times",
-    ),
-    _ClockError(
-        -_GPS_EPOCH_S,
-        f"the messages count from GPS's epoch, 1980-01-06, without leap seconds; add {_GPS_EPOCH_S} s to their times",
+    *(
+        _ClockError(
+            ahead_s - _GPS_EPOCH_S,
+            f"the messages count from GPS's epoch, 1980-01-06; add {_GPS_EPOCH_S - _GPS_AHEAD_S} s to their times, "
+            f"or {_GPS_EPOCH_S} s if leap seconds are left out",
+        )
+        for ahead_s in (_GPS_AHEAD_S, 0)
     ),
 )
 

@@ -1,0 +1,1 @@
+"""Pictures and words in which a person sees whether a calibration is right."""

@@ -45,6 +45,19 @@ class GreyReader:
             return None
         return self.grey(image)
 
+    def colour(self, path: Path) -> Raster:
+        """Return an image as 8-bit blue-green-red, shape (height, width, 3), to draw on.
+
+        Raises
+        ------
+        ImageError
+            If it is unusable.
+        """
+        image = read_image(path)
+        if image.dtype == np.uint8 and image.ndim == 3:
+            return image
+        return cv2.cvtColor(self.grey(image), cv2.COLOR_GRAY2BGR)
+
     def grey(self, image: Raster) -> Raster:
         """Return raw values as 8-bit grey; 16-bit cameras fill 10, 12, 14 or all bits, which the first image tells."""
         if image.ndim == 3:

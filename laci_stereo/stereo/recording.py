@@ -123,14 +123,18 @@ class StereoRecording:
 
     def survey(self) -> Iterator[PointCloud]:
         """Yield whole frames, thinned, those in which the image differs least from the scene at rest."""
-        scene = self._scene
-        clouds = map_ahead(partial(self._whole_cloud, scene), scene.quiet, self._threads)
+        clouds = map_ahead(self._whole_cloud, self._scene.quiet, self._threads)
         yield from (cloud for cloud in clouds if cloud is not None)
 
     @cached_property
     def rectification(self) -> Rectification:
         """The common image plane of both cameras."""
         return rectify(self.rig)
+
+    def whole_region(self) -> Region:
+        """Return the whole image with the disparities that can occur in it."""
+        width, height = self.rectification.size
+        return self._limited(Region(0, 0, width, height, *self._scene.road.range(0, 0, width, height)))
 
     @cached_property
     def _scene(self) -> Scene:
@@ -176,15 +180,14 @@ class StereoRecording:
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
         return RoadDisparity.of(ground, plane)
 
-    def _whole_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud | None:
+    def _whole_cloud(self, pair: StereoPair) -> PointCloud | None:
         left, right = self.reader.read(pair.left), self.reader.read(pair.right)
         if left is None or right is None:
             return None
         width, height = self.rectification.size
-        region = self._limited(Region(0, 0, width, height, *scene.road.range(0, 0, width, height)))
         seen = np.zeros((height, width), dtype=bool)
         seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
-        return self._cloud(pair.stamp_ns, left, right, [region], seen)
+        return self._cloud(pair.stamp_ns, left, right, [self.whole_region()], seen)
 
     def _moving_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud | None:
         left = self.reader.read(pair.left)

@@ -1,0 +1,1 @@
+"""LiDAR recordings as a source of point clouds for the calibration core."""

@@ -1,0 +1,277 @@
+"""``laci-stereo``: arguments in, exit codes out; the only place that prints."""
+
+from __future__ import annotations
+
+import logging
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+import click
+
+from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
+from laci_stereo.core.cloud import PointCloud, PointCloudSource
+from laci_stereo.core.errors import CalibrationError, LaciError, SettingError
+from laci_stereo.core.frames import Axes
+from laci_stereo.core.settings import GroundSettings, Settings
+from laci_stereo.io.output import check_output
+from laci_stereo.run import Options, prepare
+from laci_stereo.stereo.settings import StereoSettings
+
+NOT_CALIBRATED = 1
+UNUSABLE_INPUT = 2
+INTERRUPTED = 130
+
+PATH = click.Path(path_type=Path)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="laci-stereo", message="%(prog)s %(version)s")
+def cli() -> None:
+    """Find where a roadside stereo camera stands and looks, from one connected vehicle that drives by.
+
+    Exit codes: 0 calibrated; 1 the input was read but does not determine a calibration; 2 the input cannot be read
+    or makes no sense; 130 interrupted.
+    """
+
+
+@cli.command()
+@click.argument("left", type=PATH)
+@click.argument("right", type=PATH)
+@click.argument("cam", type=PATH)
+@click.option("--out", type=PATH, default=Path("calibration"), show_default=True, help="Folder for the result.")
+@click.option("--overwrite", is_flag=True, help="Replace a result that is there already.")
+@click.option("--stereo", type=PATH, help="Stereo calibration [default: stereo.yaml, .yml or .json beside LEFT].")
+@click.option("--rectified", is_flag=True, help="The images are rectified already.")
+@click.option("--map", "lane_map", type=PATH, help="Lanelet2 or GeoJSON lane map [default: map.osm beside LEFT].")
+@click.option(
+    "--background",
+    metavar="START..END|DIR",
+    help="Frames without moving objects: numbers from 0, or a folder with left/ and right/ [default: found].",
+)
+@click.option("--station", type=int, help="Sender, where the log has several [default: the one whose track fits].")
+@click.option(
+    "--cam-reference",
+    default="front",
+    show_default=True,
+    metavar="front|center|rear-axle:X|X,Y",
+    help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
+    "the box's centre, or X m ahead and Y m left of it.",
+)
+@click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions].")
+@click.option("--height", type=float, metavar="M", help="About how high the camera hangs [default: found].")
+@click.option("--disparities", metavar="MIN..MAX", help="Disparities to search, pixels [default: from the geometry].")
+@click.option("--method", type=click.Choice(["paper"]), default="paper", show_default=True, help="Estimator.")
+@click.option("--name", help="What you call the sensor [default: the folder around LEFT].")
+@click.option("--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8].")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
+def calibrate(
+    left: Path,
+    right: Path,
+    cam: Path,
+    out: Path,
+    overwrite: bool,
+    stereo: Path | None,
+    rectified: bool,
+    lane_map: Path | None,
+    background: str | None,
+    station: int | None,
+    cam_reference: str,
+    crs: str | None,
+    height: float | None,
+    disparities: str | None,
+    method: str,
+    name: str | None,
+    workers: int,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Calibrate a stereo camera.
+
+    LEFT and RIGHT are folders of images whose names, or a timestamps.txt among them, tell the time. CAM is a CSV log
+    of Cooperative Awareness Messages with the columns timestamp, station_id, latitude, longitude, heading, speed,
+    vehicle_length and vehicle_width.
+    """
+    assert method == "paper"  # the only one so far
+    _log_to_stderr(quiet=quiet, verbose=verbose)
+    options = Options(
+        stereo=stereo,
+        lane_map=lane_map,
+        background=parse_background(background),
+        station=station,
+        reference=parse_reference(cam_reference),
+        crs=crs,
+        name=name,
+        core=Settings(ground=ground_near(height)),
+        camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=workers),
+    )
+    check_output(out, overwrite=overwrite)
+    job = prepare(left, right, cam, options)
+    if not quiet:
+        for note in job.provenance.notes:
+            click.echo(f"note: {note}", err=True)
+    result = job.run(lambda source: source if quiet else WithProgress(source))
+    result.save(out, overwrite=overwrite)
+    if not quiet:
+        click.echo(result.summary)
+        click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+class WithProgress:
+    """A source that shows on a terminal how far its frames are consumed, and how long it will take."""
+
+    def __init__(self, source: PointCloudSource) -> None:
+        self._source = source
+
+    @property
+    def kind(self) -> str:
+        """As the source's."""
+        return self._source.kind
+
+    @property
+    def name(self) -> str:
+        """As the source's."""
+        return self._source.name
+
+    @property
+    def axes(self) -> Axes:
+        """As the source's."""
+        return self._source.axes
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """As the source's."""
+        return self._source.span_ns
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        yield from self._shown(iter(self._source), len(self._source), "frames")
+
+    def survey(self) -> Iterator[PointCloud]:
+        """As the source's."""
+        yield from self._shown(self._source.survey(), None, "survey")
+
+    @staticmethod
+    def _shown(clouds: Iterator[PointCloud], length: int | None, label: str) -> Iterator[PointCloud]:
+        if not sys.stderr.isatty():
+            yield from clouds
+            return
+        with click.progressbar(clouds, length=length, label=label, show_pos=True, file=sys.stderr) as bar:
+            yield from bar
+
+
+def parse_background(text: str | None) -> tuple[int, int] | Path | None:
+    """Read ``START..END`` or a folder.
+
+    Raises
+    ------
+    SettingError
+        If it is neither.
+    """
+    if text is None:
+        return None
+    numbers = _interval(text)
+    if numbers is not None:
+        return numbers
+    if Path(text).is_dir():
+        return Path(text)
+    raise SettingError(f"--background is {text!r}; needed is START..END in frame numbers, or an existing folder")
+
+
+def parse_disparities(text: str | None) -> tuple[int, int] | None:
+    """Read ``MIN..MAX``.
+
+    Raises
+    ------
+    SettingError
+        If it is not that.
+    """
+    if text is None:
+        return None
+    numbers = _interval(text)
+    if numbers is None:
+        raise SettingError(f"--disparities is {text!r}; needed is MIN..MAX in pixels, such as 0..64")
+    return numbers
+
+
+def _interval(text: str) -> tuple[int, int] | None:
+    found = re.fullmatch(r"(\d{1,9})\.\.(\d{1,9})", text)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def parse_reference(text: str) -> ReferencePoint:
+    """Read ``front``, ``center``, ``rear-axle:X`` or ``X,Y``.
+
+    Raises
+    ------
+    SettingError
+        If it is none of them.
+    """
+    if text == "front":
+        return FRONT
+    if text in {"center", "centre"}:
+        return CENTRE
+    number = r"([+-]?\d+(?:\.\d+)?)"
+    axle = re.fullmatch(rf"rear-axle:{number}", text)
+    if axle:
+        return ReferencePoint(-float(axle[1]))
+    point = re.fullmatch(rf"{number},{number}", text)
+    if point:
+        return ReferencePoint(float(point[1]), float(point[2]))
+    raise SettingError(f"--cam-reference is {text!r}; needed is front, center, rear-axle:X or X,Y in metres")
+
+
+def ground_near(height_m: float | None) -> GroundSettings:
+    """Bound the height over the ground by what the user says about it, give or take a third.
+
+    Raises
+    ------
+    SettingError
+        If it is not positive.
+    """
+    if height_m is None:
+        return GroundSettings()
+    if not height_m > 0:
+        raise SettingError(f"--height is {height_m} m; needed is more than 0")
+    return GroundSettings(min_height_m=height_m * 2 / 3, max_height_m=height_m * 4 / 3)
+
+
+def _log_to_stderr(*, quiet: bool, verbose: bool) -> None:
+    logging.basicConfig(
+        level=logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING,
+        format="%(levelname)s: %(message)s",
+        force=True,
+    )
+
+
+def _terminate(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def main() -> None:
+    """Run the command line: every error that is the input's becomes one line and an exit code."""
+    signal.signal(signal.SIGTERM, _terminate)  # so that a half-written result is removed
+    try:
+        cli(standalone_mode=False)
+    except click.exceptions.Abort:
+        _fail("interrupted; nothing was written", INTERRUPTED)
+    except KeyboardInterrupt:
+        _fail("interrupted; nothing was written", INTERRUPTED)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except CalibrationError as error:
+        _fail(f"not calibrated: {error}", NOT_CALIBRATED)
+    except LaciError as error:
+        _fail(str(error), UNUSABLE_INPUT)
+
+
+def _fail(message: str, code: int) -> None:
+    click.echo(f"laci-stereo: {message}", err=True)
+    sys.exit(code)

@@ -1,0 +1,94 @@
+"""A result folder that is there as a whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from laci_stereo.core.errors import OutputError
+
+RESULT_FILE = "calibration.json"
+"""What makes a folder a result; nothing else is ever replaced."""
+
+
+def check_output(out: Path, *, overwrite: bool) -> None:
+    """Find out before any work is done whether the result can be written.
+
+    Raises
+    ------
+    OutputError
+        If there is something at ``out`` that must not be replaced, or its parent cannot be written to.
+    """
+    if out.exists() or out.is_symlink():
+        _check_replaceable(out, overwrite=overwrite)
+    parent = _existing_parent(out)
+    try:
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"{parent}: cannot be written to ({error.strerror}); needed is a place for {out.name}"
+        ) from error
+
+
+def _check_replaceable(out: Path, *, overwrite: bool) -> None:
+    if not out.is_dir() or out.is_symlink():
+        raise OutputError(f"{out}: is not a folder; needed is a folder that does not exist yet")
+    if not any(out.iterdir()):
+        return
+    if not (out / RESULT_FILE).is_file():
+        raise OutputError(f"{out}: holds other files and no {RESULT_FILE}; needed is a folder that does not exist yet")
+    if not overwrite:
+        raise OutputError(f"{out}: holds a result already; needed is another --out, or --overwrite to replace it")
+
+
+def _existing_parent(out: Path) -> Path:
+    parent = out.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    return parent
+
+
+@contextmanager
+def result_folder(out: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Give a temporary folder beside ``out`` that takes its place when the block ends well.
+
+    Whatever goes wrong in the block, the temporary folder is removed and what stood at ``out`` before stays.
+
+    Raises
+    ------
+    OutputError
+        As `check_output`, or if writing fails, as on a full disk.
+    """
+    check_output(out, overwrite=overwrite)
+    out = out.absolute()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+        try:
+            yield temporary
+            temporary.chmod(0o755)  # mkdtemp's own is for the user alone
+            _take_place(temporary, out)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written ({error.strerror}); nothing was changed") from error
+
+
+def _take_place(temporary: Path, out: Path) -> None:
+    """Rename, with what stood there set aside until the new result is in its place."""
+    if not out.exists():
+        temporary.rename(out)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
+    out.rename(aside / out.name)
+    try:
+        temporary.rename(out)
+    except BaseException:
+        (aside / out.name).rename(out)
+        aside.rmdir()
+        raise
+    shutil.rmtree(aside, ignore_errors=True)

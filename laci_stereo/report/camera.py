@@ -1,0 +1,152 @@
+"""From the world into the raw image: points and lines as the lens shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, transform
+from laci_stereo.io.stereo_calibration import Lens
+
+NEAR_M = 0.1
+"""Depth of the plane at which lines are clipped; what is nearer would be inside of the housing."""
+
+FAR_M = 300.0
+"""Depth beyond which nothing is drawn: a metre is a few pixels there."""
+
+STEP_M = 0.5
+"""Length of the pieces into which lines are cut, so that distortion bends them."""
+
+MAX_STEPS = 2000
+"""Of one straight line, so that one which runs aside for kilometres costs no more."""
+
+FOLD_DIRECTIONS = 72
+FOLD_STEP_DEG = 0.25
+WIDEST_DEG = 89.0
+"""How finely the lens is searched for the angle at which its distortion folds back."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A lens and where it is.
+
+    Attributes
+    ----------
+    lens : Lens
+    T_camera_world : ndarray, shape (4, 4)
+    """
+
+    lens: Lens
+    T_camera_world: FloatArray
+
+    def project(self, points_world: FloatArray) -> FloatArray:
+        """Project points, shape (n, 3), into the raw image.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Pixels, which may lie outside of the image; NaN behind the camera and where the lens' model has no meaning.
+        """
+        return self._project(transform(self.T_camera_world, points_world))
+
+    def project_line(self, points_world: FloatArray) -> list[FloatArray]:
+        """Project a line through points, shape (n, 3), into the raw image.
+
+        Returns
+        -------
+        list of ndarray, shape (k, 2)
+            The pieces that are in the image, or near it, in pixels; at least two points each.
+        """
+        return [
+            piece
+            for line in _clip_depth(transform(self.T_camera_world, points_world))
+            for piece in self._pieces(self._project(subdivide(line)))
+        ]
+
+    def _project(self, points: FloatArray) -> FloatArray:
+        pixels = np.full((len(points), 2), np.nan)
+        # The clip at the near plane leaves points that are on it but for rounding.
+        ahead = points[:, 2] > (1 - 1e-6) * NEAR_M
+        rays = points[ahead, :2] / points[ahead, 2:]
+        angle = np.arctan2(rays[:, 1], rays[:, 0])
+        valid = np.hypot(rays[:, 0], rays[:, 1]) < np.interp(angle, *self._fold, period=2 * np.pi)
+        pixels[np.flatnonzero(ahead)[valid]] = _distort(self.lens, rays[valid])
+        return pixels
+
+    @cached_property
+    def _fold(self) -> tuple[FloatArray, FloatArray]:
+        """Directions in the image, shape (d,), and how far out the lens' model holds in each of them.
+
+        Outwards, a point in the image must move outwards too. Where the polynomial folds back, it is beyond what it was
+        fitted to, and would throw things from far aside into the image.
+        """
+        directions = np.linspace(-np.pi, np.pi, FOLD_DIRECTIONS, endpoint=False)
+        radii = np.tan(np.radians(np.arange(FOLD_STEP_DEG, WIDEST_DEG, FOLD_STEP_DEG)))
+        outwards = np.column_stack([np.cos(directions), np.sin(directions)])
+        rays = (outwards[:, None] * radii[:, None]).reshape(-1, 2)
+        focal, centre = self.lens.K[[0, 1], [0, 1]], self.lens.K[:2, 2]
+        seen = ((_distort(self.lens, rays) - centre) / focal).reshape(len(directions), len(radii), 2)
+        moved_out = np.diff((seen * outwards[:, None]).sum(axis=2), axis=1, prepend=0.0) > 0.0
+        steps = np.where(moved_out.all(axis=1), len(radii), moved_out.argmin(axis=1))
+        # Before the first step that goes back there may be none that goes out.
+        return directions, np.append(0.0, radii)[steps]
+
+    def _pieces(self, pixels: FloatArray) -> Iterator[FloatArray]:
+        """Cut a line, shape (n, 2), into what is in the image, with a margin as wide as the image is."""
+        size = np.array(self.lens.size)
+        with np.errstate(invalid="ignore"):
+            near = ((pixels > -size) & (pixels < 2 * size)).all(axis=1)
+        # The neighbours too, or a coarse step that crosses the border would be lost.
+        near[:-1] |= near[1:].copy()
+        near[1:] |= near[:-1].copy()
+        kept = near & np.isfinite(pixels).all(axis=1)
+        yield from (pixels[run] for run in _runs(kept))
+
+
+def subdivide(line: FloatArray, step_m: float = STEP_M) -> FloatArray:
+    """Cut a line, shape (n, d), into straight pieces of at most ``step_m`` (but no more than `MAX_STEPS` between two
+    points); its own points stay.
+    """
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    steps = np.clip(np.ceil(lengths / step_m), 1, MAX_STEPS).astype(int)
+    place = np.concatenate([i + np.arange(n) / n for i, n in enumerate(steps)] + [[len(steps)]])
+    return np.stack([np.interp(place, np.arange(len(line)), axis) for axis in line.T], axis=1)
+
+
+def _distort(lens: Lens, rays: FloatArray) -> FloatArray:
+    """Project rays of unit depth, shape (n, 2), into the raw image, shape (n, 2)."""
+    if len(rays) == 0:
+        return np.zeros((0, 2))
+    points = np.column_stack([rays, np.ones(len(rays))])[:, None]
+    still = np.zeros(3)
+    if lens.model == "fisheye":
+        pixels, _ = cv2.fisheye.projectPoints(points, still, still, lens.K, lens.distortion)
+    else:
+        pixels, _ = cv2.projectPoints(points, still, still, lens.K, lens.distortion)
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+
+
+def _clip_depth(line: FloatArray) -> list[FloatArray]:
+    """Return the pieces of a line, shape (n, 3), camera frame, between the near and the far plane."""
+    near = _clip(line, line[:, 2] - NEAR_M)
+    return [piece for part in near for piece in _clip(part, FAR_M - part[:, 2])]
+
+
+def _clip(line: FloatArray, inside: FloatArray) -> list[FloatArray]:
+    """Return the pieces of a line, shape (n, 3), on which the linear ``inside``, shape (n,), is not negative."""
+    crossing = np.flatnonzero((inside[:-1] < 0) != (inside[1:] < 0))
+    share = inside[crossing] / (inside[crossing] - inside[crossing + 1])
+    border = line[crossing] + share[:, None] * (line[crossing + 1] - line[crossing])
+    cut = np.insert(line, crossing + 1, border, axis=0)
+    kept = np.insert(inside, crossing + 1, 0.0) >= 0
+    return [cut[run] for run in _runs(kept)]
+
+
+def _runs(kept: BoolArray) -> list[slice]:
+    """Return the runs of at least two True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(np.int8)))
+    return [slice(start, stop) for start, stop in edges.reshape(-1, 2) if stop - start > 1]

@@ -1,0 +1,274 @@
+"""Drawing with halos and real type, in sizes that follow the picture's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.io.images import Image
+from laci_stereo.report.style import Colour, Stroke
+
+Rect: TypeAlias = tuple[float, float, float, float]
+"""Left, top, right, bottom, pixels."""
+
+Align: TypeAlias = Literal["left", "centre", "right"]
+Mark: TypeAlias = Literal["line", "box", "dot", "area"]
+
+UNITS = 960.0
+"""Geometric mean of a picture's sides in units: one unit is a pixel of a picture of 1280 x 720."""
+
+TEXT = 22.0
+"""Height of type in units: 5 pt where a picture of 1280 x 720 fills a column of 88 mm."""
+
+TEXT_WEIGHT, BOLD_WEIGHT = 450, 650
+CAPITAL = 0.7
+"""Height of a capital letter, in heights of type."""
+
+LINE_HEIGHT = 1.45
+HALO = 1.1
+"""Width of a halo on either side of a line, units."""
+
+SUBPIXEL_BITS = 4
+
+_FONT = cv2.FontFace("sans")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of a legend."""
+
+    label: str
+    mark: Mark
+    stroke: Stroke
+
+
+class Canvas:
+    """A picture that is drawn on.
+
+    Coordinates are pixels, (0, 0) in the middle of the upper left one; sizes are units.
+
+    Parameters
+    ----------
+    image : ndarray
+        Grey or blue-green-red, 8 or 16 bit. It is copied.
+    halo : tuple of int
+        Colour of the rim around lines and type: against what is behind them.
+
+    Attributes
+    ----------
+    image : ndarray of uint8, shape (h, w, 3)
+    unit_px : float
+    """
+
+    def __init__(self, image: Image, halo: Colour) -> None:
+        self.image = as_bgr8(image)
+        self.halo = halo
+        self.unit_px = float(np.sqrt(self.width * self.height)) / UNITS
+
+    @property
+    def width(self) -> int:
+        """Pixels."""
+        return self.image.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Pixels."""
+        return self.image.shape[0]
+
+    def lines(self, pieces: Sequence[FloatArray], stroke: Stroke, closed: bool = False) -> None:
+        """Draw lines, shape (n, 2) each, all halos below all lines."""
+        if stroke.dash is not None:
+            on_px, off_px = (length * self.unit_px for length in stroke.dash)
+            pieces = [dash for piece in pieces for dash in dashes(piece, on_px, off_px)]
+        fixed = [_fixed(piece) for piece in pieces]
+        core, rim = self._px(stroke.width), self._px(stroke.width + 2 * HALO)
+        if stroke.halo:
+            cv2.polylines(self.image, fixed, closed, self.halo, max(rim, core + 2), cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.polylines(self.image, fixed, closed, stroke.colour, core, cv2.LINE_AA, SUBPIXEL_BITS)
+
+    def dots(self, pixels: FloatArray, colour: Colour, radius: float) -> None:
+        """Draw filled circles around points, shape (n, 2), all halos below all circles."""
+        core = radius * self.unit_px
+        for shade, radius_px in ((self.halo, core + max(HALO * self.unit_px, 1.0)), (colour, core)):
+            fixed_radius = int(radius_px * 2**SUBPIXEL_BITS)
+            for x, y in _fixed(pixels).tolist():
+                cv2.circle(self.image, (x, y), fixed_radius, shade, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
+
+    def area(self, corners: FloatArray, colour: Colour) -> None:
+        """Fill a convex polygon, shape (n, 2)."""
+        cv2.fillConvexPoly(self.image, _fixed(corners), colour, cv2.LINE_AA, SUBPIXEL_BITS)
+
+    def specks(self, pixels: FloatArray, colour: Colour) -> None:
+        """Draw many points, shape (n, 2), as squares of one unit."""
+        side = self._px(1.0)
+        # The canvas ends at whole pixels; what lies beyond them is dropped.
+        columns, rows = np.rint(pixels - (side - 1) / 2).astype(int).T
+        for dx in range(side):
+            for dy in range(side):
+                x, y = columns + dx, rows + dy
+                seen = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+                self.image[y[seen], x[seen]] = colour
+
+    def text(
+        self,
+        text: str,
+        at: tuple[float, float],
+        colour: Colour,
+        *,
+        align: Align = "left",
+        size: float = TEXT,
+        bold: bool = False,
+    ) -> None:
+        """Write a line of type whose capitals are centred at a height.
+
+        Parameters
+        ----------
+        text : str
+        at : tuple of float
+            The left end, middle or right end of the line, by ``align``, at half the height of a capital.
+        colour : tuple of int
+        align : {"left", "centre", "right"}
+        size : float
+            Height of type, units.
+        bold : bool
+        """
+        size_px, weight = self._px(size), BOLD_WEIGHT if bold else TEXT_WEIGHT
+        left = at[0] - {"left": 0.0, "centre": 0.5, "right": 1.0}[align] * self.text_width(text, size, bold)
+        x, y = round(left), round(at[1] + CAPITAL * size_px / 2)
+        rim = max(round(HALO * self.unit_px), 1)
+        for dx, dy in ((-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)):
+            cv2.putText(self.image, text, (x + rim * dx, y + rim * dy), self.halo, _FONT, size_px, weight)
+        cv2.putText(self.image, text, (x, y), colour, _FONT, size_px, weight)
+
+    def text_width(self, text: str, size: float = TEXT, bold: bool = False) -> float:
+        """Return the width of a line of type, pixels."""
+        weight = BOLD_WEIGHT if bold else TEXT_WEIGHT
+        return float(cv2.getTextSize((0, 0), text, (0, 0), _FONT, self._px(size), weight)[2])
+
+    def fitting(self, text: str, width_px: float, size: float = TEXT) -> float:
+        """Return the height of type, at most ``size``, at which a line is at most so wide."""
+        return size * min(1.0, width_px / max(self.text_width(text, size), 1.0))
+
+    def legend(self, entries: Sequence[Entry], at: tuple[float, float], colour: Colour) -> None:
+        """Draw a legend whose upper left corner is there; its type is of this colour."""
+        step = LINE_HEIGHT * TEXT * self.unit_px
+        for row, entry in enumerate(entries):
+            middle = at[1] + (row + 0.5) * step
+            self._swatch(entry, (at[0], middle - 0.3 * step, at[0] + self._swatch_px, middle + 0.3 * step))
+            self.text(entry.label, (at[0] + self._swatch_px + 0.5 * TEXT * self.unit_px, middle), colour)
+
+    def legend_size(self, entries: Sequence[Entry]) -> tuple[float, float]:
+        """Return a legend's width and height, pixels."""
+        widest = max((self.text_width(entry.label) for entry in entries), default=0.0)
+        width = self._swatch_px + 0.5 * TEXT * self.unit_px + widest
+        return width, len(entries) * LINE_HEIGHT * TEXT * self.unit_px
+
+    def shade(self, rect: Rect, share: float) -> None:
+        """Bring a rectangle nearer to the colour of the halo by this share, so that type on it is legible."""
+        left, top, right, bottom = (max(round(edge), 0) for edge in rect)
+        part = self.image[top:bottom, left:right]
+        part[:] = cv2.addWeighted(part, 1 - share, np.full_like(part, self.halo), share, 0.0)
+
+    @contextmanager
+    def faint(self, share: float) -> Iterator[None]:
+        """Let what is drawn inside cover only this share of what is behind it."""
+        before = self.image.copy()
+        yield
+        cv2.addWeighted(self.image, share, before, 1 - share, 0.0, dst=self.image)
+
+    @contextmanager
+    def within(self, rect: Rect) -> Iterator[Canvas]:
+        """Hand out a canvas for a part of this one, with its own coordinates, beyond which nothing is drawn."""
+        left, top, right, bottom = (round(edge) for edge in rect)
+        part = Canvas(self.image[top:bottom, left:right], self.halo)
+        part.unit_px = self.unit_px
+        yield part
+        self.image[top:bottom, left:right] = part.image
+
+    @property
+    def _swatch_px(self) -> float:
+        return 1.8 * TEXT * self.unit_px
+
+    def _swatch(self, entry: Entry, rect: Rect) -> None:
+        left, top, right, bottom = rect
+        middle = (top + bottom) / 2
+        corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+        if entry.mark == "dot":
+            places = np.array([[left + share * (right - left), middle] for share in (0.2, 0.5, 0.8)])
+            self.dots(places, entry.stroke.colour, entry.stroke.width)
+        elif entry.mark == "area":
+            self.area(corners, entry.stroke.colour)
+        elif entry.mark == "box":
+            self.lines([corners], entry.stroke, closed=True)
+        else:
+            self.lines([np.array([[left, middle], [right, middle]])], entry.stroke)
+
+    def _px(self, units: float) -> int:
+        return max(round(units * self.unit_px), 1)
+
+
+def as_bgr8(image: Image) -> npt.NDArray[np.uint8]:
+    """Return a copy of a picture in blue-green-red, 8 bit; 16 bit are stretched to the brightest pixel."""
+    if image.dtype == np.uint16:
+        image = cv2.convertScaleAbs(image, alpha=255.0 / max(int(image.max()), 1))
+    copied = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    return np.ascontiguousarray(copied, dtype=np.uint8)
+
+
+def dashes(line: FloatArray, on_px: float, off_px: float) -> list[FloatArray]:
+    """Cut a line, shape (n, 2), into dashes along its length."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    return [
+        _between(line, along, start, min(start + on_px, along[-1])) for start in np.arange(0, along[-1], on_px + off_px)
+    ]
+
+
+def _between(line: FloatArray, along: FloatArray, start: float, stop: float) -> FloatArray:
+    inner = along[(along > start) & (along < stop)]
+    place = np.concatenate([[start], inner, [stop]])
+    return np.stack([np.interp(place, along, axis) for axis in line.T], axis=1)
+
+
+def emptiest_corner(size: tuple[float, float], inside: Rect, occupied: Sequence[FloatArray]) -> tuple[float, float]:
+    """Find the corner in which a panel hides least.
+
+    Parameters
+    ----------
+    size : tuple of float
+        Width and height of the panel.
+    inside : tuple of float
+        The rectangle in whose corners it may lie.
+    occupied : sequence of ndarray, shape (n, 2)
+        What it should not hide, the most important first; a later one decides where those before are even.
+
+    Returns
+    -------
+    tuple of float
+        Its left and upper edge.
+    """
+    left, top, right, bottom = inside
+    corners = [(x, y) for y in (top, bottom - size[1]) for x in (left, right - size[0])]
+
+    def hidden(corner: tuple[float, float]) -> list[int]:
+        low, high = np.array(corner), np.array(corner) + size
+        return [int(((pixels >= low) & (pixels <= high)).all(axis=1).sum()) for pixels in occupied]
+
+    return min(corners, key=hidden)
+
+
+def touches(rect: Rect, line: FloatArray) -> bool:
+    """Tell whether a rectangle meets the upright rectangle around a line, shape (n, 2)."""
+    low, high = line.min(axis=0), line.max(axis=0)
+    return bool(rect[0] <= high[0] and rect[2] >= low[0] and rect[1] <= high[1] and rect[3] >= low[1])
+
+
+def _fixed(pixels: FloatArray) -> npt.NDArray[np.int32]:
+    """Turn pixels, shape (n, 2), into OpenCV's fixed point."""
+    return np.rint(pixels * 2**SUBPIXEL_BITS).astype(np.int32)

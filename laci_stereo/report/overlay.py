@@ -1,0 +1,229 @@
+"""The proof by eye: what the calibration says, drawn into the image that the camera took."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from laci_stereo.core.box import Box
+from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.io.images import Image
+from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.stereo_calibration import Lens
+from laci_stereo.report.camera import Camera
+from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, emptiest_corner, touches
+from laci_stereo.report.drawn import (
+    T_world_level,
+    known_stamps,
+    on_ground,
+    plan_in_world,
+    sender_box,
+    sender_track,
+    sensor_track,
+    sighting_at,
+)
+from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke, lane_strokes
+
+GRID_M = 10.0
+GRID_AHEAD = np.arange(0.0, 61.0, GRID_M)
+GRID_ASIDE_M = 40.0
+"""The grid ends where its squares become flat lines."""
+
+GRID_SHARE = 0.55
+LANE_WIDTH, SENDER_WIDTH, SENSOR_WIDTH, DOT_RADIUS = 2.2, 3.6, 2.0, 3.0
+"""Units. The sensor's box is thinner than the sender's, which is below it: so both show where they agree."""
+
+NOMINAL_HEIGHT_M = 1.5
+"""Messages do not tell a vehicle's height; this is a passenger car's."""
+
+HIGHEST_SHARE = 0.98
+"""Of a sighting's points, this share is below the box's roof: single points that hover over it are mismatches."""
+
+HEADING_M = 2.0
+"""How far the line that tells front from rear sticks out ahead of the box."""
+
+PANEL_SHARE = 0.62
+"""How far a panel behind type darkens the image."""
+
+MARGIN = 14.0
+"""Between a panel, its contents and the picture's border, units."""
+
+MOMENTS = (0.1, 0.5, 0.9)
+"""Of the time in which the vehicle is seen: early, in the middle, late."""
+
+GRID = Stroke(WHITE, 1.0)
+SENDER = Stroke(VERMILLION, SENDER_WIDTH)
+SENSOR = Stroke(SKY_BLUE, SENSOR_WIDTH)
+LANE = Stroke(YELLOW, LANE_WIDTH)
+
+BOX_EDGES = [(i, (i + 1) % 4) for i in range(4)] + [(i + 4, (i + 1) % 4 + 4) for i in range(4)]
+BOX_EDGES += [(i, i + 4) for i in range(4)]
+
+
+def overlay_stamps(calibration: Calibration) -> list[float]:
+    """Choose the frames to draw: with the vehicle early, near the middle and late in the track that was used.
+
+    Returns
+    -------
+    list of float
+        Stamps of sightings, ascending, each once; in none of them is the vehicle only in the image or only in the
+        messages.
+    """
+    stamps_s = known_stamps(calibration)
+    if len(stamps_s) == 0:
+        return []
+    wanted = stamps_s[0] + np.array(MOMENTS) * (stamps_s[-1] - stamps_s[0])
+    nearest = np.abs(stamps_s[:, None] - wanted).argmin(axis=0)
+    return [float(stamp_s) for stamp_s in stamps_s[np.unique(nearest)]]
+
+
+def draw_overlay(
+    image: Image, lens: Lens, calibration: Calibration, stamp_s: float, lane_map: LaneMap | None = None
+) -> Image:
+    """Draw the map, the vehicle and its tracks into an image.
+
+    Where the calibration is right, the map's lines lie on those of the road, and both boxes around the vehicle.
+
+    Parameters
+    ----------
+    image : ndarray
+        Of the left camera, raw; it stays as it is.
+    lens : Lens
+        Of that camera.
+    calibration : Calibration
+    stamp_s : float
+        Of the image, seconds since the recording's first stamp.
+    lane_map : LaneMap
+
+    Returns
+    -------
+    ndarray of uint8, shape (h, w, 3)
+    """
+    canvas = Canvas(image, halo=NIGHT)
+    camera = Camera(lens, invert(calibration.T_world_sensor))
+    caption_top = canvas.height - LINE_HEIGHT * 1.2 * TEXT * canvas.unit_px
+    lanes = _draw_lanes(canvas, camera, lane_map)
+    _draw_grid(canvas, camera, calibration)
+    tracks = _draw_tracks(canvas, camera, calibration)
+    boxes = _draw_boxes(canvas, camera, calibration, stamp_s)
+    _label_grid(canvas, camera, calibration, caption_top, boxes)
+    _draw_legend(canvas, caption_top, [*tracks, *boxes], lanes)
+    _draw_caption(canvas, caption_top, calibration, stamp_s)
+    return canvas.image
+
+
+def _draw_lanes(canvas: Canvas, camera: Camera, lane_map: LaneMap | None) -> list[FloatArray]:
+    """Draw the map; return its pixels."""
+    drawn: list[FloatArray] = []
+    for line, stroke in lane_strokes(lane_map, LANE.colour, LANE.width):
+        pieces = camera.project_line(on_ground(line.xy))
+        canvas.lines(pieces, stroke)
+        drawn += pieces
+    return drawn
+
+
+def _draw_grid(canvas: Canvas, camera: Camera, calibration: Calibration) -> None:
+    """Draw squares on the ground, counted from the point under the sensor."""
+    aside = np.arange(-GRID_ASIDE_M, GRID_ASIDE_M + GRID_M / 2, GRID_M)
+    ends = [((x, aside[0], 0.0), (x, aside[-1], 0.0)) for x in GRID_AHEAD]
+    ends += [((GRID_AHEAD[0], y, 0.0), (GRID_AHEAD[-1], y, 0.0)) for y in aside]
+    T = T_world_level(calibration)
+    with canvas.faint(GRID_SHARE):
+        canvas.lines([p for end in ends for p in camera.project_line(transform(T, np.array(end)))], GRID)
+
+
+def _label_grid(
+    canvas: Canvas, camera: Camera, calibration: Calibration, bottom: float, avoid: Sequence[FloatArray]
+) -> None:
+    """Write how far ahead the grid's lines are, except where there is no room or the vehicle is."""
+    axis = on_ground(np.column_stack([GRID_AHEAD, np.zeros(len(GRID_AHEAD))]))
+    places = camera.project(transform(T_world_level(calibration), axis))
+    room = LINE_HEIGHT * TEXT * canvas.unit_px
+    for distance, (x, y) in zip(GRID_AHEAD, places, strict=True):
+        text = f"{distance:.0f} m"
+        left, right = x + room / 3, x + room / 3 + canvas.text_width(text)
+        rect = (left, y - room / 2, right, y + room / 2)
+        if _within(rect, (0.0, room, canvas.width, bottom)) and not any(touches(rect, taken) for taken in avoid):
+            canvas.text(text, (left, y), WHITE)
+            bottom = rect[1]  # the next one is farther away, so higher up
+
+
+def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> list[FloatArray]:
+    """Draw where the vehicle drove, by its messages and by the sensor; return the pixels."""
+    sent = camera.project_line(on_ground(sender_track(calibration)))
+    canvas.lines(sent, SENDER)
+    seen = camera.project(on_ground(sensor_track(calibration)))
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    canvas.dots(seen, SENSOR.colour, DOT_RADIUS)
+    return [*sent, seen]
+
+
+def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_s: float) -> list[FloatArray]:
+    """Draw the vehicle at that time, by its messages and by the sensor; return the pixels."""
+    drawn: list[FloatArray] = []
+    sent, seen = sender_box(calibration, stamp_s), sighting_at(calibration, stamp_s)
+    height_m = NOMINAL_HEIGHT_M if seen is None else _height_m(seen)
+    if sent is not None:
+        nose = sent.centre + np.outer([0.5 * sent.length_m, 0.5 * sent.length_m + HEADING_M], _direction(sent.yaw_rad))
+        edges = [*_edges(sent.corners(), height_m), on_ground(nose)]
+        drawn += _draw_edges(canvas, camera, edges, SENDER)
+    if seen is not None:
+        corners = plan_in_world(calibration, seen.box.corners())
+        drawn += _draw_edges(canvas, camera, _edges(corners, height_m), SENSOR)
+    return drawn
+
+
+def _draw_edges(canvas: Canvas, camera: Camera, edges: Sequence[FloatArray], stroke: Stroke) -> list[FloatArray]:
+    pieces = [piece for edge in edges for piece in camera.project_line(edge)]
+    canvas.lines(pieces, stroke)
+    return pieces
+
+
+def _height_m(seen: Sighting) -> float:
+    return float(np.quantile(seen.points[:, 2], HIGHEST_SHARE))
+
+
+def _direction(yaw_rad: float) -> FloatArray:
+    return np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+
+
+def _edges(corners: FloatArray, height_m: float) -> list[FloatArray]:
+    """Return the twelve edges, shape (2, 3) each, of a box over four corners, shape (4, 2)."""
+    points = np.concatenate([on_ground(corners), on_ground(corners) + [0.0, 0.0, height_m]])
+    return [points[list(edge)] for edge in BOX_EDGES]
+
+
+def _draw_legend(canvas: Canvas, bottom: float, vehicle: list[FloatArray], lanes: list[FloatArray]) -> None:
+    entries = [
+        Entry("vehicle by its CAMs", "line", SENDER),
+        Entry("vehicle by the sensor", "dot", Stroke(SENSOR.colour, DOT_RADIUS)),
+        Entry(f"{GRID_M:.0f} m grid from the sensor's foot", "line", GRID),
+    ]
+    if lanes:
+        entries.insert(0, Entry("lane map", "line", LANE))
+    margin = MARGIN * canvas.unit_px
+    width, height = (extent + 2 * margin for extent in canvas.legend_size(entries))
+    occupied = [np.concatenate([*part, np.zeros((0, 2))]) for part in (vehicle, lanes)]
+    left, top = emptiest_corner((width, height), (0.0, 0.0, canvas.width, bottom), occupied)
+    canvas.shade((left, top, left + width, top + height), PANEL_SHARE)
+    canvas.legend(entries, (left + margin, top + margin), WHITE)
+
+
+def _draw_caption(canvas: Canvas, top: float, calibration: Calibration, stamp_s: float) -> None:
+    quality = calibration.quality
+    text = (
+        f"t = {stamp_s:.2f} s, station {calibration.station_id}, verdict: {quality.verdict}, "
+        f"objects placed to ±{quality.track_xy_sigma_m:.2f} m (1σ)"
+    )
+    margin = MARGIN * canvas.unit_px
+    canvas.shade((0, top, canvas.width, canvas.height), PANEL_SHARE)
+    size = canvas.fitting(text, canvas.width - 2 * margin)
+    canvas.text(text, (margin, (top + canvas.height) / 2), WHITE, size=size)
+
+
+def _within(rect: Rect, frame: Rect) -> bool:
+    """Tell whether a rectangle lies in a frame; one with NaN does not."""
+    return rect[0] >= frame[0] and rect[1] >= frame[1] and rect[2] <= frame[2] and rect[3] <= frame[3]

@@ -1,0 +1,74 @@
+"""Colours and lines that the pictures share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from laci_stereo.io.lane_map import LaneLine, LaneMap
+
+Colour: TypeAlias = tuple[int, int, int]
+"""Blue, green, red."""
+
+# Okabe and Ito's palette: told apart by all kinds of colour vision, and in order of lightness on a grey print.
+BLACK: Colour = (0, 0, 0)
+BLUE: Colour = (178, 114, 0)
+VERMILLION: Colour = (0, 94, 213)
+PURPLE: Colour = (167, 121, 204)
+SKY_BLUE: Colour = (233, 180, 86)
+YELLOW: Colour = (66, 228, 240)
+WHITE: Colour = (255, 255, 255)
+GREY: Colour = (120, 120, 120)
+LIGHT_GREY: Colour = (215, 215, 215)
+NIGHT: Colour = (25, 25, 25)
+
+VIRTUAL = "virtual"
+THICK_KINDS = ("stop_line", "line_thick")
+THICK, THIN = 1.6, 0.5
+DASH = (9.0, 7.0)
+VIRTUAL_DASH = (3.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """How a line is drawn; lengths are in units of the canvas (`Canvas.unit_px`).
+
+    Attributes
+    ----------
+    colour : tuple of int
+    width : float
+    dash : tuple of float or None
+        Length of a dash and of the gap behind it; None is a solid line.
+    halo : bool
+        Whether it has a rim against what is behind it.
+    """
+
+    colour: Colour
+    width: float
+    dash: tuple[float, float] | None = None
+    halo: bool = True
+
+
+def lane_strokes(lane_map: LaneMap | None, colour: Colour, width: float) -> list[tuple[LaneLine, Stroke]]:
+    """Give every line of a map its stroke, in the order in which they are drawn.
+
+    Lines look as they do on the road. Virtual ones are on no road, so thin and dotted, and below the others, on which
+    they often lie.
+
+    Parameters
+    ----------
+    lane_map : LaneMap or None
+    colour : tuple of int
+    width : float
+        Of an ordinary line.
+    """
+    lines = lane_map.lines if lane_map is not None else ()
+    strokes = [(line, _lane_stroke(line, colour, width)) for line in lines]
+    return sorted(strokes, key=lambda item: item[0].kind != VIRTUAL)
+
+
+def _lane_stroke(line: LaneLine, colour: Colour, width: float) -> Stroke:
+    if line.kind == VIRTUAL:
+        return Stroke(colour, THIN * width, VIRTUAL_DASH, halo=False)
+    dash = DASH if line.subtype == "dashed" else None
+    return Stroke(colour, (THICK if line.kind in THICK_KINDS else 1.0) * width, dash)

@@ -1,0 +1,60 @@
+"""Ten lines that a person understands."""
+
+from __future__ import annotations
+
+from laci_stereo.core.result import Calibration, Quality
+
+LEFT_OUT = {
+    "cut": "cut by the border of the field of view",
+    "far": "too far away",
+    "thin": "too thin",
+    "unknown": "without a CAM",
+}
+
+
+def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
+    """Say where the sensor stands and looks, from what, and how sure that is.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    sensor : str
+        Its name and frame, in words.
+    inputs : str
+        What was read, in words.
+    """
+    world, quality = calibration.world, calibration.quality
+    position = calibration.T_world_sensor[:3, 3]
+    east, north = world.to_utm(position[None, :2])[0]
+    latitude, longitude = world.to_geodetic(position[None, :2])[0]
+    angles, vehicle = calibration.viewing_angles, calibration.vehicle
+    place = f"{east:.2f} m E, {north:.2f} m N ({world.crs}); latitude {latitude:.7f}, longitude {longitude:.7f}"
+    looks = (
+        f"{angles.yaw_deg:.2f} deg counter-clockwise from grid east, {angles.down_deg:.2f} deg down, "
+        f"rolled {angles.roll_deg:.2f} deg clockwise"
+    )
+    size = f"{vehicle.length_m:.2f} m x {vehicle.width_m:.2f} m"
+    doubt = (
+        f"{quality.track_xy_sigma_m:.2f} m along the track, {quality.yaw_sigma_deg:.2f} deg yaw, "
+        f"{quality.tilt_sigma_deg:.2f} deg tilt, {quality.height_sigma_m:.3f} m height (one sigma)"
+    )
+    static = calibration.background
+    lines = [
+        ("Sensor", sensor),
+        ("Position", place),
+        ("Height", f"{calibration.height_m:.2f} m above the ground"),
+        ("Looks", looks),
+        ("Vehicle", f"station {calibration.station_id}, {size}, {_frames(quality)}"),
+        ("Background", f"{len(static.boxes)} boxes, from {static.quiet_frames} frames at rest"),
+        ("Fit", f"the vehicle's tracks in sensor and world are {quality.residual_rms_m:.2f} m apart (RMS)"),
+        ("Doubt", doubt),
+        ("Input", inputs),
+        ("Verdict", ": ".join([quality.verdict.upper(), "; ".join(quality.reasons)]).rstrip(": ")),
+    ]
+    return "\n".join(f"{name:<11}{text}" for name, text in lines)
+
+
+def _frames(quality: Quality) -> str:
+    left_out = ", ".join(f"{count} {LEFT_OUT[reason]}" for reason, count in sorted(quality.left_out.items()))
+    used = f"{quality.frames_used} of {quality.frames_seen} frames used"
+    return f"{used} ({left_out})" if left_out else used

@@ -1,0 +1,4 @@
+from __future__ import annotations
+
+
+def draw_topdown(calibration, lane_map=None): ...
