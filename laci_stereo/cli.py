@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import math
+import os
 import re
 import signal
 import sys
@@ -117,6 +119,8 @@ def calibrate(
     result = job.run(lambda source: source if quiet else WithProgress(source))
     result.save(out, overwrite=overwrite)
     if not quiet:
+        for note in result.skipped:
+            click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
         click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
@@ -233,12 +237,12 @@ def ground_near(height_m: float | None) -> GroundSettings:
     Raises
     ------
     SettingError
-        If it is not positive.
+        If it is not a positive number.
     """
     if height_m is None:
         return GroundSettings()
-    if not height_m > 0:
-        raise SettingError(f"--height is {height_m} m; needed is more than 0")
+    if not 0 < height_m < math.inf:
+        raise SettingError(f"--height is {height_m} m; needed is a number above 0")
     return GroundSettings(min_height_m=height_m * 2 / 3, max_height_m=height_m * 4 / 3)
 
 
@@ -256,6 +260,7 @@ def _terminate(_signal: int, _frame: FrameType | None) -> None:
 
 def main() -> None:
     """Run the command line: every error that is the input's becomes one line and an exit code."""
+    _silence_decoders()
     signal.signal(signal.SIGTERM, _terminate)  # so that a half-written result is removed
     try:
         cli(standalone_mode=False)
@@ -263,13 +268,30 @@ def main() -> None:
         _fail("interrupted; nothing was written", INTERRUPTED)
     except KeyboardInterrupt:
         _fail("interrupted; nothing was written", INTERRUPTED)
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(error.exit_code)
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx is not None else "laci-stereo"
+        _fail(f"{error.format_message().rstrip('.')}; see {command} --help", UNUSABLE_INPUT)
     except CalibrationError as error:
         _fail(f"not calibrated: {error}", NOT_CALIBRATED)
     except LaciError as error:
         _fail(str(error), UNUSABLE_INPUT)
+    except OSError as error:  # a file system that fails under a path that was readable before
+        _fail(f"{error.filename or 'input or output'}: {error.strerror}", UNUSABLE_INPUT)
+
+
+def _silence_decoders() -> None:
+    """Keep standard error for ourselves: libjpeg writes to its descriptor, whatever one sets, about damaged images."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    if sys.stderr is None:  # closed by whoever started the command
+        sys.stderr = os.fdopen(nowhere, "w", encoding="utf-8")
+        return
+    ours = os.dup(sys.stderr.fileno())
+    os.dup2(nowhere, sys.stderr.fileno())
+    os.close(nowhere)
+    sys.stderr = os.fdopen(ours, "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)
 
 
 def _fail(message: str, code: int) -> None:

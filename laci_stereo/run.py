@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -76,6 +77,8 @@ class Job:
     Attributes
     ----------
     recording : StereoRecording
+    cam : Path
+        The log.
     messages : CamLog
         Of the stations that may be the sender.
     lane_map : LaneMap or None
@@ -86,6 +89,7 @@ class Job:
     """
 
     recording: StereoRecording
+    cam: Path
     messages: CamLog
     lane_map: LaneMap | None
     provenance: Provenance
@@ -106,9 +110,10 @@ class Job:
             If the recording cannot be read or does not determine a transform.
         """
         options = self.options
-        calibration = calibrate_source(
-            watch(self.recording), self.messages, options.core, reference=options.reference, crs=options.crs
-        )
+        with _naming(self.cam):
+            calibration = calibrate_source(
+                watch(self.recording), self.messages, options.core, reference=options.reference, crs=options.crs
+            )
         return StereoResult(calibration, self)
 
 
@@ -126,11 +131,16 @@ class StereoResult:
     job: Job
 
     @property
+    def skipped(self) -> tuple[str, ...]:
+        """Why each image that could not be used was left out, one line each."""
+        skipped = self.job.recording.reader.skipped
+        return tuple(skipped[path] for path in sorted(skipped))
+
+    @property
     def summary(self) -> str:
         """Ten lines that a person understands."""
         provenance = self.job.provenance
-        skipped = len(self.job.recording.reader.skipped)
-        inputs = f"{self.job.inputs}, {skipped} unreadable images"
+        inputs = f"{self.job.inputs}, {len(self.skipped)} unreadable images"
         return summarise(self.calibration, f"{provenance.name} ({provenance.frame})", inputs)
 
     def save(self, out: Path | str = "calibration", *, overwrite: bool = False) -> Path:
@@ -149,7 +159,7 @@ class StereoResult:
         out = Path(out)
         provenance = replace(
             self.job.provenance,
-            notes=self.job.provenance.notes + tuple(self.job.recording.reader.skipped.values()),
+            notes=self.job.provenance.notes + self.skipped,
             T_sensor_rectified=self.job.recording.rectification.T_sensor_rectified,
         )
         text = to_text(to_document(self.calibration, provenance))
@@ -218,15 +228,15 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         options.name or left.absolute().parent.name,
     )
     messages = _of_station(recorded.log, options.station, cam)
-    check_overlap(messages, *recording.span_ns)
-    map_path = options.lane_map or find_lane_map(left)
-    lane_map = None
-    if map_path is not None:
+    with _naming(cam):
+        check_overlap(messages, *recording.span_ns)
         world = world_around(messages.between(*recording.span_ns), options.crs)
-        lane_map = read_lane_map(map_path, world)
+    map_path = options.lane_map or find_lane_map(left)
+    lane_map = read_lane_map(map_path, world) if map_path is not None else None
     hashed = [path for path in (stereo, cam, map_path) if path is not None]
     return Job(
         recording=recording,
+        cam=cam,
         messages=messages,
         lane_map=lane_map,
         provenance=Provenance(
@@ -240,6 +250,15 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         inputs=f"{len(pairs)} image pairs ({pairs.unpaired_left + pairs.unpaired_right} unpaired), {len(messages)} CAMs",
         options=options,
     )
+
+
+@contextmanager
+def _naming(cam: Path) -> Iterator[None]:
+    """Put the file's name before what is found wrong with messages where their file is not known any more."""
+    try:
+        yield
+    except CamError as error:
+        raise CamError(f"{cam}: {error}") from error
 
 
 def _image_size(pairs: Pairs) -> tuple[int, int]:

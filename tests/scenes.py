@@ -76,10 +76,12 @@ def ground_scene(
     R = _mounting(tilt_deg, float(rng.uniform(-3.0, 3.0)))
     pattern, R = _sensor(rng, kind, R, tilt_deg, height_m, rays)
     directions = pattern.directions @ R.T
-    # Crowded streets, but no car park seen from three metres: where no road is in view none can be found.
-    for attempt in range(30):
-        distance, ground = _cast(directions, height_m, _objects(rng, directions, height_m, 0.9**attempt, pavements))
-        if np.count_nonzero(ground) > (1 - ABOVE_GROUND_SHARE) * np.count_nonzero(np.isfinite(distance)):
+    # Crowded streets, but a sensor hangs where it sees road: enough of it, and as deep a piece as the sensor is high.
+    for attempt in range(40):
+        distance, ground = _cast(directions, height_m, _objects(rng, directions, height_m, 0.95**attempt, pavements))
+        depth = np.quantile(distance[ground], [0.05, 0.95]) if ground.any() else np.zeros(2)
+        enough = np.count_nonzero(ground) > (1 - ABOVE_GROUND_SHARE) * np.count_nonzero(np.isfinite(distance))
+        if enough and depth[1] - depth[0] > height_m:
             break
     else:
         raise AssertionError(f"scene {seed} never shows enough road")
@@ -156,7 +158,8 @@ def _lidar_pattern(rng: np.random.Generator, R: FloatArray, height_m: float, ray
         middle = np.radians(rng.uniform(-25.0, 5.0))
         elevation = np.linspace(middle - field / 2, middle + field / 2, layers)
         steepness = -(R @ np.stack([np.cos(elevation), np.zeros(layers), np.sin(elevation)]))[2]
-        if np.count_nonzero(steepness > height_m / (0.7 * MAX_RANGE_M)) >= 4:
+        reach = height_m / steepness[steepness > height_m / (0.7 * MAX_RANGE_M)]
+        if len(reach) >= 4 and reach.max() > 3.0 * height_m:
             break
     e, a = (x.ravel() for x in np.meshgrid(elevation, azimuth, indexing="ij"))
     return Pattern(
@@ -174,7 +177,7 @@ def _objects(rng: np.random.Generator, directions: FloatArray, height_m: float, 
     down = np.minimum(directions[:, 2], -1e-9)
     reach = height_m * np.linalg.norm(directions[:, :2], axis=1) / -down
     near = float(np.quantile(reach, 0.02))
-    facing = min(float(np.quantile(reach, rng.uniform(0.5, 0.65))), 60.0)
+    facing = min(float(np.quantile(reach, rng.uniform(0.5, 1.0 - 0.35 * crowd))), 60.0)
     side = rng.uniform(0.5, 1.0) * max(0.6 * facing, 8.0)
     rows = [  # x, y, yaw, half length, half width, z0, z1
         (facing, 0.0, rng.uniform(-0.2, 0.2), 0.2, 60.0, 0.0, rng.uniform(8.0, 30.0)),

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from laci_stereo.core.box import Box, fit_box
-from laci_stereo.core.cluster import cluster
+from laci_stereo.core.cluster import ONE_COLUMN, cells_of, cluster
 from laci_stereo.core.errors import BackgroundError, BoxError
-from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import BackgroundSettings, BoxSettings, ClusterSettings
 
 
@@ -62,9 +61,9 @@ def learn_background(
 ) -> Background:
     """Learn the static background from whole frames (paper section III-B).
 
-    What is occupied in at least half of the frames stays. Frames in which nothing of a vehicle's size stands
-    elsewhere are quiet, and all that is seen in a quiet frame is background, foliage that comes and goes included.
-    No frame needs to be quiet.
+    What is occupied in at least half of the frames stays, unless its place is seen empty in others: that is where
+    traffic queues. Frames in which nothing of a vehicle's size stands elsewhere are quiet, and what is seen in two
+    quiet frames is background too, such as foliage that comes and goes. No frame needs to be quiet.
 
     Parameters
     ----------
@@ -83,10 +82,14 @@ def learn_background(
     if not clouds_level:
         raise BackgroundError("the survey has 0 whole frames; needed is at least 1 to learn the background from")
     standing = [_standing(points, settings) for points in clouds_level]
-    stays = _Occupancy.over(standing, settings.cell_m)
-    quiet = [not _moving(points[~stays.near(points[:, :2])], clusters) for points in standing]
+    occupied = [np.unique(cells_of(points[:, :2], settings.cell_m)) for points in standing]
+    stays = _staying(occupied, [_empty(*frame, settings) for frame in zip(clouds_level, occupied, strict=True)])
+    elsewhere = [points[~_near(stays, points, settings)] for points in standing]
+    quiet = [not _moving(points, clusters) for points in elsewhere]
+    at_rest = [cells for cells, is_quiet in zip(occupied, quiet, strict=True) if is_quiet]
+    known = np.union1d(stays, _in_at_least(min(2, len(at_rest)), at_rest))
     static = [
-        points if is_quiet else points[stays.near(points[:, :2])]
+        points[_near(known if is_quiet else stays, points, settings)]
         for points, is_quiet in zip(standing, quiet, strict=True)
     ]
     found = _boxes(np.concatenate(static), settings, clusters, boxes or BoxSettings())
@@ -97,32 +100,35 @@ def _standing(points: FloatArray, settings: BackgroundSettings) -> FloatArray:
     return points[(points[:, 2] > settings.min_height_m) & (points[:, 2] < settings.max_height_m)]
 
 
-@dataclass(frozen=True)
-class _Occupancy:
-    """Cells of the ground plan that are occupied in at least half of the frames, and their neighbours."""
+def _empty(points: FloatArray, occupied: IntArray, settings: BackgroundSettings) -> IntArray:
+    """Return the cells in and around which ground is seen and nothing stands."""
+    ground = points[np.abs(points[:, 2]) <= settings.min_height_m, :2]
+    return np.setdiff1d(_widened(cells_of(ground, settings.cell_m)), _widened(occupied), assume_unique=True)
 
-    first: FloatArray
-    cell_m: float
-    stays: BoolArray
 
-    @classmethod
-    def over(cls, frames: Sequence[FloatArray], cell_m: float) -> _Occupancy:
-        everything = np.concatenate(frames)[:, :2]
-        if len(everything) == 0:
-            return cls(np.zeros(2), cell_m, np.zeros((1, 1), dtype=bool))
-        first = np.floor(everything.min(axis=0) / cell_m)
-        shape = np.floor(everything.max(axis=0) / cell_m) - first + 1
-        counts = np.zeros(shape.astype(int), dtype=np.int32)
-        for points in frames:
-            cells = np.unique((np.floor(points[:, :2] / cell_m) - first).astype(int), axis=0)
-            counts[cells[:, 0], cells[:, 1]] += 1
-        # The outline of what stays falls on either side of a cell's border from frame to frame.
-        return cls(first, cell_m, binary_dilation(2 * counts >= len(frames), np.ones((3, 3), dtype=bool)))
+def _staying(occupied: Sequence[IntArray], empty: Sequence[IntArray]) -> IntArray:
+    """Return the cells that are occupied in at least half of the frames and empty in no more than a tenth."""
+    frames = len(occupied)
+    return np.setdiff1d(_in_at_least((frames + 1) // 2, occupied), _in_at_least(frames // 10 + 1, empty))
 
-    def near(self, xy: FloatArray) -> BoolArray:
-        cells = (np.floor(xy / self.cell_m) - self.first).astype(int)
-        near: BoolArray = self.stays[cells[:, 0], cells[:, 1]] if len(xy) else np.zeros(0, dtype=bool)
-        return near
+
+def _in_at_least(count: int, frames: Sequence[IntArray]) -> IntArray:
+    """Return the cells that so many frames have."""
+    if not frames:
+        return np.zeros(0, dtype=np.int64)
+    cells, counts = np.unique(np.concatenate(frames), return_counts=True)
+    return cells[counts >= count]
+
+
+def _widened(cells: IntArray) -> IntArray:
+    """Return cells and the eight around each, in order."""
+    step = np.array([-1, 0, 1])
+    return np.unique(np.unique(cells)[:, None] + (ONE_COLUMN * step[:, None] + step).ravel())
+
+
+def _near(cells: IntArray, points: FloatArray, settings: BackgroundSettings) -> BoolArray:
+    """Tell which points are in one of the cells or next to it: outlines fall on either side of a cell's border."""
+    return np.isin(cells_of(points[:, :2], settings.cell_m), _widened(cells))
 
 
 def _moving(points: FloatArray, clusters: ClusterSettings) -> bool:
@@ -147,7 +153,7 @@ def _tight_boxes(points: FloatArray, settings: BackgroundSettings, boxes: BoxSet
         return []
     along = (points[:, :2] - box.centre) @ np.array([np.cos(box.yaw_rad), np.sin(box.yaw_rad)])
     across = (points[:, :2] - box.centre) @ np.array([-np.sin(box.yaw_rad), np.cos(box.yaw_rad)])
-    cells = np.unique(np.floor(np.column_stack([along, across]) / settings.cell_m), axis=0)
+    cells = np.unique(cells_of(np.column_stack([along, across]), settings.cell_m))
     covered = len(cells) * settings.cell_m**2
     area = max(box.length_m, settings.cell_m) * max(box.width_m, settings.cell_m)
     longer, extent = (along, box.length_m) if box.length_m >= box.width_m else (across, box.width_m)

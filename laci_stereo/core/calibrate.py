@@ -10,7 +10,7 @@ import numpy as np
 from laci_stereo.core.background import learn_background
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
-from laci_stereo.core.errors import CamError, GroundError
+from laci_stereo.core.errors import CamError, GroundError, TrackError
 from laci_stereo.core.frames import Axes, planar, transform
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.matching import choose_track, match_track
@@ -58,6 +58,11 @@ def calibrate(
         If the recording and the messages do not determine a transform.
     """
     settings = settings or Settings()
+    epoch_ns = source.span_ns[0]
+    messages = messages.between(*source.span_ns)
+    world = world_around(messages, crs)
+    vehicles = _vehicles(messages, world, epoch_ns, reference)
+
     survey = list(source.survey())
     ground = _ground(survey, source.axes, settings)
     T_level_sensor = ground.T_level_sensor(source.axes)
@@ -70,16 +75,12 @@ def calibrate(
     del survey  # whole clouds are large
     log.info("background: %d boxes from %d quiet frames", len(background.boxes), background.quiet_frames)
 
-    epoch_ns = source.span_ns[0]
     sightings = (
         find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings)
         for cloud in source
     )
     tracks = link_tracks(sightings, settings.track)
 
-    messages = messages.between(*source.span_ns)
-    world = world_around(messages, crs)
-    vehicles = _vehicles(messages, world, epoch_ns, reference)
     choice = choose_track(tracks, vehicles, settings.match)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
@@ -141,11 +142,11 @@ def world_around(messages: CamLog, crs: str | None = None) -> World:
 def _vehicles(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:
     """Lay the track of every station that has one into the world; the rest, such as roadside units, are no vehicles."""
     tracks: dict[int, VehicleTrack] = {}
-    problems: list[CamError] = []
+    problems: list[CamError | TrackError] = []
     for station in messages.stations():
         try:
             tracks[station] = vehicle_track(messages.of(station), world, epoch_ns, reference)
-        except CamError as error:
+        except (CamError, TrackError) as error:
             problems.append(error)
     if not tracks:
         raise problems[0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from laci_stereo.core.errors import CamError
+from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.world import World
 
@@ -156,7 +156,9 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     Raises
     ------
     CamError
-        If there are fewer than two messages with a position, or the vehicle's dimensions were never sent.
+        If there are fewer than two messages with a position, or the vehicle's dimensions or heading were never sent.
+    TrackError
+        If the vehicle stands still.
     """
     located = np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)
     log = log[located]
@@ -179,18 +181,34 @@ def _dimension(values_m: FloatArray, what: str) -> float:
 
 
 def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
-    """Return the body's yaw, unwrapped: the sent heading while the vehicle moves, interpolated while it stands."""
+    """Return the body's yaw, unwrapped: from the sent heading while the vehicle moves, interpolated while it stands."""
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
     speed = np.where(np.isfinite(log.speed_mps), log.speed_mps, _speed(xy, log.stamps_ns))
     sure = np.isfinite(yaw) & (speed >= STANDING_MPS)
+    if not np.isfinite(yaw).any():
+        raise CamError(f"the vehicle's heading is in none of the {len(log)} messages; needed is at least one")
     if not sure.any():
-        raise CamError(
-            f"the vehicle's speed is at most {np.nanmax(speed, initial=0.0):.2f} m/s and its heading unknown; "
-            f"needed is a drive at {STANDING_MPS} m/s or more with a heading"
+        fastest_mps = float(np.nanmax(speed[np.isfinite(yaw)], initial=0.0))
+        raise TrackError(
+            f"the vehicle of station {log.station_id[0]} stands still: its speed is at most {fastest_mps:.2f} m/s "
+            f"according to its CAMs; needed are {STANDING_MPS} m/s"
         )
-    unwrapped = np.unwrap(yaw[sure])
-    filled: FloatArray = np.interp(log.stamps_ns.astype(np.float64), log.stamps_ns[sure].astype(np.float64), unwrapped)
+    stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
+    drive = np.cumsum(np.diff(stamps_s, prepend=0.0) > MAX_GAP_S)[sure]
+    parts = [_without_reversing(yaw[sure][drive == number]) for number in np.unique(drive)]
+    filled: FloatArray = np.interp(stamps_s, stamps_s[sure], np.unwrap(np.concatenate(parts)))
     return filled
+
+
+def _without_reversing(yaw: FloatArray) -> FloatArray:
+    """Turn the directions of motion while reversing round, shape (n,), of messages without a gap.
+
+    From one message to the next no body turns by more than a right angle, so a direction that does has been reversed;
+    forwards is the way most messages go.
+    """
+    body = np.unwrap(yaw, period=np.pi)
+    forwards = np.cos(yaw - body) > 0.0
+    return body if 2 * np.count_nonzero(forwards) >= len(yaw) else body + np.pi
 
 
 def _speed(xy: FloatArray, stamps_ns: IntArray) -> FloatArray:

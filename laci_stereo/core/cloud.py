@@ -28,6 +28,9 @@ class PointCloud:
         Standard deviations along and across the line of sight, metres.
     at_edge : ndarray of bool, shape (n,)
         The point lies at the border of the field of view, so that what it belongs to may be cut off there.
+    offset_s : ndarray, shape (n,), or None
+        Each point's own time after ``stamp_ns``, seconds: a scanner needs a tenth of a second for a turn, in which a car
+        at 10 m/s moves by a metre. None: all points were taken at the stamp.
     """
 
     stamp_ns: int
@@ -35,18 +38,25 @@ class PointCloud:
     sigma_along_m: FloatArray
     sigma_across_m: FloatArray
     at_edge: BoolArray
+    offset_s: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
         assert self.points.shape == (n, 3), self.points.shape
         assert self.sigma_along_m.shape == self.sigma_across_m.shape == self.at_edge.shape == (n,)
+        assert self.offset_s is None or self.offset_s.shape == (n,)
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, keep: BoolArray | IntArray) -> PointCloud:
         return PointCloud(
-            self.stamp_ns, self.points[keep], self.sigma_along_m[keep], self.sigma_across_m[keep], self.at_edge[keep]
+            self.stamp_ns,
+            self.points[keep],
+            self.sigma_along_m[keep],
+            self.sigma_across_m[keep],
+            self.at_edge[keep],
+            None if self.offset_s is None else self.offset_s[keep],
         )
 
 

@@ -28,9 +28,9 @@ _BEARING = 0.01
 _START_POINTS = 4000
 _FINAL_POINTS = 50_000
 # With 15 % of ground among the points a triple is all ground with 0.3 %: 2000 leave 6 expected, 0.2 % for none.
+_TRIPLES = 2000
 # Up to so many times the range seen, a ray near the horizon is told from its neighbours.
 _HORIZON = 4.0
-_TRIPLES = 2000
 _SEEDS = 12
 # As high as the things that stand about: where a point that is not on the ground may be.
 _SCENE_HEIGHT_M = 10.0
@@ -57,6 +57,8 @@ _CELL_TRIPLES = 300
 _FLAT = _CELL**3
 # Of the variance of a point, what its cell may share, until the fit knows: a matcher's window is a tenth of a cell.
 _START_SHARED = 0.1
+# Directions within a cell of each other have a condition number of about 1 / _CELL^4; nothing solvable is near this.
+_SINGULAR = 1e13
 # Grid for the scatter of cells, in steps that change a standard deviation by less than a half.
 _SHARED = np.array([0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.0])
 _FRACTIONS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
@@ -79,14 +81,16 @@ class GroundPlane:
         Of the sensor's origin above the plane.
     covariance_sensor : ndarray, shape (4, 4)
         Of (rotation vector in sensor axes [rad], height [m]), of rank 3: a turn about the normal does not exist. The
-        rotation vector is the one that, applied after the estimate, makes it true. It assumes that errors of different
-        cells are independent; a ground that is bent as a whole is not in it. See `covariance_level`.
+        rotation vector is the one that, applied after the estimate, makes it true. Noise common to a cell, unevenness
+        common to some metres, and what blocks of cells scatter beyond these are in it; it assumes that farther parts
+        are independent, so a ground that is bent as a whole, or raised a few centimetres over much of it, is not.
+        See `covariance_level`.
     inlier_share : float
         Of all points, those on the plane within their noise.
     support_cells : int
         Cells of bearing that agree with the plane.
     support_share : float
-        The same over all cells whose rays meet the plane within the range seen.
+        The same over all cells with a free view of the plane within the range seen.
     support_area_m2 : float
         What the supporting cells cover on the plane.
     unevenness_m : float
@@ -539,8 +543,11 @@ def _fit_cells(partition: _Partition, m: FloatArray, settings: GroundSettings) -
         uneven = (unevenness_m * cells.per_metre) ** 2
         weight = _tukey(cells.residual / np.sqrt(noise + uneven))
         weight *= _tukey(_mean_around(cells, weight / (noise + uneven), uneven))
+        _check_count(int(np.count_nonzero(weight)), settings)
         pull = weight / (noise + uneven * cells.common)
         information = (cells.direction * pull[:, None]).T @ cells.direction
+        if np.linalg.cond(information) > _SINGULAR:
+            raise GroundError("directions that support the best plane: all in one plane found, a spread needed")
         step = np.linalg.solve(information, cells.direction.T @ (pull * cells.residual))
         m = m + step
         if iteration >= _ANNEALING and step @ information @ step < _SETTLED:
@@ -624,11 +631,7 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
     count = np.bincount(cell, minlength=size)
     # The few points on the plane in a cell full of others are the foot of a wall or a tyre.
     kept = np.bincount(cell, weight > 0.0, minlength=size) > 0.5 * count
-    if np.count_nonzero(kept) < settings.min_cells:
-        raise GroundError(
-            f"cells of {_CELL} rad on the best plane: {np.count_nonzero(kept)} found, "
-            f"at least {settings.min_cells} needed"
-        )
+    _check_count(int(np.count_nonzero(kept)), settings)
     weight /= variance
     total = np.bincount(cell, weight, minlength=size)[kept]
     columns = [residual, *rays.directions.T, weight * variance, variance, per_metre]
@@ -643,6 +646,13 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
         area_m2=(_CELL * np.linalg.norm(m) / sums[6]) ** 2,
         seen=int(np.count_nonzero(count)),
     )
+
+
+def _check_count(cells: int, settings: GroundSettings) -> None:
+    if cells < settings.min_cells:
+        raise GroundError(
+            f"cells of {_CELL} rad on the best plane: {cells} found, at least {settings.min_cells} needed"
+        )
 
 
 def _scatter(cells: _Cells, settings: GroundSettings) -> tuple[float, float]:
@@ -683,11 +693,18 @@ def _plane(rays: _Rays, fit: _Fit, up: FloatArray, settings: GroundSettings) -> 
     # d(height) = height^2 normal . dm; d(normal) = -height (I - normal normal^T) dm; the turn is d(normal) x normal.
     cross = np.cross(np.eye(3), normal)
     jacobian = np.vstack([-height_m * cross.T, height_m**2 * normal])
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    tilt_sigma_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])))
+    if tilt_sigma_deg > settings.max_tilt_sigma_deg:
+        raise GroundError(
+            f"standard deviation of the best plane's tilt: {tilt_sigma_deg:.2f} deg found, "
+            f"at most {settings.max_tilt_sigma_deg:g} deg needed"
+        )
     gate = _GATE * np.sqrt(rays.variance_of_height(normal[None])[0] + fit.unevenness_m**2)
     return GroundPlane(
         normal=normal,
         height_m=height_m,
-        covariance_sensor=jacobian @ fit.covariance @ jacobian.T,
+        covariance_sensor=covariance,
         inlier_share=float(np.mean(np.abs(rays.points @ normal + height_m) <= gate)),
         support_cells=fit.cells,
         support_share=support_share,

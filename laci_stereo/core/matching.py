@@ -97,6 +97,11 @@ class _Candidate:
     track: Track
     fit: PlanarMatch
     explained: float
+    frames: int
+
+    @property
+    def share(self) -> float:
+        return self.explained / self.frames
 
 
 def choose_track(
@@ -106,7 +111,8 @@ def choose_track(
 
     Each pair is brought together by a rigid motion; a frame counts by 1 - (r / r_max)^2, where r is what remains and
     r_max is half of the vehicle's diagonal, because the centre of what is visible of a vehicle is no farther from its
-    own. Fragments of the chosen track, torn apart by an occlusion, are joined to it.
+    own. Fragments of the chosen track, torn apart by an occlusion, are joined to it; what its motion leaves within
+    the vehicle is another part of the vehicle, seen apart, and no rival.
 
     Parameters
     ----------
@@ -120,7 +126,7 @@ def choose_track(
     TrackError
         If no sender moves while it is recorded, or no track is long enough.
     MatchError
-        If two candidates fit equally well.
+        If none fits, or two fit equally well.
     """
     settings = settings or MatchSettings()
     _check_motion(vehicles, settings)
@@ -133,12 +139,20 @@ def choose_track(
     if not candidates:
         raise TrackError(_nothing_found(tracks, settings))
     candidates.sort(key=lambda candidate: candidate.explained, reverse=True)
-    best = candidates[0]
+    fitting = [candidate for candidate in candidates if candidate.share >= settings.min_explained]
+    if not fitting:
+        raise MatchError(
+            f"no moving object fits the CAMs: {candidates[0].share:.0%} of the frames of the best of {len(candidates)} "
+            f"explained; needed are {settings.min_explained:.0%}"
+        )
+    best, *others = fitting
     second = 0.0
-    for other in candidates[1:]:
+    for other in others:
         joined = _join(best, other, vehicles, settings)
         if joined is not None:
             best = joined
+        elif _on_same_vehicle(best, other, vehicles):
+            continue
         elif other.explained > settings.clear_share * best.explained:
             raise MatchError(_tie(best, other))
         else:
@@ -156,6 +170,20 @@ def _join(
     if joined is None or joined.explained < best.explained + settings.clear_share * other.explained:
         return None
     return joined
+
+
+def _on_same_vehicle(best: _Candidate, other: _Candidate, vehicles: Mapping[int, VehicleTrack]) -> bool:
+    """Tell whether the best motion leaves the other track within the vehicle, where nothing else can be."""
+    if best.station != other.station:
+        return False
+    vehicle = vehicles[best.station]
+    xy_world, _, known = vehicle.at(other.track.stamps_s)
+    remains = np.linalg.norm(best.fit(other.track.centres) - xy_world, axis=1)[known]
+    return bool(np.median(remains) < _reach(vehicle))
+
+
+def _reach(vehicle: VehicleTrack) -> float:
+    return float(np.hypot(vehicle.length_m, vehicle.width_m)) / 2
 
 
 def _tie(best: _Candidate, other: _Candidate) -> str:
@@ -201,13 +229,12 @@ def _candidate(station: int, vehicle: VehicleTrack, track: Track, settings: Matc
     level, world = track.centres[known], xy_world[known]
     if len(level) < settings.min_frames or min(_path(level), _path(world)) < settings.min_path_m:
         return None
-    reach = np.hypot(vehicle.length_m, vehicle.width_m) / 2
     weight = np.ones(len(level))
     for _ in range(5):
         fit = _rigid_fit(level, world, weight)
-        remains = np.linalg.norm(fit(level) - world, axis=1) / reach
+        remains = np.linalg.norm(fit(level) - world, axis=1) / _reach(vehicle)
         weight = np.maximum(1 - remains**2, 1e-3)
-    return _Candidate(station, track, fit, float(np.maximum(1 - remains**2, 0).sum()))
+    return _Candidate(station, track, fit, float(np.maximum(1 - remains**2, 0).sum()), len(level))
 
 
 def _rigid_fit(level: FloatArray, world: FloatArray, weight: FloatArray) -> PlanarMatch:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
@@ -44,8 +45,8 @@ def doubt_of(
 
     What remains between the tracks is the error of box centres. It changes as slowly as the side of the vehicle that
     is in view, so it is not averaged over frames. The match cannot see the part that all frames share; half of what
-    the boxes lack of the vehicle's true length and width bounds it. The yaw leans on the last point of the trace
-    and on the mean of the others, each with that error.
+    the boxes, less what is only their points' noise, lack of the vehicle's true length and width bounds it. The yaw
+    leans on the last point of the trace and on the mean of the others, each with that error.
 
     Parameters
     ----------
@@ -56,14 +57,26 @@ def doubt_of(
     vehicle : VehicleTrack
     """
     remains = match(xy_level) - xy_world
-    length = np.median([sighting.box.length_m for sighting in track.usable])
-    width = np.median([sighting.box.width_m for sighting in track.usable])
-    lacking = np.array([max(vehicle.length_m - length, 0.0), max(vehicle.width_m - width, 0.0)]) / 2
+    lacking = _lacking(track, vehicle) / 2
     position = float(np.sqrt((remains**2).mean() + (lacking**2).mean()))
     lengths = np.linalg.norm(xy_world[:-1] - xy_world[-1], axis=1)
     spread = float(np.sqrt(((xy_world - xy_world.mean(axis=0)) ** 2).sum(axis=1).mean()))
     yaw = np.sqrt(2) * position / max(float(np.sqrt((lengths**2).mean())), 1e-9)
     return Doubt(position, float(yaw), spread)
+
+
+def _lacking(track: Track, vehicle: VehicleTrack) -> FloatArray:
+    """Return by how much the boxes are shorter and narrower than the vehicle, shape (2,)."""
+    seen = track.usable
+    extents = np.array([(sighting.box.length_m, sighting.box.width_m) for sighting in seen])
+    in_box = np.array([np.arctan2(*sighting.box.centre[::-1]) - sighting.box.yaw_rad for sighting in seen])
+    # Half of the points are on the near side, and the outermost of n lies at the quantile 1 / n.
+    outermost = -ndtri(1 / np.array([max(sighting.count / 2, 2.0) for sighting in seen]))
+    noise = 2 * outermost * np.array([sighting.sigma_m for sighting in seen])
+    extents -= noise[:, None] * np.abs(np.column_stack([np.cos(in_box), np.sin(in_box)]))
+    true = np.array([vehicle.length_m, vehicle.width_m])
+    lacking: FloatArray = true - np.median(extents, axis=0).clip(0.0, true)
+    return lacking
 
 
 def covariance_of(
@@ -119,7 +132,7 @@ def judge(
         ("tilt", tilt_deg, "deg", settings.max_sigma_deg),
     ]
     reasons = tuple(
-        f"{what} is known to {value:.2f} {unit}; the limit is {limit:.2f} {unit}"
+        f"{what} is known to {value:.3g} {unit}; the limit is {limit:.3g} {unit}"
         for what, value, unit, limit in checks
         if value > limit
     )

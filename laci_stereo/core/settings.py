@@ -24,8 +24,9 @@ class GroundSettings:
     min_cells : int
         Cells of bearing (0.05 rad wide) that must support the plane: as many as a patch of 0.3 rad square has.
     min_support_share : float
-        Of the cells whose rays meet the plane within the range seen, so many must support it. A plane through the
-        foot of a wall is supported by one row of some thirty.
+        Of the cells with a free view of the plane so many must support it; else what lies low is mostly something else.
+    max_tilt_sigma_deg : float
+        Where the normal is known less well than this, the points do not span a plane.
     """
 
     max_tilt_deg: float = 48.0
@@ -34,7 +35,8 @@ class GroundSettings:
     unevenness_m: float = 0.02
     min_points: int = 50
     min_cells: int = 36
-    min_support_share: float = 0.1
+    min_support_share: float = 0.3
+    max_tilt_sigma_deg: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -181,6 +183,9 @@ class MatchSettings:
         Frames in which the vehicle must be seen and its position be known.
     min_path_m : float
         The vehicle must move by this much while it is seen.
+    min_explained : float
+        Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
+        where the tracks happen to cross.
     clear_share : float
         A second candidate that explains more than this share of what the best one explains is a tie.
     """
@@ -188,6 +193,7 @@ class MatchSettings:
     min_vector_m: float = 5.0
     min_frames: int = 10
     min_path_m: float = 5.0
+    min_explained: float = 0.5
     clear_share: float = 0.8
 
 

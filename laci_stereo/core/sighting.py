@@ -41,6 +41,8 @@ class Sighting:
         On the ground plan of the level frame.
     flaw : {"cut", "far", "thin"} or None
         Why its box is not to be trusted.
+    sigma_m : float
+        Typical noise of its points along the line of sight.
     """
 
     stamp_s: float
@@ -49,6 +51,7 @@ class Sighting:
     middle: FloatArray
     box: Box
     flaw: Flaw | None
+    sigma_m: float = 0.0
 
 
 def find_vehicles(
@@ -71,22 +74,28 @@ def find_vehicles(
         The one with most points first.
     """
     points = transform(T_level_sensor, cloud.points)
-    sight = points - T_level_sensor[:3, 3]
-    slope = sight[:, 2] / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
-    sigma_z = np.hypot(slope * cloud.sigma_along_m, np.sqrt(1 - slope**2) * cloud.sigma_across_m)
     limits = settings.vehicle
-    standing = points[:, 2] > np.maximum(limits.min_height_m, limits.ground_sigmas * sigma_z)
     # A vehicle at the limit has points on both sides of it; the cluster's median decides.
     near = cloud.sigma_along_m < 2 * limits.max_sigma_m
-    candidates = np.flatnonzero(standing & near & (points[:, 2] < settings.background.max_height_m))
+    between = (points[:, 2] > limits.min_height_m) & (points[:, 2] < settings.background.max_height_m)
+    candidates = np.flatnonzero(near & between)
+    sigma_z = _sigma_z(points[candidates] - T_level_sensor[:3, 3], cloud[candidates])
+    candidates = candidates[points[candidates, 2] > limits.ground_sigmas * sigma_z]
     candidates = candidates[~background.covers(points[candidates, :2])]
     found = []
     for group in cluster(points[candidates, :2], settings.cluster):
-        members = candidates[group].astype(np.int64)
+        members = candidates[group]
         sighting = _sighting(points[members], cloud[members], stamp_s, settings)
         if sighting is not None:
             found.append(sighting)
     return found
+
+
+def _sigma_z(sight: FloatArray, cloud: PointCloud) -> FloatArray:
+    """Return the standard deviation of the height of points that the sensor sees along ``sight``, shape (n, 3)."""
+    slope = sight[:, 2] / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
+    sigma_z: FloatArray = np.hypot(slope * cloud.sigma_along_m, np.sqrt(1 - slope**2) * cloud.sigma_across_m)
+    return sigma_z
 
 
 def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:
@@ -106,10 +115,11 @@ def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:
 
 def _sighting(points: FloatArray, cloud: PointCloud, stamp_s: float, settings: Settings) -> Sighting | None:
     limits = settings.vehicle
+    sigma_m = float(np.median(cloud.sigma_along_m))
     flaw: Flaw | None = None
     if cloud.at_edge.mean() > limits.max_edge_share:
         flaw = "cut"
-    elif np.median(cloud.sigma_along_m) > limits.max_sigma_m:
+    elif sigma_m > limits.max_sigma_m:
         flaw = "far"
     elif len(points) < limits.min_points:
         flaw = "thin"
@@ -121,4 +131,4 @@ def _sighting(points: FloatArray, cloud: PointCloud, stamp_s: float, settings: S
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
     kept = np.unique(np.linspace(0, len(points) - 1, KEPT_POINTS).round().astype(int))
-    return Sighting(stamp_s, points[kept], len(points), np.median(points[:, :2], axis=0), box, flaw)
+    return Sighting(stamp_s, points[kept], len(points), np.median(points[:, :2], axis=0), box, flaw, sigma_m)

@@ -120,5 +120,7 @@ def _expect(track: Sequence[Sighting], now_s: float, settings: TrackSettings) ->
         return last.middle, settings.jitter_m + settings.max_speed_mps * ahead_s
     span_s = last.stamp_s - recent[0].stamp_s
     velocity = (last.middle - recent[0].middle) / span_s
-    slip = settings.jitter_m * (1 + ahead_s / span_s) + settings.max_acceleration_mps2 * ahead_s * (ahead_s + span_s)
+    # The mean velocity of the span is that of its middle.
+    gained_mps = settings.max_acceleration_mps2 * (ahead_s + span_s) / 2
+    slip = settings.jitter_m * (1 + ahead_s / span_s) + gained_mps * ahead_s
     return last.middle + velocity * ahead_s, slip

@@ -7,12 +7,13 @@ from functools import cached_property
 
 import numpy as np
 from pyproj import CRS, Proj, Transformer
-from pyproj.aoi import AreaOfInterest
-from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError
 
 from laci_stereo.core.errors import CamError, SettingError
 from laci_stereo.core.frames import FloatArray, rigid
+
+MAX_ZONES_APART = 2
+"""A grid may be continued into the zone beside its own, which on Svalbard has a number two away."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,13 @@ class World:
         CamError
             If UTM is not defined there (beyond 84 deg north or 80 deg south).
         SettingError
-            If ``crs`` is not a UTM zone known to PROJ.
+            If ``crs`` is not a UTM zone known to PROJ, or neither the position's zone nor within two of it.
         """
-        code = _utm_crs(latitude_deg, longitude_deg) if crs is None else _checked_utm(crs)
+        code = _own_utm(latitude_deg, longitude_deg) if crs is None else _checked_utm(crs, longitude_deg)
         proj = Proj(code)
         east, north = proj(longitude_deg, latitude_deg)
-        scale = proj.get_factors(longitude_deg, latitude_deg).meridional_scale
-        return cls(code, (float(round(east)), float(round(north))), float(scale))
+        scale = float(proj.get_factors(longitude_deg, latitude_deg).meridional_scale)
+        return cls(code, (float(round(east)), float(round(north))), scale)
 
     @cached_property
     def _transformer(self) -> Transformer:
@@ -99,18 +100,23 @@ class World:
         return rigid(rotation, shift)
 
 
-def _utm_crs(latitude_deg: float, longitude_deg: float) -> str:
+def _own_utm(latitude_deg: float, longitude_deg: float) -> str:
     if not -80.0 <= latitude_deg <= 84.0:
         raise CamError(f"latitude is {latitude_deg:.3f} deg; UTM is defined between -80 and 84 deg")
-    point = AreaOfInterest(longitude_deg, latitude_deg, longitude_deg, latitude_deg)
-    zones = query_utm_crs_info("WGS 84", area_of_interest=point, contains=True)
-    north = latitude_deg >= 0.0
-    codes = [z.code for z in zones if z.code.startswith("326" if north else "327")]
-    assert codes, (latitude_deg, longitude_deg)
-    return f"EPSG:{min(codes)}"
+    return f"EPSG:{326 if latitude_deg >= 0.0 else 327}{_utm_zone(latitude_deg, longitude_deg):02d}"
 
 
-def _checked_utm(crs: str) -> str:
+def _utm_zone(latitude_deg: float, longitude_deg: float) -> int:
+    """Return the zone: 6 deg wide from 180 deg west, but for the south of Norway and Svalbard."""
+    longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
+    if 56.0 <= latitude_deg < 64.0 and 3.0 <= longitude_deg < 6.0:
+        return 32
+    if latitude_deg >= 72.0 and 0.0 <= longitude_deg < 42.0:
+        return 31 + 2 * int((longitude_deg + 3.0) // 12.0)
+    return int(longitude_deg // 6.0) + 31
+
+
+def _checked_utm(crs: str, longitude_deg: float) -> str:
     try:
         parsed = CRS.from_user_input(crs)
     except CRSError as error:
@@ -119,4 +125,10 @@ def _checked_utm(crs: str) -> str:
         ) from error
     if parsed.utm_zone is None or parsed.to_epsg() is None:
         raise SettingError(f"coordinate system {crs!r} is {parsed.name}; needed is a UTM zone such as EPSG:32632")
+    given, own = int(parsed.utm_zone[:-1]), _utm_zone(0.0, longitude_deg)
+    if min((given - own) % 60, (own - given) % 60) > MAX_ZONES_APART:
+        raise SettingError(
+            f"coordinate system {crs!r} is UTM zone {given}, but the longitude is {longitude_deg:.3f} deg; "
+            f"needed is zone {own} or at most {MAX_ZONES_APART} from it"
+        )
     return f"EPSG:{parsed.to_epsg()}"

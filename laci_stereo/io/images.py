@@ -153,14 +153,14 @@ def _without_alpha(image: npt.NDArray[np.generic]) -> Image:
 
 
 def _image_names(folder: Path) -> list[str]:
-    if not folder.exists():
-        raise ImageError(f"{folder} does not exist; needed is a folder of images")
-    if not folder.is_dir():
-        raise ImageError(f"{folder} is a file; needed is a folder of images")
     try:
         inside = sorted(folder.iterdir())
+    except FileNotFoundError:
+        raise ImageError(f"{folder} does not exist; needed is a folder of images") from None
+    except NotADirectoryError:
+        raise ImageError(f"{folder} is a file; needed is a folder of images") from None
     except OSError as problem:
-        raise ImageError(f"{folder} cannot be read: {problem.strerror}") from problem
+        raise ImageError(f"{folder} cannot be read: {problem.strerror}; needed is a folder of images") from problem
     names = [entry.name for entry in inside if _is_image(entry)]
     if not inside:
         raise ImageError(f"{folder} is empty; needed are images")

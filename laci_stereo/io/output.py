@@ -6,12 +6,16 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fnmatch import fnmatch
 from pathlib import Path
 
 from laci_stereo.core.errors import OutputError
 
 RESULT_FILE = "calibration.json"
 """What makes a folder a result; nothing else is ever replaced."""
+
+RESULT_FILES = (RESULT_FILE, "overlay_*.png", "topdown.png")
+"""All that a result holds; a folder that holds more is not replaced either, or that would be lost."""
 
 
 def check_output(out: Path, *, overwrite: bool) -> None:
@@ -22,25 +26,31 @@ def check_output(out: Path, *, overwrite: bool) -> None:
     OutputError
         If there is something at ``out`` that must not be replaced, or its parent cannot be written to.
     """
-    if out.exists() or out.is_symlink():
-        _check_replaceable(out, overwrite=overwrite)
-    parent = _existing_parent(out)
     try:
+        if out.exists() or out.is_symlink():
+            _check_replaceable(out, overwrite=overwrite)
+        parent = _existing_parent(out)
         with tempfile.TemporaryFile(dir=parent):
             pass
     except OSError as error:
         raise OutputError(
-            f"{parent}: cannot be written to ({error.strerror}); needed is a place for {out.name}"
+            f"{out}: cannot be written ({error.strerror}); needed is a folder that can be made and written to"
         ) from error
 
 
 def _check_replaceable(out: Path, *, overwrite: bool) -> None:
     if not out.is_dir() or out.is_symlink():
         raise OutputError(f"{out}: is not a folder; needed is a folder that does not exist yet")
-    if not any(out.iterdir()):
+    if out.is_mount():
+        raise OutputError(f"{out}: is a mount point, which cannot be renamed; needed is a folder below it")
+    names = sorted(path.name for path in out.iterdir())
+    if not names:
         return
-    if not (out / RESULT_FILE).is_file():
+    if RESULT_FILE not in names:
         raise OutputError(f"{out}: holds other files and no {RESULT_FILE}; needed is a folder that does not exist yet")
+    foreign = [name for name in names if not any(fnmatch(name, pattern) for pattern in RESULT_FILES)]
+    if foreign:
+        raise OutputError(f"{out}: holds {foreign[0]}, which is no part of a result; needed is another --out")
     if not overwrite:
         raise OutputError(f"{out}: holds a result already; needed is another --out, or --overwrite to replace it")
 
@@ -84,11 +94,10 @@ def _take_place(temporary: Path, out: Path) -> None:
         temporary.rename(out)
         return
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
-    out.rename(aside / out.name)
     try:
+        out.rename(aside / out.name)
         temporary.rename(out)
-    except BaseException:
-        (aside / out.name).rename(out)
-        aside.rmdir()
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+    finally:  # an interrupt can fall between any two lines
+        if not out.exists():
+            (aside / out.name).rename(out)
+        shutil.rmtree(aside, ignore_errors=True)

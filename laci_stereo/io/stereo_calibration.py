@@ -264,7 +264,9 @@ def _check_rig(path: Path, rig: StereoRig, image_size: Size | None) -> None:
         _check_lens(path, f"the {side} camera's", lens)
     if image_size is not None and rig.left.size != image_size:
         found, needed = ("{} x {}".format(*size) for size in (rig.left.size, image_size))
-        raise RigError(f"{path}: the image size is {found}; the images are {needed}")
+        raise RigError(
+            f"{path}: the image size is {found}; the images are {needed} pixels, needed is a calibration for these"
+        )
     _check_rotation(path, rig.R_right_left)
     _check_baseline(path, rig)
 

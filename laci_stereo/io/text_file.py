@@ -21,17 +21,20 @@ def read_text(path: Path, error: type[InputError]) -> str:
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise error(f"{path} does not exist") from None
-    except (OSError, ValueError) as problem:
-        what = "is a folder; needed is a file" if path.is_dir() else f"cannot be read: {problem}"
-        raise error(f"{path} {what}") from problem
+        raise error(f"{path} does not exist; needed is a file") from None
+    except IsADirectoryError:
+        raise error(f"{path} is a folder; needed is a file") from None
+    except OSError as problem:
+        raise error(f"{path} cannot be read: {problem.strerror}; needed is a text file") from problem
+    except ValueError as problem:
+        raise error(f"{path} cannot be read: {problem}; needed is a text file") from problem
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         byte = f"byte {problem.start} is 0x{content[problem.start]:02x}"
         raise error(f"{path} is not a text file: {byte}; needed is UTF-8 text") from problem
     if not text.strip():
-        raise error(f"{path} is empty")
+        raise error(f"{path} is empty ({len(content)} bytes); needed is a text file")
     if "\0" in text:
         raise error(f"{path} is not a text file: character {text.index(chr(0))} is NUL; needed is UTF-8 text")
     return text

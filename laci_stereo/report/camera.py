@@ -11,6 +11,7 @@ import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, transform
 from laci_stereo.io.stereo_calibration import Lens
+from laci_stereo.report.lines import clip_slab, runs, subdivide
 
 NEAR_M = 0.1
 """Depth of the plane at which lines are clipped; what is nearer would be inside of the housing."""
@@ -20,9 +21,6 @@ FAR_M = 300.0
 
 STEP_M = 0.5
 """Length of the pieces into which lines are cut, so that distortion bends them."""
-
-MAX_STEPS = 2000
-"""Of one straight line, so that one which runs aside for kilometres costs no more."""
 
 FOLD_DIRECTIONS = 72
 FOLD_STEP_DEG = 0.25
@@ -63,8 +61,8 @@ class Camera:
         """
         return [
             piece
-            for line in _clip_depth(transform(self.T_camera_world, points_world))
-            for piece in self._pieces(self._project(subdivide(line)))
+            for line in clip_slab(transform(self.T_camera_world, points_world), 2, NEAR_M, FAR_M)
+            for piece in self._pieces(self._project(subdivide(line, STEP_M)))
         ]
 
     def _project(self, points: FloatArray) -> FloatArray:
@@ -99,22 +97,12 @@ class Camera:
         """Cut a line, shape (n, 2), into what is in the image, with a margin as wide as the image is."""
         size = np.array(self.lens.size)
         with np.errstate(invalid="ignore"):
-            near = ((pixels > -size) & (pixels < 2 * size)).all(axis=1)
+            near: BoolArray = np.all((pixels > -size) & (pixels < 2 * size), axis=1)
         # The neighbours too, or a coarse step that crosses the border would be lost.
         near[:-1] |= near[1:].copy()
         near[1:] |= near[:-1].copy()
-        kept = near & np.isfinite(pixels).all(axis=1)
-        yield from (pixels[run] for run in _runs(kept))
-
-
-def subdivide(line: FloatArray, step_m: float = STEP_M) -> FloatArray:
-    """Cut a line, shape (n, d), into straight pieces of at most ``step_m`` (but no more than `MAX_STEPS` between two
-    points); its own points stay.
-    """
-    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    steps = np.clip(np.ceil(lengths / step_m), 1, MAX_STEPS).astype(int)
-    place = np.concatenate([i + np.arange(n) / n for i, n in enumerate(steps)] + [[len(steps)]])
-    return np.stack([np.interp(place, np.arange(len(line)), axis) for axis in line.T], axis=1)
+        kept: BoolArray = near & np.isfinite(pixels).all(axis=1)
+        yield from (pixels[run] for run in runs(kept))
 
 
 def _distort(lens: Lens, rays: FloatArray) -> FloatArray:
@@ -128,25 +116,3 @@ def _distort(lens: Lens, rays: FloatArray) -> FloatArray:
     else:
         pixels, _ = cv2.projectPoints(points, still, still, lens.K, lens.distortion)
     return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-
-
-def _clip_depth(line: FloatArray) -> list[FloatArray]:
-    """Return the pieces of a line, shape (n, 3), camera frame, between the near and the far plane."""
-    near = _clip(line, line[:, 2] - NEAR_M)
-    return [piece for part in near for piece in _clip(part, FAR_M - part[:, 2])]
-
-
-def _clip(line: FloatArray, inside: FloatArray) -> list[FloatArray]:
-    """Return the pieces of a line, shape (n, 3), on which the linear ``inside``, shape (n,), is not negative."""
-    crossing = np.flatnonzero((inside[:-1] < 0) != (inside[1:] < 0))
-    share = inside[crossing] / (inside[crossing] - inside[crossing + 1])
-    border = line[crossing] + share[:, None] * (line[crossing + 1] - line[crossing])
-    cut = np.insert(line, crossing + 1, border, axis=0)
-    kept = np.insert(inside, crossing + 1, 0.0) >= 0
-    return [cut[run] for run in _runs(kept)]
-
-
-def _runs(kept: BoolArray) -> list[slice]:
-    """Return the runs of at least two True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(np.int8)))
-    return [slice(start, stop) for start, stop in edges.reshape(-1, 2) if stop - start > 1]

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from laci_stereo.core.frames import FloatArray
-from laci_stereo.io.images import Image
+from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.report.lines import dashes
 from laci_stereo.report.style import Colour, Stroke
 
 Rect: TypeAlias = tuple[float, float, float, float]
@@ -67,7 +67,7 @@ class Canvas:
     unit_px : float
     """
 
-    def __init__(self, image: Image, halo: Colour) -> None:
+    def __init__(self, image: Raster, halo: Colour) -> None:
         self.image = as_bgr8(image)
         self.halo = halo
         self.unit_px = float(np.sqrt(self.width * self.height)) / UNITS
@@ -75,23 +75,26 @@ class Canvas:
     @property
     def width(self) -> int:
         """Pixels."""
-        return self.image.shape[1]
+        return int(self.image.shape[1])
 
     @property
     def height(self) -> int:
         """Pixels."""
-        return self.image.shape[0]
+        return int(self.image.shape[0])
 
     def lines(self, pieces: Sequence[FloatArray], stroke: Stroke, closed: bool = False) -> None:
         """Draw lines, shape (n, 2) each, all halos below all lines."""
-        if stroke.dash is not None:
-            on_px, off_px = (length * self.unit_px for length in stroke.dash)
-            pieces = [dash for piece in pieces for dash in dashes(piece, on_px, off_px)]
-        fixed = [_fixed(piece) for piece in pieces]
-        core, rim = self._px(stroke.width), self._px(stroke.width + 2 * HALO)
-        if stroke.halo:
-            cv2.polylines(self.image, fixed, closed, self.halo, max(rim, core + 2), cv2.LINE_AA, SUBPIXEL_BITS)
-        cv2.polylines(self.image, fixed, closed, stroke.colour, core, cv2.LINE_AA, SUBPIXEL_BITS)
+        self.layers([(pieces, stroke)], closed)
+
+    def layers(self, layers: Sequence[tuple[Sequence[FloatArray], Stroke]], closed: bool = False) -> None:
+        """Draw groups of lines, shape (n, 2) each, the last one on top, but all halos below all lines."""
+        fixed = [self._in_dashes(pieces, stroke) for pieces, stroke in layers]
+        for pieces, (_, stroke) in zip(fixed, layers, strict=True):
+            if stroke.halo:
+                rim = max(self._px(stroke.width + 2 * HALO), self._px(stroke.width) + 2)
+                cv2.polylines(self.image, pieces, closed, self.halo, rim, cv2.LINE_AA, SUBPIXEL_BITS)
+        for pieces, (_, stroke) in zip(fixed, layers, strict=True):
+            cv2.polylines(self.image, pieces, closed, stroke.colour, self._px(stroke.width), cv2.LINE_AA, SUBPIXEL_BITS)
 
     def dots(self, pixels: FloatArray, colour: Colour, radius: float) -> None:
         """Draw filled circles around points, shape (n, 2), all halos below all circles."""
@@ -154,7 +157,8 @@ class Canvas:
 
     def fitting(self, text: str, width_px: float, size: float = TEXT) -> float:
         """Return the height of type, at most ``size``, at which a line is at most so wide."""
-        return size * min(1.0, width_px / max(self.text_width(text, size), 1.0))
+        share = min(1.0, width_px / max(self.text_width(text, size), 1.0))
+        return max(int(self._px(size) * share), 1) / self.unit_px if share < 1.0 else size
 
     def legend(self, entries: Sequence[Entry], at: tuple[float, float], colour: Colour) -> None:
         """Draw a legend whose upper left corner is there; its type is of this colour."""
@@ -192,6 +196,12 @@ class Canvas:
         yield part
         self.image[top:bottom, left:right] = part.image
 
+    def _in_dashes(self, pieces: Sequence[FloatArray], stroke: Stroke) -> list[npt.NDArray[np.int32]]:
+        if stroke.dash is not None:
+            on_px, off_px = (length * self.unit_px for length in stroke.dash)
+            pieces = [dash for piece in pieces for dash in dashes(piece, on_px, off_px)]
+        return [_fixed(piece) for piece in pieces]
+
     @property
     def _swatch_px(self) -> float:
         return 1.8 * TEXT * self.unit_px
@@ -214,26 +224,13 @@ class Canvas:
         return max(round(units * self.unit_px), 1)
 
 
-def as_bgr8(image: Image) -> npt.NDArray[np.uint8]:
+def as_bgr8(image: Raster) -> npt.NDArray[np.uint8]:
     """Return a copy of a picture in blue-green-red, 8 bit; 16 bit are stretched to the brightest pixel."""
-    if image.dtype == np.uint16:
-        image = cv2.convertScaleAbs(image, alpha=255.0 / max(int(image.max()), 1))
-    copied = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-    return np.ascontiguousarray(copied, dtype=np.uint8)
-
-
-def dashes(line: FloatArray, on_px: float, off_px: float) -> list[FloatArray]:
-    """Cut a line, shape (n, 2), into dashes along its length."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
-    return [
-        _between(line, along, start, min(start + on_px, along[-1])) for start in np.arange(0, along[-1], on_px + off_px)
-    ]
-
-
-def _between(line: FloatArray, along: FloatArray, start: float, stop: float) -> FloatArray:
-    inner = along[(along > start) & (along < stop)]
-    place = np.concatenate([[start], inner, [stop]])
-    return np.stack([np.interp(place, along, axis) for axis in line.T], axis=1)
+    stretch = 1.0 if image.dtype == np.uint8 else 255.0 / max(int(image.max()), 1)
+    grey_or_colour = np.asarray(cv2.convertScaleAbs(image, alpha=stretch), dtype=np.uint8)
+    if image.ndim == 3 and image.shape[2] == 3:
+        return grey_or_colour
+    return np.asarray(cv2.cvtColor(grey_or_colour, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
 
 
 def emptiest_corner(size: tuple[float, float], inside: Rect, occupied: Sequence[FloatArray]) -> tuple[float, float]:
@@ -271,4 +268,5 @@ def touches(rect: Rect, line: FloatArray) -> bool:
 
 def _fixed(pixels: FloatArray) -> npt.NDArray[np.int32]:
     """Turn pixels, shape (n, 2), into OpenCV's fixed point."""
-    return np.rint(pixels * 2**SUBPIXEL_BITS).astype(np.int32)
+    fixed: npt.NDArray[np.int32] = np.rint(pixels * 2**SUBPIXEL_BITS).astype(np.int32)
+    return fixed

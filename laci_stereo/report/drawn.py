@@ -8,12 +8,16 @@ from laci_stereo.core.box import Box
 from laci_stereo.core.frames import FloatArray, invert, transform
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.sighting import Sighting
+from laci_stereo.report.lines import runs
 
 SAME_STAMP_S = 1e-4
 """A frame's stamp in seconds has come through floating-point numbers; no two frames are so near to each other."""
 
+TRACK_STEP_S = 0.1
+"""At 50 km/h this is the length of a car's bonnet; between messages the track is a curve."""
 
-def T_world_level(calibration: Calibration) -> FloatArray:  # noqa: N802
+
+def T_world_level(calibration: Calibration) -> FloatArray:
     """Return the transform from the level frame into the world, shape (4, 4)."""
     return calibration.T_world_sensor @ invert(calibration.T_level_sensor)
 
@@ -28,14 +32,21 @@ def plan_in_world(calibration: Calibration, xy_level: FloatArray) -> FloatArray:
     return transform(T_world_level(calibration), on_ground(xy_level))[:, :2]
 
 
+def background_corners(calibration: Calibration) -> list[FloatArray]:
+    """Return the corners of the background's boxes, world, shape (4, 2) each."""
+    return [plan_in_world(calibration, static.box.corners()) for static in calibration.background.boxes]
+
+
 def sensor_track(calibration: Calibration) -> FloatArray:
     """Return the centres of the boxes that the sensor saw and that were used, world, shape (n, 2)."""
     return plan_in_world(calibration, calibration.track.centres)
 
 
-def sender_track(calibration: Calibration) -> FloatArray:
-    """Return the centres of the vehicle as its messages tell them, world, shape (n, 2)."""
-    return calibration.vehicle.xy
+def sender_track(calibration: Calibration) -> list[FloatArray]:
+    """Return where the vehicle drove as its messages tell: pieces without a gap, world, shape (n, 2) each."""
+    first_s, last_s = calibration.vehicle.stamps_s[[0, -1]]
+    xy, _, known = calibration.vehicle.at(np.append(np.arange(first_s, last_s, TRACK_STEP_S), last_s))
+    return [xy[run] for run in runs(known)]
 
 
 def sender_box(calibration: Calibration, stamp_s: float) -> Box | None:

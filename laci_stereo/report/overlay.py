@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.box import Box
-from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.core.frames import FloatArray, Raster, invert, transform
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.sighting import Sighting
-from laci_stereo.io.images import Image
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
@@ -33,7 +31,7 @@ GRID_ASIDE_M = 40.0
 """The grid ends where its squares become flat lines."""
 
 GRID_SHARE = 0.55
-LANE_WIDTH, SENDER_WIDTH, SENSOR_WIDTH, DOT_RADIUS = 2.2, 3.6, 2.0, 3.0
+LANE_WIDTH, SENDER_WIDTH, SENSOR_WIDTH, DOT_RADIUS = 2.6, 4.6, 2.2, 3.2
 """Units. The sensor's box is thinner than the sender's, which is below it: so both show where they agree."""
 
 NOMINAL_HEIGHT_M = 1.5
@@ -81,8 +79,8 @@ def overlay_stamps(calibration: Calibration) -> list[float]:
 
 
 def draw_overlay(
-    image: Image, lens: Lens, calibration: Calibration, stamp_s: float, lane_map: LaneMap | None = None
-) -> Image:
+    image: Raster, lens: Lens, calibration: Calibration, stamp_s: float, lane_map: LaneMap | None = None
+) -> Raster:
     """Draw the map, the vehicle and its tracks into an image.
 
     Where the calibration is right, the map's lines lie on those of the road, and both boxes around the vehicle.
@@ -153,7 +151,7 @@ def _label_grid(
 
 def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> list[FloatArray]:
     """Draw where the vehicle drove, by its messages and by the sensor; return the pixels."""
-    sent = camera.project_line(on_ground(sender_track(calibration)))
+    sent = [piece for track in sender_track(calibration) for piece in camera.project_line(on_ground(track))]
     canvas.lines(sent, SENDER)
     seen = camera.project(on_ground(sensor_track(calibration)))
     seen = seen[np.isfinite(seen).all(axis=1)]
@@ -163,23 +161,19 @@ def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> li
 
 def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_s: float) -> list[FloatArray]:
     """Draw the vehicle at that time, by its messages and by the sensor; return the pixels."""
-    drawn: list[FloatArray] = []
     sent, seen = sender_box(calibration, stamp_s), sighting_at(calibration, stamp_s)
     height_m = NOMINAL_HEIGHT_M if seen is None else _height_m(seen)
+    sent_edges, seen_edges = [], []
     if sent is not None:
         nose = sent.centre + np.outer([0.5 * sent.length_m, 0.5 * sent.length_m + HEADING_M], _direction(sent.yaw_rad))
-        edges = [*_edges(sent.corners(), height_m), on_ground(nose)]
-        drawn += _draw_edges(canvas, camera, edges, SENDER)
+        sent_edges = [*_edges(sent.corners(), height_m), on_ground(nose)]
     if seen is not None:
-        corners = plan_in_world(calibration, seen.box.corners())
-        drawn += _draw_edges(canvas, camera, _edges(corners, height_m), SENSOR)
-    return drawn
-
-
-def _draw_edges(canvas: Canvas, camera: Camera, edges: Sequence[FloatArray], stroke: Stroke) -> list[FloatArray]:
-    pieces = [piece for edge in edges for piece in camera.project_line(edge)]
-    canvas.lines(pieces, stroke)
-    return pieces
+        seen_edges = _edges(plan_in_world(calibration, seen.box.corners()), height_m)
+    sent_px, seen_px = (
+        [piece for edge in edges for piece in camera.project_line(edge)] for edges in (sent_edges, seen_edges)
+    )
+    canvas.layers([(sent_px, SENDER), (seen_px, SENSOR)])
+    return sent_px + seen_px
 
 
 def _height_m(seen: Sighting) -> float:
@@ -192,7 +186,7 @@ def _direction(yaw_rad: float) -> FloatArray:
 
 def _edges(corners: FloatArray, height_m: float) -> list[FloatArray]:
     """Return the twelve edges, shape (2, 3) each, of a box over four corners, shape (4, 2)."""
-    points = np.concatenate([on_ground(corners), on_ground(corners) + [0.0, 0.0, height_m]])
+    points = np.concatenate([on_ground(corners), on_ground(corners) + np.array([0.0, 0.0, height_m])])
     return [points[list(edge)] for edge in BOX_EDGES]
 
 

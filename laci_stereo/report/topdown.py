@@ -1,4 +1,317 @@
+"""The map of a calibration: where the sensor stands and looks, and both tracks of the vehicle."""
+
 from __future__ import annotations
 
+from dataclasses import dataclass
 
-def draw_topdown(calibration, lane_map=None): ...
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, Raster, transform
+from laci_stereo.core.result import Calibration
+from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect
+from laci_stereo.report.drawn import (
+    T_world_level,
+    background_corners,
+    known_stamps,
+    plan_in_world,
+    sender_box,
+    sender_track,
+    sensor_track,
+    sighting_at,
+)
+from laci_stereo.report.mapview import MapView, map_view, nice_step
+from laci_stereo.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT_GREY,
+    PURPLE,
+    SKY_BLUE,
+    VERMILLION,
+    WHITE,
+    Colour,
+    Stroke,
+    lane_strokes,
+)
+
+SIZE = (1600, 1200)
+PLOT: Rect = (105.0, 60.0, 1105.0, 1050.0)
+"""Where the map is; on its right is the legend, below it the caption."""
+
+SIDE_LEFT, SIDE_RIGHT = 1145.0, 1580.0
+
+MARKS = 10
+"""About so many moments are marked on the tracks."""
+
+TICKS = 7
+BAR_SHARE = 0.25
+"""The scale bar is at most this share of the map's width."""
+
+ARROW_SHARE = 0.12
+"""Length of the viewing direction, of the map's width."""
+
+DOT_RADIUS, SENSOR_MARK_RADIUS, SENDER_MARK_RADIUS, SENSOR_RADIUS = 2.4, 3.6, 5.4, 9.0
+"""Units. The sender's mark is larger, for it is below the sensor's: so both show where they agree."""
+
+SMALL = 0.9 * TEXT
+
+LANE = Stroke(GREY, 1.6)
+SENDER = Stroke(VERMILLION, 3.0)
+SENSOR = Stroke(BLUE, 2.0)
+BACKGROUND = Stroke(LIGHT_GREY, 1.0)
+POINTS = Stroke(SKY_BLUE, 2.0)
+ELLIPSE = Stroke(PURPLE, 2.4, halo=False)
+FRAME = Stroke(BLACK, 1.2, halo=False)
+GRID = Stroke((235, 235, 235), 1.0, halo=False)
+TIE = Stroke(BLACK, 1.2, halo=False)
+
+
+def draw_topdown(calibration: Calibration, lane_map: LaneMap | None = None) -> Raster:
+    """Draw a map, north up.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    lane_map : LaneMap
+
+    Returns
+    -------
+    ndarray of uint8, shape (1200, 1600, 3)
+    """
+    canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), halo=WHITE)
+    view = map_view(calibration, (PLOT[2] - PLOT[0], PLOT[3] - PLOT[1]))
+    with canvas.within(PLOT) as plot:
+        _draw_grid(plot, view)
+        entries = _draw_map(plot, view, calibration, lane_map)
+    _draw_axes(canvas, view)
+    _draw_side(canvas, view, calibration, entries)
+    _draw_caption(canvas, calibration)
+    return canvas.image
+
+
+@dataclass(frozen=True)
+class Mark:
+    """The vehicle at one time, world.
+
+    Attributes
+    ----------
+    stamp_s : float
+    sent, seen : ndarray, shape (2,)
+        Its centre by the messages and by the sensor.
+    corners : ndarray, shape (4, 2)
+        Of the sensor's box.
+    left : ndarray, shape (2,)
+        Unit vector to the vehicle's left.
+    """
+
+    stamp_s: float
+    sent: FloatArray
+    seen: FloatArray
+    corners: FloatArray
+    left: FloatArray
+
+
+def _marks(calibration: Calibration) -> list[Mark]:
+    """Choose sightings near to whole seconds, or to more of them in a long drive."""
+    known_s = known_stamps(calibration)
+    if len(known_s) == 0:
+        return []
+    step_s = max(nice_step(float(np.ptp(known_s)) + 1e-9, MARKS), 1.0)
+    wanted = np.arange(np.ceil(known_s[0] / step_s), np.floor(known_s[-1] / step_s) + 1) * step_s
+    nearest = np.abs(known_s[:, None] - wanted).argmin(axis=0)
+    return [_mark(calibration, float(stamp_s)) for stamp_s in known_s[np.unique(nearest)]]
+
+
+def _mark(calibration: Calibration, stamp_s: float) -> Mark:
+    sent, seen = sender_box(calibration, stamp_s), sighting_at(calibration, stamp_s)
+    assert sent is not None
+    assert seen is not None
+    corners = plan_in_world(calibration, seen.box.corners())
+    left = np.array([-np.sin(sent.yaw_rad), np.cos(sent.yaw_rad)])
+    return Mark(stamp_s, sent.centre, corners.mean(axis=0), corners, left)
+
+
+def _draw_grid(canvas: Canvas, view: MapView) -> None:
+    for axis in (0, 1):
+        for tick in _ticks(view, axis):
+            canvas.lines([_line_at(view, axis, tick)], GRID)
+
+
+def _line_at(view: MapView, axis: int, tick: float) -> FloatArray:
+    """Return the line across the map, shape (2, 2), pixels, at a coordinate."""
+    ends = np.array([[0.0, 0.0], view.size])
+    ends[:, axis] = view.pixels(np.full(2, tick))[axis]
+    return ends
+
+
+def _ticks(view: MapView, axis: int) -> FloatArray:
+    low, high = view.extent_m(axis)
+    step = nice_step(high - low, TICKS)
+    ticks: FloatArray = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+    return ticks + 0.0  # no minus zero
+
+
+def _draw_map(canvas: Canvas, view: MapView, calibration: Calibration, lane_map: LaneMap | None) -> list[Entry]:
+    """Draw all that has a place in the world; return its legend."""
+    entries = []
+    background = background_corners(calibration)
+    for corners in background:
+        canvas.area(view.pixels(corners), BACKGROUND.colour)
+        canvas.lines([view.pixels(corners)], Stroke(GREY, 1.0, halo=False), closed=True)
+    if background:
+        entries.append(Entry("static background", "area", BACKGROUND))
+    lanes = lane_strokes(lane_map, LANE.colour, LANE.width)
+    for line, stroke in lanes:
+        canvas.lines(view.line(line.xy), stroke)
+    if lanes:
+        entries.append(Entry("lane map", "line", LANE))
+    entries += _draw_vehicle(canvas, view, calibration)
+    _draw_sensor(canvas, view, calibration)
+    return entries
+
+
+def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> list[Entry]:
+    T = T_world_level(calibration)
+    for sighting in calibration.track.usable:
+        canvas.specks(view.pixels(transform(T, sighting.points)[:, :2]), POINTS.colour)
+    marks = _marks(calibration)
+    for mark in marks:
+        canvas.lines([view.pixels(mark.corners)], SENSOR, closed=True)
+    canvas.lines([piece for track in sender_track(calibration) for piece in view.line(track)], SENDER)
+    canvas.dots(view.pixels(sensor_track(calibration)), SENSOR.colour, DOT_RADIUS)
+    ellipses = [view.pixels(_ellipse(calibration, mark.seen)) for mark in marks]
+    visible = [
+        ellipse for ellipse in ellipses if np.ptp(ellipse, axis=0).max() > 2 * SENSOR_MARK_RADIUS * canvas.unit_px
+    ]
+    for mark in marks:
+        _draw_mark(canvas, view, mark)
+    canvas.lines(visible, ELLIPSE, closed=True)
+    entries = [
+        Entry("track by the CAMs", "line", SENDER),
+        Entry("track by the sensor", "dot", Stroke(SENSOR.colour, DOT_RADIUS)),
+        Entry("boxes by the sensor", "box", SENSOR),
+        Entry("points of the vehicle", "dot", POINTS),
+    ]
+    return [*entries, Entry("1σ of the position", "line", ELLIPSE)] if visible else entries
+
+
+def _draw_mark(canvas: Canvas, view: MapView, mark: Mark) -> None:
+    """Mark one time on both tracks, tie the marks together, and write the time beside the box."""
+    ends = view.pixels(np.stack([mark.sent, mark.seen]))
+    canvas.lines([ends], TIE)
+    canvas.dots(ends[:1], SENDER.colour, SENDER_MARK_RADIUS)
+    canvas.dots(ends[1:], SENSOR.colour, SENSOR_MARK_RADIUS)
+    clear_m = float(((mark.corners - mark.sent) @ mark.left).max())
+    x, y = view.pixels(mark.sent + mark.left * (clear_m + TEXT * canvas.unit_px / view.scale_px))
+    canvas.text(f"{mark.stamp_s:.0f} s", (x, y), BLACK, align="centre", size=SMALL)
+
+
+def position_covariance(calibration: Calibration, xy_world: FloatArray) -> FloatArray:
+    """Return the covariance, shape (2, 2), world, of where the calibration puts an object on the ground.
+
+    A turn about the track's centre moves an object by its distance from there.
+    """
+    dx, dy = xy_world - calibration.centre_world[:2]
+    jacobian = np.array([[0.0, 0.0, -dy, 1.0, 0.0, 0.0], [0.0, 0.0, dx, 0.0, 1.0, 0.0]])
+    covariance: FloatArray = jacobian @ calibration.covariance @ jacobian.T
+    return covariance
+
+
+def _ellipse(calibration: Calibration, xy_world: FloatArray) -> FloatArray:
+    """Return the one-sigma ellipse of an object's position, world, shape (n, 2)."""
+    variances, directions = np.linalg.eigh(position_covariance(calibration, xy_world))
+    around = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+    circle = np.column_stack([np.cos(around), np.sin(around)])
+    ellipse: FloatArray = xy_world + (circle * np.sqrt(np.maximum(variances, 0.0))) @ directions.T
+    return ellipse
+
+
+def _draw_sensor(canvas: Canvas, view: MapView, calibration: Calibration) -> None:
+    """Draw where the sensor stands and looks, and name it on the side to which it does not look."""
+    foot = view.pixels(calibration.T_world_sensor[:2, 3])
+    looks = (calibration.T_world_sensor[:3, :3] @ np.array(calibration.axes.forward))[:2] * [1.0, -1.0]
+    looks /= max(float(np.linalg.norm(looks)), 1e-12)
+    _draw_arrow(canvas, foot, foot + looks * ARROW_SHARE * view.size[0], BLACK)
+    canvas.dots(foot[None], BLACK, SENSOR_RADIUS)
+    aside = canvas.text_width("sensor", bold=True) / 2 + SENSOR_RADIUS * canvas.unit_px
+    x = float(np.clip(foot[0], aside, view.size[0] - aside))
+    below = 1.0 if looks[1] < 0 else -1.0
+    canvas.text("sensor", (x, foot[1] + below * 1.3 * TEXT * canvas.unit_px), BLACK, align="centre", bold=True)
+
+
+def _draw_arrow(canvas: Canvas, start: FloatArray, tip: FloatArray, colour: Colour) -> None:
+    along = (tip - start) / max(float(np.linalg.norm(tip - start)), 1e-12)
+    across = np.array([-along[1], along[0]])
+    length = 0.9 * TEXT * canvas.unit_px
+    head = np.stack([tip, tip - length * (along + 0.45 * across), tip - length * (along - 0.45 * across)])
+    canvas.lines([np.stack([start, tip - 0.8 * length * along])], Stroke(colour, 3.0))
+    canvas.area(head, colour)
+
+
+def _draw_axes(canvas: Canvas, view: MapView) -> None:
+    """Draw the frame of the map, and the ticks of both axes, metres."""
+    left, top, right, bottom = PLOT
+    canvas.lines([np.array([[left, top], [right, top], [right, bottom], [left, bottom]])], FRAME, closed=True)
+    length = 0.35 * TEXT * canvas.unit_px
+    room = 0.8 * TEXT * canvas.unit_px
+    for tick in _ticks(view, 0):
+        x = left + view.pixels(np.array([tick, 0.0]))[0]
+        canvas.lines([np.array([[x, bottom], [x, bottom + length]])], FRAME)
+        canvas.text(f"{tick:g}", (x, bottom + length + room), BLACK, align="centre", size=SMALL)
+    for tick in _ticks(view, 1):
+        y = top + view.pixels(np.array([0.0, tick]))[1]
+        canvas.lines([np.array([[left - length, y], [left, y]])], FRAME)
+        canvas.text(f"{tick:g}", (left - 2 * length, y), BLACK, align="right", size=SMALL)
+    canvas.text("y, north [m]", (left - 2 * room, top - 1.2 * room), BLACK, size=SMALL)
+    canvas.text("x, east [m]", (right, bottom + length + 2.4 * room), BLACK, size=SMALL, align="right")
+
+
+def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries: list[Entry]) -> None:
+    """Draw north, the scale and the legend beside the map, and what the calibration says in numbers."""
+    top, line = PLOT[1], LINE_HEIGHT * TEXT * canvas.unit_px
+    x = SIDE_LEFT + line
+    _draw_arrow(canvas, np.array([x, top + 2.6 * line]), np.array([x, top + 0.9 * line]), BLACK)
+    canvas.text("N", (x, top + 0.4 * line), BLACK, align="centre", bold=True)
+    _draw_bar(canvas, view, (SIDE_LEFT + 3.0 * line, top + 2.0 * line))
+    canvas.legend(entries, (SIDE_LEFT, top + 3.6 * line), BLACK)
+    y = top + (4.6 + len(entries)) * line
+    facts = _facts(calibration)
+    size = min(canvas.fitting(text, SIDE_RIGHT - SIDE_LEFT, SMALL) for text in facts)
+    for text in facts:
+        canvas.text(text, (SIDE_LEFT, y), BLACK, size=size)
+        y += line
+
+
+def _draw_bar(canvas: Canvas, view: MapView, at: tuple[float, float]) -> None:
+    """Draw the scale bar, its left end there."""
+    wanted_m = BAR_SHARE * view.size[0] / view.scale_px
+    length_m = max(step for step in (nice_step(wanted_m, parts) for parts in (1, 2, 3, 5, 10)) if step <= wanted_m)
+    x, y = at
+    end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
+    bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])
+    canvas.lines([bracket], Stroke(BLACK, 2.0, halo=False))
+    canvas.text(f"{length_m:g} m", ((x + end) / 2, y - 2.6 * height), BLACK, align="centre")
+
+
+def _facts(calibration: Calibration) -> list[str]:
+    east, north = calibration.T_utm_sensor[:2, 3]
+    angles, quality = calibration.viewing_angles, calibration.quality
+    return [
+        f"sensor at E {east:.2f} m",
+        f"N {north:.2f} m, height {calibration.height_m:.2f} m",
+        f"looks to {(90.0 - angles.yaw_deg) % 360.0:.1f}°, {angles.down_deg:.1f}° down",
+        f"station {calibration.station_id}, {quality.frames_used} frames used",
+        f"verdict: {quality.verdict}, method: {calibration.method}",
+        f"objects placed to ±{quality.track_xy_sigma_m:.2f} m (1σ)",
+    ]
+
+
+def _draw_caption(canvas: Canvas, calibration: Calibration) -> None:
+    world = calibration.world
+    text = (
+        f"World frame: metres east and north of E {world.origin_utm[0]:.0f} m, N {world.origin_utm[1]:.0f} m in "
+        f"{world.crs} (UTM); grid scale {world.grid_scale:.6f}. Times since the first frame."
+    )
+    size = canvas.fitting(text, SIDE_RIGHT - PLOT[0], SMALL)
+    canvas.text(text, (PLOT[0], SIZE[1] - 1.2 * TEXT * canvas.unit_px), BLACK, size=size)

@@ -11,10 +11,10 @@ import numpy as np
 
 from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.stereo.refine import refine
 from laci_stereo.stereo.settings import StereoSettings
 
 SATURATED = 254
-REFINE_STEPS = 2
 MIN_MATCHED_SHARE = 0.1
 
 
@@ -69,8 +69,8 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
 
     Semi-global matching (Hirschmueller, PAMI 2008; OpenCV's variant) gives whole pixels and rejects what is
     ambiguous, inconsistent between left and right, or a speckle. Its fraction of a pixel is biased towards whole
-    numbers and fronto-parallel surfaces, so the shift is estimated again by least squares over a window (Lucas and
-    Kanade, IJCAI 1981), whose information also tells the noise and which pixels have no texture.
+    numbers and fronto-parallel surfaces, so it is estimated again; that also tells the noise and which pixels have no
+    texture.
 
     Parameters
     ----------
@@ -96,15 +96,16 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
         speckleWindowSize=settings.speckle_px,
         speckleRange=2,
     )
-    coarse = matcher.compute(left, right).astype(np.float32) / 16
+    coarse = (matcher.compute(left, right).astype(np.float32) / 16)[:, region.reach :]
+    own = np.ascontiguousarray(left[:, region.reach :])
     found = coarse >= region.smallest
-    refined, variance = _refine(left.astype(np.float32), right.astype(np.float32), coarse, found, settings)
-    sigma = np.sqrt(variance + settings.disparity_floor_px**2)
-    white = cv2.blur((left >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
+    refined = refine(own, right, region.reach, coarse, found, settings.refine_window_px)
+    sigma = np.sqrt(refined.variance + settings.disparity_floor_px**2)
+    white = cv2.blur((own >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
     # A shift of a pixel or more means that the window holds something else than the matched surface.
-    keep = found & (np.abs(refined - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
-    values = np.where(keep, refined, np.nan)
-    return Disparity(values[:, region.reach :].astype(np.float64), sigma[:, region.reach :].astype(np.float64))
+    keep = found & (np.abs(refined.values - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
+    values = np.where(keep, refined.values, np.nan)
+    return Disparity(values.astype(np.float64), sigma.astype(np.float64))
 
 
 def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], settings: StereoSettings) -> None:
@@ -134,29 +135,3 @@ def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], 
         f"{folder}: after rectification {share:.1%} of the pixels match between left and right; "
         f"needed are {MIN_MATCHED_SHARE:.0%}; {hint}"
     )
-
-
-def _refine(
-    left: Raster, right: Raster, coarse: Raster, found: Raster, settings: StereoSettings
-) -> tuple[Raster, Raster]:
-    """Return disparities that minimise the squared difference over a window, and their variance.
-
-    The variance is that of least squares: the mean squared residual over the sum of squared gradients. A window's
-    own residual counts where it is larger than the image's typical one: occlusion, gloss, another surface.
-    """
-    side = (settings.refine_window_px, settings.refine_window_px)
-    height, width = left.shape
-    u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    weight = found.astype(np.float32)
-    slope_left = cv2.Scharr(left, cv2.CV_32F, 1, 0, scale=1 / 32)
-    disparity = coarse
-    for _ in range(REFINE_STEPS):
-        warped = cv2.remap(right, u - disparity, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        slope = (slope_left + cv2.Scharr(warped, cv2.CV_32F, 1, 0, scale=1 / 32)) * (weight / 2)
-        apart = left - warped
-        information = cv2.boxFilter(slope * slope, -1, side, normalize=False) + 1e-3
-        step = cv2.boxFilter(slope * apart, -1, side, normalize=False) / information
-        disparity = disparity - np.clip(step, -0.5, 0.5)
-    residual = cv2.blur(apart * apart * weight, side) / np.maximum(cv2.blur(weight, side), 1e-3)
-    typical = np.median(residual[found]) if found.any() else 0.0
-    return disparity, np.maximum(residual, typical) / information

@@ -18,6 +18,9 @@ log = logging.getLogger(__name__)
 MAX_BAD_SHARE = 0.2
 """A larger share of unreadable frames is an error."""
 
+FILLED_BITS = (10, 12, 14, 16)
+"""What cameras with 16-bit images fill of them."""
+
 
 class GreyReader:
     """Reads raw images of one rig.
@@ -40,7 +43,7 @@ class GreyReader:
             self._check_size(path, image)
         except ImageError as error:
             if path not in self.skipped:
-                log.warning("%s", error)
+                log.info("%s", error)
             self.skipped[path] = str(error)
             return None
         return self.grey(image)
@@ -59,13 +62,13 @@ class GreyReader:
         return cv2.cvtColor(self.grey(image), cv2.COLOR_GRAY2BGR)
 
     def grey(self, image: Raster) -> Raster:
-        """Return raw values as 8-bit grey; 16-bit cameras fill 10, 12, 14 or all bits, which the first image tells."""
+        """Return raw values as 8-bit grey; how many of 16 bits are filled, the first image tells."""
         if image.ndim == 3:
             image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         if image.dtype == np.uint8:
             return image
         if self._scale is None:
-            self._scale = 255.0 / (2.0 ** np.ceil(np.log2(float(image.max()) + 1.0)) - 1.0)
+            self._scale = 255.0 / next(2**bits - 1 for bits in FILLED_BITS if int(image.max()) < 2**bits)
         return cv2.convertScaleAbs(image, alpha=self._scale)
 
     def check(self, attempted: int) -> None:

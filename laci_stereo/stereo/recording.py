@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.cloud import PointCloud, empty_cloud
-from laci_stereo.core.errors import ImageError
+from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import OPENCV_AXES, Axes, BoolArray, FloatArray, IntArray, Raster
 from laci_stereo.core.ground import fit_ground
 from laci_stereo.core.settings import GroundSettings
@@ -95,6 +95,7 @@ class StereoRecording:
         self.pairs = pairs
         self.settings = settings or StereoSettings()
         self.rig = already_rectified(rig) if self.settings.rectified else rig
+        _check_disparities(self.settings, self.rig)
         self.reader = GreyReader(self.rig)
         self._ground = ground or GroundSettings()
         self._background = background
@@ -145,18 +146,16 @@ class StereoRecording:
         look = learn_look([image for _, image in usable])
         ranked = sorted(usable, key=lambda item: float(look.changed(item[1]).mean()))
         quiet = sorted((pair for pair, _ in ranked[:SURVEY_FRAMES]), key=lambda pair: pair.stamp_ns)
-        return Scene(look, self._first_look(ranked[0][0]), tuple(quiet))
+        return Scene(look, self._first_look([pair for pair, _ in ranked]), tuple(quiet))
 
     def _shrunken(self, pair: StereoPair) -> Raster | None:
         image = self.reader.read(pair.left)
         return None if image is None else shrink(self.rectification.left.look_up(image))
 
-    def _first_look(self, pair: StereoPair) -> RoadDisparity:
-        """Find the road in one shrunken pair, with every disparity that is possible at all."""
+    def _first_look(self, pairs: Sequence[StereoPair]) -> RoadDisparity:
+        """Find the road in the first usable pair, shrunken, with every disparity that is possible at all."""
         plane = self.rectification
-        left, right = self.reader.read(pair.left), self.reader.read(pair.right)
-        if left is None or right is None:
-            raise ImageError(self.reader.first_complaint())
+        pair, left, right = self._first_usable(pairs)
         factor = max(plane.size[0] // COARSE_WIDTH, 1)
         small = (plane.size[0] // factor, plane.size[1] // factor)
         largest = min(int(plane.focal_px * plane.baseline_m / NEAREST_M / factor), small[0])
@@ -179,6 +178,14 @@ class StereoRecording:
         ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, self.axes.up, self._ground)
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
         return RoadDisparity.of(ground, plane)
+
+    def _first_usable(self, pairs: Sequence[StereoPair]) -> tuple[StereoPair, Raster, Raster]:
+        for pair in pairs:
+            left, right = self.reader.read(pair.left), self.reader.read(pair.right)
+            if left is not None and right is not None:
+                return pair, left, right
+        self.reader.check(len(pairs))
+        raise ImageError(self.reader.first_complaint())
 
     def _whole_cloud(self, pair: StereoPair) -> PointCloud | None:
         left, right = self.reader.read(pair.left), self.reader.read(pair.right)
@@ -241,6 +248,13 @@ class StereoRecording:
             sigma_across_m=depth * (POINTING_SIGMA_PX / plane.focal_px),
             at_edge=~inner,
         )
+
+
+def _check_disparities(settings: StereoSettings, rig: StereoRig) -> None:
+    width, _ = rig.left.size
+    if settings.disparities is not None and settings.disparities[1] >= width:
+        smallest, largest = settings.disparities
+        raise SettingError(f"disparities are {smallest}..{largest}; needed is less than the images' width, {width}")
 
 
 def spread(items: Sequence[Item], count: int) -> list[Item]:

@@ -21,6 +21,13 @@ CHANGE_SIGMAS = 5.0
 MIN_NOISE = 0.5
 """Standard deviation of a grey value at least: rounding alone is 0.3, and both images are rounded."""
 
+WHITE = np.float32(255.0)
+
+SAMPLE_STRIDE = 4
+"""Every fourth pixel in both directions tells the gain as well as all."""
+
+MIN_GAIN = 1e-3
+
 BLEED_PX = 12
 """Around a change by so much (full size) the matcher's and the refinement's windows still touch what moved."""
 
@@ -49,11 +56,12 @@ class Look:
     def changed(self, shrunken: Raster) -> BoolArray:
         """Return where an image differs from the scene at rest, at the shrunken size, holes filled.
 
-        The light may have changed since: one gain for the whole image is taken out first.
+        The light may have changed since: one gain for the whole image is put in first, and what was brighter than the
+        camera can tell stays so.
         """
-        image = shrunken.astype(np.float32)
-        gain = float(np.median(image / np.maximum(self.image, 1.0)))
-        apart = np.abs(image / max(gain, 1e-3) - self.image) > CHANGE_SIGMAS * self.noise
+        gain = _gain(shrunken, self.image)
+        expected = np.minimum(gain * self.image, WHITE)
+        apart = cv2.absdiff(shrunken.astype(np.float32), expected) > CHANGE_SIGMAS * max(gain, 1.0) * self.noise
         mask = cv2.morphologyEx(apart.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
         reach = 2 * (BLEED_PX // SHRINK) + 1
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
@@ -68,13 +76,27 @@ def shrink(image: Raster) -> Raster:
 
 
 def learn_look(shrunken: list[Raster]) -> Look:
-    """Take the median of frames from all over the recording, and the noise of each pixel from its deviations."""
-    stack = np.stack(shrunken).astype(np.float32)
+    """Take the median of frames from all over the recording, and the noise of each pixel from its deviations.
+
+    All frames are brought to the light of the brightest first.
+    """
+    brightest = max(shrunken, key=_brightness)
+    stack = np.stack([np.minimum(image / np.float32(_gain(image, brightest)), WHITE) for image in shrunken])
     median = np.median(stack, axis=0)
     deviation = 1.4826 * np.median(np.abs(stack - median), axis=0)
     # Where fewer than half of the frames deviate, the median deviation may be zero: no pixel is better than most.
     typical = max(float(np.median(deviation)), MIN_NOISE)
     return Look(median, np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical))
+
+
+def _brightness(image: Raster) -> float:
+    return float(np.median(image[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]))
+
+
+def _gain(image: Raster, reference: Raster) -> float:
+    """Return by how much an image is brighter than another one of the same scene: the median over pixels."""
+    one, other = (each[::SAMPLE_STRIDE, ::SAMPLE_STRIDE].astype(np.float32) for each in (image, reference))
+    return max(float(np.median(one / np.maximum(other, 1.0))), MIN_GAIN)
 
 
 @dataclass(frozen=True)
@@ -113,13 +135,22 @@ class RoadDisparity:
 
 
 def regions(changed: BoolArray, size: tuple[int, int], road: RoadDisparity) -> list[Region]:
-    """Put rectangles around what has changed, at full size, with the disparities that each can hold."""
+    """Put rectangles around what has changed, at full size, with the disparities that each can hold.
+
+    Rectangles that overlap become one, so that no pixel is matched twice.
+    """
     width, height = size
-    grown = cv2.dilate(changed.astype(np.uint8), np.ones((2 * BLEED_PX // SHRINK + 1,) * 2, np.uint8))
-    count, _, stats, _ = cv2.connectedComponentsWithStats(grown)
+    covered = cv2.dilate(changed.astype(np.uint8), np.ones((2 * BLEED_PX // SHRINK + 1,) * 2, np.uint8))
+    while True:
+        stats = cv2.connectedComponentsWithStats(covered)[2][1:, :4]
+        rectangles = np.zeros_like(covered)
+        for x, y, w, h in stats:
+            rectangles[y : y + h, x : x + w] = 1
+        if np.array_equal(rectangles, covered):
+            break
+        covered = rectangles
     found = []
-    for index in range(1, count):
-        x, y, w, h = (int(value) * SHRINK for value in stats[index, :4])
-        x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
+    for x, y, w, h in SHRINK * stats.astype(int):
+        x0, y0, x1, y1 = int(x), int(y), min(int(x + w), width), min(int(y + h), height)
         found.append(Region(x0, y0, x1, y1, *road.range(x0, y0, x1, y1)))
     return found

@@ -103,8 +103,8 @@ def test_principal_axes_from_all_points_go_astray_where_the_fit_does_not() -> No
 
 
 def test_most_points_are_sometimes_on_a_wall_where_the_fit_is_not() -> None:
-    scenes = [ground_scene(seed, "stereo", tilt_deg=10.0, height_m=6.0) for seed in range(8)]
-    on_wall = [s for i, s in enumerate(scenes) if angle_deg(plain_ransac(s.points, i), s.normal) > 45.0]
+    scenes = [ground_scene(seed, "lidar", tilt_deg=10.0, height_m=6.0) for seed in range(8)]
+    on_wall = [s for s in scenes if angle_deg(plain_ransac(s.points, 0), s.normal) > 45.0]
     assert on_wall
     for scene in on_wall:
         assert angle_deg(fitted(scene).normal, scene.normal) < MOST_DEG
@@ -118,19 +118,21 @@ def test_walls_alone_are_no_ground(kind: str) -> None:
             fitted(scene)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_covariance_tells_the_error(kind: str) -> None:
-    """Three unit variances add up to 3; with 24 scenes the mean of their sum scatters by 0.5."""
-    scenes = [ground_scene(seed, kind, pavements=False) for seed in range(2000, 2024)]
-    errors = np.array([standardised_error(s, fitted(s)) for s in scenes])
+@pytest.fixture(scope="module", params=KINDS)
+def clean_fits(request: pytest.FixtureRequest) -> list[tuple[GroundScene, GroundPlane]]:
+    """Scenes in which nothing is only slightly above the road, and what was found in them."""
+    scenes = [ground_scene(seed, request.param, pavements=False) for seed in range(2000, 2020)]
+    return [(scene, fitted(scene)) for scene in scenes]
+
+
+def test_covariance_tells_the_error(clean_fits: list[tuple[GroundScene, GroundPlane]]) -> None:
+    """Three unit variances add up to 3; the mean of 20 such sums scatters by 0.6."""
+    errors = np.array([standardised_error(scene, plane) for scene, plane in clean_fits])
     assert 1.0 < np.mean(np.sum(errors**2, axis=1)) < 6.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_height_is_unbiased_where_nothing_is_slightly_above_the_road(kind: str) -> None:
-    scenes = [ground_scene(seed, kind, pavements=False) for seed in range(2000, 2024)]
-    errors = np.array([fitted(s).height_m - s.height_m for s in scenes])
-    errors /= np.array([s.height_m for s in scenes])
+def test_height_is_unbiased_on_a_clean_road(clean_fits: list[tuple[GroundScene, GroundPlane]]) -> None:
+    errors = np.array([plane.height_m / scene.height_m - 1.0 for scene, plane in clean_fits])
     assert abs(errors.mean()) < 3.0 * errors.std(ddof=1) / np.sqrt(len(errors))
 
 
@@ -151,7 +153,7 @@ def road(noise_m: float = 0.02, height_m: float = 5.0, n: int = 8000) -> tuple[F
     return points, np.full(n, noise_m), 1e-4 * ranges[:, 0]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     axis=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda a: np.linalg.norm(a) > 0.1),
     turn=st.floats(-np.pi, np.pi),
@@ -245,6 +247,21 @@ def test_a_tilt_beyond_the_settings_is_refused() -> None:
     assert fit_ground(points @ R.T, along, across, (0.0, 0.0, 1.0)).height_m == pytest.approx(5.0, abs=0.01)
     with pytest.raises(GroundError, match=r"found.*needed"):
         fit_ground(points @ R.T, along, across, (0.0, 0.0, 1.0), GroundSettings(max_tilt_deg=15.0))
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        (GroundSettings(min_cells=5000), r"cells of 0.05 rad on the best plane: \d+ found, at least 5000 needed"),
+        (GroundSettings(min_support_share=1.01), r"supports the best plane: \d+\.\d % found, at least 101 % needed"),
+        (GroundSettings(max_tilt_sigma_deg=1e-5), r"plane's tilt: 0\.\d\d deg found, at most 1e-05 deg needed"),
+        (GroundSettings(min_height_m=5.5), "found.*needed"),
+        (GroundSettings(max_height_m=4.5), "found.*needed"),
+    ],
+)
+def test_weak_support_is_refused(limit: GroundSettings, message: str) -> None:
+    with pytest.raises(GroundError, match=message):
+        fit_ground(*road(), (0.0, 0.0, 1.0), limit)
 
 
 def with_value(array: FloatArray, index: int, value: float) -> FloatArray:

@@ -1,0 +1,89 @@
+"""Which part of the world a map shows, and where it is in the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.result import Calibration
+from laci_stereo.report.drawn import background_corners, sensor_track
+from laci_stereo.report.lines import clip_slab
+
+NEAR_BACKGROUND_M = 12.0
+"""Background that is nearer than this to the track or the sensor widens the picture; what is farther does not."""
+
+MARGIN_SHARE = 0.08
+LEAST_EXTENT_M = 20.0
+
+NICE = np.array([1.0, 2.0, 5.0])
+
+
+@dataclass(frozen=True)
+class MapView:
+    """A part of the world, north up, and where it is in a picture.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (2,)
+        World, metres.
+    scale_px : float
+        Pixels per metre.
+    size : tuple of float
+        Width and height, pixels.
+    """
+
+    centre: FloatArray
+    scale_px: float
+    size: tuple[float, float]
+
+    def pixels(self, xy: FloatArray) -> FloatArray:
+        """Map points of the world, shape (..., 2), to pixels from the upper left corner."""
+        moved: FloatArray = (xy - self.centre) * [self.scale_px, -self.scale_px] + np.array(self.size) / 2
+        return moved
+
+    def line(self, xy: FloatArray) -> list[FloatArray]:
+        """Return the pieces of a line, shape (n, 2), world, that are in view, in pixels."""
+        return [
+            self.pixels(piece)
+            for part in clip_slab(xy, 0, *self.extent_m(0))
+            for piece in clip_slab(part, 1, *self.extent_m(1))
+        ]
+
+    def extent_m(self, axis: int) -> tuple[float, float]:
+        """Return the least and the greatest coordinate in view, of x (0) or y (1)."""
+        half = self.size[axis] / 2 / self.scale_px
+        return float(self.centre[axis] - half), float(self.centre[axis] + half)
+
+
+def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
+    """Choose the part of the world with the sensor, the vehicle where it was seen, and what stands near to them."""
+    shown = np.concatenate(
+        [sensor_track(calibration), _seen_sender(calibration), calibration.T_world_sensor[None, :2, 3]]
+    )
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    corners = [corner for box in background_corners(calibration) if _near(box, low, high) for corner in box]
+    shown = np.concatenate([shown, np.array(corners).reshape(-1, 2)])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    extent = np.maximum((1 + 2 * MARGIN_SHARE) * (high - low), LEAST_EXTENT_M)
+    return MapView((low + high) / 2, float((np.array(size) / extent).min()), size)
+
+
+def nice_step(span: float, count: int) -> float:
+    """Return the smallest of 1, 2 or 5 times a power of ten that divides a span into at most ``count`` parts."""
+    least = span / count
+    steps = NICE * 10.0 ** np.floor(np.log10(least))
+    return float(next((step for step in steps if step >= least * (1 - 1e-9)), 10 * steps[0]))
+
+
+def _near(corners: FloatArray, low: FloatArray, high: FloatArray) -> bool:
+    """Tell whether all of a background box, shape (4, 2), is near the upright rectangle from low to high."""
+    return bool((corners > low - NEAR_BACKGROUND_M).all() and (corners < high + NEAR_BACKGROUND_M).all())
+
+
+def _seen_sender(calibration: Calibration) -> FloatArray:
+    """Return the track of the messages while the vehicle was seen, world, shape (n, 2)."""
+    xy, _, known = calibration.vehicle.at(calibration.track.stamps_s + calibration.time_offset_s)
+    seen: FloatArray = xy[known]
+    return seen

@@ -1,0 +1,68 @@
+"""The points' own times within a scan: any unit, counted from the scan's stamp, from 1970 or from anywhere."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+import numpy as np
+
+from laci_lidar.columns import Column
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.io.stamps import UNITS, TimeUnit
+
+LONGEST_S = 1.0
+"""A sweep lasts 0.02 to 1 s. Units are a thousand apart, so that its length fits exactly one of them."""
+
+FAR_FROM_STAMP_S = 2.0
+"""A sweep begins or ends at its stamp; times that are farther from it are of another clock."""
+
+FINEST_SHARE = 0.02
+"""Numbers whose rounding is coarser than this share of a sweep, such as Unix seconds as float32, are no times."""
+
+
+def offsets_s(times: Column, stamp_ns: int | None) -> FloatArray | None:
+    """Return the time of each point after the scan's stamp.
+
+    The unit follows from how long the whole scan takes. Times around zero count from the stamp; times around the stamp
+    are Unix times; any others are of a clock of their own, and the first of them is taken to be at the stamp.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Finite, n > 0.
+    stamp_ns : int or None
+        The scan's Unix time, nanoseconds.
+
+    Returns
+    -------
+    ndarray, shape (n,), seconds; None if all times are the same, or are no times of one scan.
+    """
+    first = times.min()
+    if times.dtype.kind == "f":
+        since_first = times.astype(np.float64) - float(first)
+        rounding = float(np.spacing(np.abs(times).max()))
+    else:
+        since_first = (times - first).astype(np.uint64).astype(np.float64)
+        rounding = 0.0
+    span = float(since_first.max())
+    unit = _unit(span)
+    if unit is None or rounding > FINEST_SHARE * span:
+        return None
+    second = 10**9 / unit.ns
+    return since_first / second + _start_s(first, unit, stamp_ns)
+
+
+def _unit(span: float) -> TimeUnit | None:
+    """Return the unit in which a scan of this length lasts at most `LONGEST_S`, but more than a thousandth of that."""
+    fits = (unit for unit in UNITS if LONGEST_S / 1000 < span * unit.ns / 1e9 <= LONGEST_S)
+    return next(fits, None)
+
+
+def _start_s(first: np.generic, unit: TimeUnit, stamp_ns: int | None) -> float:
+    """Return the first point's time after the stamp."""
+    first_ns = int(Decimal(first.item()) * unit.ns)
+    if abs(first_ns) <= LONGEST_S * 1e9:
+        return first_ns / 1e9
+    if stamp_ns is not None and abs(first_ns - stamp_ns) <= FAR_FROM_STAMP_S * 1e9:
+        return (first_ns - stamp_ns) / 1e9
+    return 0.0

@@ -1,0 +1,118 @@
+"""Reading one scan from a file of any format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from laci_lidar.arrays import read_bin, read_npy, read_npz
+from laci_lidar.columns import Columns
+from laci_lidar.errors import ScanError
+from laci_lidar.pcd import is_pcd, read_pcd
+from laci_lidar.ply import is_ply, read_ply
+from laci_lidar.scan import Scan, scan_of
+
+LARGEST_FILE = 1 << 30
+"""A scan of ten million points with ten fields; what is larger is a whole recording."""
+
+_HEAD = 512
+
+
+@dataclass(frozen=True)
+class ScanFormat:
+    """A format of one scan.
+
+    Attributes
+    ----------
+    name : str
+    suffixes : tuple of str
+        Of file names, lower case.
+    begins : callable
+        Tells the format by a file's first bytes.
+    read : callable
+        Returns the columns in a file's content; the second argument names the file in errors.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    begins: Callable[[bytes], bool]
+    read: Callable[[bytes, str], Columns]
+
+
+def _read_las(content: bytes, what: str) -> Columns:
+    try:
+        from laci_lidar.las import read_las
+    except ImportError as problem:
+        raise ScanError(
+            f"{what}: reading LAS and LAZ needs the extra 'las' ({problem.name} is not installed); "
+            "needed is pip install 'laci-stereo[las]'"
+        ) from problem
+    return read_las(content, what)
+
+
+KITTI_FORMAT = ScanFormat("KITTI", (".bin",), lambda _: False, read_bin)
+"""Bare numbers: nothing in the content tells them."""
+
+FORMATS = (
+    ScanFormat("PCD", (".pcd",), is_pcd, read_pcd),
+    ScanFormat("PLY", (".ply",), is_ply, read_ply),
+    ScanFormat("LAS", (".las", ".laz"), lambda head: head.startswith(b"LASF"), _read_las),
+    ScanFormat("npy", (".npy",), lambda head: head.startswith(b"\x93NUMPY"), read_npy),
+    ScanFormat("npz", (".npz",), lambda head: head.startswith(b"PK\x03\x04"), read_npz),
+    KITTI_FORMAT,
+)
+
+SUFFIXES = frozenset(suffix for known in FORMATS for suffix in known.suffixes)
+
+
+def read_scan(path: Path, stamp_ns: int | None = None) -> Scan:
+    """Read a scan: PCD, PLY, LAS, LAZ, KITTI's .bin, .npy or .npz.
+
+    The content tells the format; KITTI's, which has no mark, is told by the name.
+
+    Parameters
+    ----------
+    path : Path
+    stamp_ns : int or None
+        The scan's Unix time, nanoseconds, which the points' own times may refer to.
+
+    Raises
+    ------
+    ScanError
+        If it is missing, damaged, of another format than its name says, or holds no points in metres.
+    """
+    what = str(path)
+    content = _content(path)
+    return scan_of(_format(content, path).read(content, what), what, stamp_ns)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise ScanError(f"{path} has {size} bytes; needed are at most {LARGEST_FILE} for a single scan")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ScanError(f"{path} does not exist; needed is a scan") from None
+    except (OSError, ValueError) as problem:
+        found = "is a folder" if path.is_dir() else getattr(problem, "strerror", None) or str(problem)
+        raise ScanError(f"{path} cannot be read: {found}; needed is a scan") from problem
+    if not content:
+        raise ScanError(f"{path} is empty (0 bytes); needed is a scan")
+    return content
+
+
+def _format(content: bytes, path: Path) -> ScanFormat:
+    head = content[:_HEAD]
+    found = next((known for known in FORMATS if known.begins(head)), None)
+    told = next((known for known in FORMATS if path.suffix.lower() in known.suffixes), None)
+    if found is not None and told is not None and found is not told:
+        raise ScanError(
+            f"{path} is a {found.name} file by its content; needed is {told.name} as its name says, or a name that "
+            f"ends in {found.suffixes[0]}"
+        )
+    if found is None and told is not KITTI_FORMAT:
+        named = f"no {told.name} file" if told is not None else "of no known format"
+        raise ScanError(f"{path} is {named}: it begins with {head[:8]!r}; needed is PCD, PLY, LAS, LAZ, .bin, .npy or .npz")
+    return found or KITTI_FORMAT

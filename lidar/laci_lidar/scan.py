@@ -1,0 +1,130 @@
+"""One scan: points in metres in the sensor frame, with the time and the intensity of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_lidar.columns import Column, Columns
+from laci_lidar.errors import ScanError
+from laci_lidar.point_times import offsets_s
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.io.text_file import listed
+
+NO_RETURN_M = 0.01
+"""A point nearer to the sensor's origin than this is how scanners write that nothing came back."""
+
+FARTHEST_M = 1000.0
+"""No roadside LiDAR sees farther: what is, is a mark for a beam without return; where most is, it is no metres."""
+
+TIME_NAMES = (
+    "t",
+    "time",
+    "timestamp",
+    "offsettime",
+    "timeoffset",
+    "timestampoffset",
+    "offsettimestamp",
+    "deltatime",
+    "relativetime",
+    "reltime",
+    "pointtime",
+    "gpstime",
+    "ts",
+    "timens",
+    "timeus",
+    "timestampns",
+)
+"""Names of a point's own time, in lower case and without underscores."""
+
+INTENSITY_NAMES = ("intensity", "i", "reflectivity", "reflectance", "scalarintensity", "remission", "signal")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One scan.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3)
+        In the sensor frame, metres, finite; beams without return are left out.
+    intensity : ndarray, shape (n,), or None
+        In the sensor's own unit.
+    offset_s : ndarray, shape (n,), or None
+        Each point's own time after the scan's stamp, seconds.
+    """
+
+    points: FloatArray
+    intensity: FloatArray | None = None
+    offset_s: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        assert self.points.shape == (n, 3), self.points.shape
+        assert self.intensity is None or self.intensity.shape == (n,)
+        assert self.offset_s is None or self.offset_s.shape == (n,)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
+    """Make a scan of what was found in a file or a message.
+
+    Parameters
+    ----------
+    columns : Columns
+        With ``x``, ``y`` and ``z`` in metres at least; capitals do not matter.
+    what : str
+        The file or message, for errors.
+    stamp_ns : int or None
+        The scan's time, which the points' own times may count from or not. None: unknown.
+
+    Raises
+    ------
+    ScanError
+        If there are no coordinates, no point with a return, or the coordinates are no metres.
+    """
+    plain = {name.lower().replace("_", "").replace(" ", ""): column for name, column in columns.items()}
+    missing = [axis for axis in "xyz" if axis not in plain or plain[axis].ndim != 1 or plain[axis].dtype.kind not in "fiu"]
+    if missing:
+        raise ScanError(f"{what} has the fields {listed(list(columns)) or '(none)'}; needed are x, y and z")
+    if len(plain["x"]) == 0:
+        raise ScanError(f"{what} is empty: it has 0 points")
+    points = np.column_stack([plain[axis].astype(np.float64) for axis in "xyz"])
+    times = _first(plain, TIME_NAMES)
+    keep, range_m = _returns(points, what)
+    if times is not None:
+        keep &= np.isfinite(times)
+    median_m = float(np.median(range_m[keep])) if keep.any() else 0.0
+    if median_m > FARTHEST_M:
+        raise ScanError(
+            f"{what}: the median distance of its points is {median_m:.4g} m; needed is at most {FARTHEST_M:.0f} m: are "
+            "these millimetres, or coordinates on a map?"
+        )
+    keep &= range_m <= FARTHEST_M
+    if not keep.any():
+        raise ScanError(f"{what}: 0 of {len(points)} points have a return; needed are finite coordinates off the origin")
+    intensity = _first(plain, INTENSITY_NAMES)
+    return Scan(
+        points[keep],
+        None if intensity is None else intensity[keep].astype(np.float64),
+        None if times is None else offsets_s(times[keep], stamp_ns),
+    )
+
+
+def _returns(points: FloatArray, what: str) -> tuple[np.ndarray[tuple[int], np.dtype[np.bool_]], FloatArray]:
+    """Return which points are a return, and the distances of all."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.any():
+        raise ScanError(f"{what}: none of its {len(points)} points is finite; needed are numbers in metres")
+    return finite & (range_m > NO_RETURN_M), range_m
+
+
+def _first(columns: Columns, names: tuple[str, ...]) -> Column | None:
+    """Return the first column of numbers that has one of the names."""
+    found = (columns[name] for name in names if name in columns)
+    return next((column for column in found if column.ndim == 1 and column.dtype.kind in "fiu"), None)

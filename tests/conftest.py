@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.cli_support import DEMONSTRATION, Ran, Site, link_recording, run, write_small_recording
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run and the folder that it wrote."""
+
+    ran: Ran
+    out: Path
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that is calibrated within seconds; not to be written to."""
+    folder = tmp_path_factory.mktemp("recording")
+    write_small_recording(folder)
+    return folder
+
+
+@pytest.fixture
+def site(recording: Path, tmp_path: Path) -> Site:
+    """The small recording, to be damaged at will."""
+    link_recording(recording, tmp_path)
+    return Site(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """The first command of the README."""
+    folder = tmp_path_factory.mktemp("demonstration")
+    arguments = ["calibrate", *(str(DEMONSTRATION / name) for name in ("left", "right", "cam.csv"))]
+    return Finished(run(arguments, folder), folder / "calibration")

@@ -1,0 +1,242 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from laci_stereo.core.cam import CENTRE, FRONT, MAX_GAP_S, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.errors import CamError, TrackError
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.world import World
+from tests.simulated import EPOCH_NS, SYDNEY, ULM, Drive, Place, cam_log, car, together
+
+NORTH = Drive((0.0, 0.0), 90.0, speeds=((0.0, 10.0),))
+TURN = Drive((0.0, 0.0), 200.0, ((20.0, 0.0), (15.0, 90.0)), ((0.0, 8.0),))
+BRAKE = Drive((0.0, 0.0), 30.0, speeds=((0.0, 10.0), (1.0, 10.0), (3.03, 0.0)))
+
+
+def track_of(log: CamLog, place: Place = ULM, reference: ReferencePoint = FRONT) -> VehicleTrack:
+    return vehicle_track(log, World.around(place.latitude_deg, place.longitude_deg), EPOCH_NS, reference)
+
+
+def in_world(place: Place, xy: FloatArray) -> FloatArray:
+    return World.around(place.latitude_deg, place.longitude_deg).from_utm(place.to_utm(xy))
+
+
+def plain(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray | None = None) -> VehicleTrack:
+    yaw_rad = np.zeros(len(stamps_s)) if yaw_rad is None else yaw_rad
+    return VehicleTrack(stamps_s, 0, xy, yaw_rad, 4.5, 1.8)
+
+
+def circle(radius_m: float, speed_mps: float, times: FloatArray) -> FloatArray:
+    angle = speed_mps * times / radius_m
+    return radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+# from messages to poses
+
+
+@pytest.mark.parametrize("place", [ULM, SYDNEY])
+@pytest.mark.parametrize("drive", [NORTH, TURN])
+def test_the_centre_of_the_vehicle_is_found(place: Place, drive: Drive) -> None:
+    track = track_of(cam_log(place, car(drive, 4.5, 1.8), 5.0, rounded=False), place)
+    xy, yaw = drive.at(track.stamps_s)
+    assert track.xy == pytest.approx(in_world(place, xy), abs=1e-4)
+    assert track.yaw_rad == pytest.approx(yaw + 2 * np.pi * round((track.yaw_rad[0] - yaw[0]) / (2 * np.pi)), abs=1e-5)
+    assert (track.length_m, track.width_m) == (4.5, 1.8)
+
+
+def test_rounded_messages_are_good_to_a_centimetre() -> None:
+    track = track_of(cam_log(ULM, car(TURN), 5.0))
+    assert np.abs(track.xy - in_world(ULM, TURN.at(track.stamps_s)[0])).max() < 0.012
+
+
+@pytest.mark.parametrize(
+    ("sent", "reference"),
+    [
+        (None, FRONT),
+        ((0.0, 0.0), CENTRE),
+        ((-1.4, 0.0), ReferencePoint(-1.4)),
+        ((0.7, -0.35), ReferencePoint(0.7, -0.35)),
+    ],
+)
+def test_every_reference_point_gives_the_same_centre(
+    sent: tuple[float, float] | None, reference: ReferencePoint
+) -> None:
+    track = track_of(cam_log(ULM, car(TURN), 5.0, reference=sent, rounded=False), reference=reference)
+    assert track.xy == pytest.approx(in_world(ULM, TURN.at(track.stamps_s)[0]), abs=1e-4)
+
+
+def test_the_wrong_reference_point_is_half_a_length_off() -> None:
+    track = track_of(cam_log(ULM, car(TURN, 4.4), 5.0, rounded=False), reference=CENTRE)
+    error = np.linalg.norm(track.xy - in_world(ULM, TURN.at(track.stamps_s)[0]), axis=1)
+    assert error == pytest.approx(2.2, abs=1e-3)
+
+
+def test_a_standing_vehicle_keeps_its_heading() -> None:
+    # The simulated sender's heading is arbitrary while it stands.
+    drive = replace(TURN, speeds=((0.0, 8.0), (1.0, 8.0), (2.5, 0.0), (4.5, 0.0), (6.0, 8.0)))
+    log = cam_log(ULM, car(drive), 7.0, rounded=False)
+    track = track_of(log)
+    xy, yaw = drive.at(track.stamps_s)
+    assert np.cos(track.yaw_rad - yaw).min() > np.cos(np.radians(2.0))
+    assert track.xy == pytest.approx(in_world(ULM, xy), abs=0.1)
+
+
+@pytest.mark.parametrize("first", ["forwards", "backwards"])
+def test_a_reversing_vehicle_keeps_its_heading(first: str) -> None:
+    log = cam_log(ULM, car(TURN), 5.0, rounded=False)
+    back = log.stamps_ns < EPOCH_NS if first == "backwards" else log.stamps_ns > EPOCH_NS + 4_500_000_000
+    assert 0 < np.count_nonzero(back) < len(log) / 2
+    track = track_of(replace(log, heading_deg=(log.heading_deg + 180.0 * back) % 360.0))
+    assert track.xy == pytest.approx(in_world(ULM, TURN.at(track.stamps_s)[0]), abs=1e-4)
+
+
+def test_a_turn_during_a_gap_is_no_reversing() -> None:
+    drive = Drive((0.0, 0.0), 0.0, ((10.0, 0.0), (15.0, 170.0)), ((0.0, 5.0),))
+    log = cam_log(ULM, car(drive), 7.0, rounded=False)
+    log = log[(log.stamps_ns < EPOCH_NS + 1_900_000_000) | (log.stamps_ns > EPOCH_NS + 5_100_000_000)]
+    track = track_of(log)
+    assert track.xy == pytest.approx(in_world(ULM, drive.at(track.stamps_s)[0]), abs=1e-4)
+
+
+def test_speed_that_was_not_sent_follows_from_the_positions() -> None:
+    log = cam_log(ULM, car(BRAKE), 5.0)
+    track = track_of(replace(log, speed_mps=np.full(len(log), np.nan)))
+    assert np.abs(np.degrees(track.yaw_rad) - 30.0).max() < 1.0
+
+
+def test_values_that_a_sender_did_not_know_are_skipped() -> None:
+    log = cam_log(ULM, car(TURN), 5.0, rounded=False)
+    every_third = np.where(np.arange(len(log)) % 3 == 0, np.nan, 1.0)
+    known = track_of(log)
+    track = track_of(replace(log, heading_deg=log.heading_deg * every_third, length_m=log.length_m * every_third[::-1]))
+    assert track.xy == pytest.approx(known.xy, abs=0.05)
+    track = track_of(replace(log, latitude_deg=log.latitude_deg * every_third))
+    assert len(track.stamps_s) == np.count_nonzero(np.isfinite(every_third))
+
+
+def test_stamps_are_exact_far_from_1970() -> None:
+    log = cam_log(ULM, car(NORTH), 5.0)
+    assert ((track_of(log).stamps_s * 1e9).round().astype(np.int64) == log.stamps_ns - EPOCH_NS).all()
+
+
+@pytest.mark.parametrize(
+    ("column", "message"), [("length_m", "length"), ("width_m", "width"), ("heading_deg", "heading")]
+)
+def test_what_was_never_sent(column: str, message: str) -> None:
+    log = cam_log(ULM, car(NORTH), 2.0)
+    with pytest.raises(CamError, match=f"the vehicle's {message} is in none of the {len(log)} messages"):
+        track_of(replace(log, **{column: np.full(len(log), np.nan)}))
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_messages(count: int) -> None:
+    log = cam_log(ULM, car(NORTH), 2.0)
+    with pytest.raises(CamError, match=f"^{count} CAMs with a position.*at least 2"):
+        track_of(log[np.arange(len(log)) < count])
+
+
+def test_a_vehicle_that_stands_still() -> None:
+    with pytest.raises(TrackError, match="station 42 stands still"):
+        track_of(cam_log(ULM, car(replace(NORTH, speeds=((0.0, 0.0),))), 2.0))
+
+
+# interpolation
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_a_braking_vehicle_stays_between_its_positions(rate_hz: float) -> None:
+    stamps = np.arange(0.0, 6.0, 1.0 / rate_hz)
+    track = plain(stamps, BRAKE.at(stamps)[0].round(2))
+    times = np.linspace(0.0, stamps[-1], 997)
+    xy, _, known = track.at(times)
+    after = np.searchsorted(stamps, times).clip(1)
+    both = np.stack([track.xy[after - 1], track.xy[after]])
+    assert known.all()
+    assert (xy >= both.min(axis=0) - 1e-3).all()
+    assert (xy <= both.max(axis=0) + 1e-3).all()
+    assert np.abs(xy - BRAKE.at(times)[0]).max() < (0.01 if rate_hz == 10.0 else 0.35)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.0, 40.0), st.lists(st.floats(0.05, 1.0), min_size=2, max_size=20))
+def test_a_constant_speed_is_exact(direction: float, speed: float, steps: list[float]) -> None:
+    stamps = np.cumsum(steps)
+    velocity = speed * np.array([np.cos(direction), np.sin(direction)])
+    track = plain(stamps, stamps[:, None] * velocity)
+    times = np.linspace(stamps[0], stamps[-1], 33)
+    assert track.at(times)[0] == pytest.approx(times[:, None] * velocity, abs=1e-9)
+
+
+@pytest.mark.parametrize(("rate_hz", "most_m"), [(10.0, 0.01), (5.0, 0.02), (2.0, 0.06), (1.0, 0.15)])
+@pytest.mark.parametrize(("radius_m", "speed_mps"), [(10.0, 5.0), (10.0, 8.0), (20.0, 10.0)])
+def test_a_circle(radius_m: float, speed_mps: float, rate_hz: float, most_m: float) -> None:
+    stamps = np.arange(0.0, 10.0, 1.0 / rate_hz)
+    times = np.linspace(2.0, 7.0, 501)
+    xy, _, _ = plain(stamps, circle(radius_m, speed_mps, stamps)).at(times)
+    assert np.linalg.norm(xy - circle(radius_m, speed_mps, times), axis=1).max() < most_m
+
+
+def test_the_heading_goes_the_short_way_through_north() -> None:
+    drive = Drive((0.0, 0.0), 95.0, ((40.0, -10.0),), ((0.0, 10.0),))
+    log = cam_log(ULM, car(drive), 4.0)
+    assert log.heading_deg.min() < 10.0
+    assert log.heading_deg.max() > 350.0
+    _, yaw, _ = track_of(log).at(np.linspace(0.0, 4.0, 201))
+    assert (np.diff(np.degrees(yaw)) > -0.2).all()
+    assert (np.diff(np.degrees(yaw)) < 0.06).all()
+    assert np.degrees(np.ptp(yaw)) == pytest.approx(10.0, abs=0.3)
+
+
+def test_gaps_and_ends_are_unknown() -> None:
+    stamps = np.array([0.0, 1.0, 2.0, 3.6, 4.0, 5.5])
+    track = plain(stamps, stamps[:, None] * [5.0, 0.0])
+    times = np.array([-0.01, 0.0, 0.5, 1.99, 2.0, 2.01, 3.59, 3.61, 4.75, 5.5, 5.51])
+    xy, yaw, known = track.at(times)
+    assert known.tolist() == [False, True, True, True, True, False, False, True, True, True, False]
+    assert (np.isnan(xy[:, 0]) == ~known).all()
+    assert (np.isnan(yaw) == ~known).all()
+    assert xy[known, 0] == pytest.approx(5.0 * times[known])
+
+
+def test_two_messages_are_enough() -> None:
+    xy, _, known = plain(np.array([0.0, 1.0]), np.array([[0.0, 0.0], [3.0, 4.0]])).at(np.array([0.25, 0.75]))
+    assert known.all()
+    assert xy == pytest.approx(np.array([[0.75, 1.0], [2.25, 3.0]]))
+
+
+def test_no_stamps() -> None:
+    xy, yaw, known = plain(np.array([0.0, 1.0]), np.zeros((2, 2))).at(np.zeros(0))
+    assert xy.shape == (0, 2)
+    assert len(yaw) == len(known) == 0
+
+
+# the log
+
+
+def test_stations() -> None:
+    logs = [
+        cam_log(ULM, car(NORTH), last_s, station=station)
+        for last_s, station in ((1.0, 7), (4.0, 3), (2.0, 5), (4.0, 2))
+    ]
+    log = together(logs)
+    assert (np.diff(log.stamps_ns) >= 0).all()
+    assert log.stations() == [2, 3, 5, 7]
+    for one in logs:
+        assert (log.of(int(one.station_id[0])).stamps_ns == one.stamps_ns).all()
+    assert len(log.of(99)) == 0
+
+
+@given(st.floats(0.0, 4.0), st.floats(0.0, 4.0), st.floats(1.0, 10.0))
+@settings(deadline=None, max_examples=30)
+def test_between_keeps_what_interpolation_needs(first_s: float, span_s: float, rate_hz: float) -> None:
+    log = cam_log(ULM, car(NORTH), 10.0, rate_hz, first_s=-4.0)
+    first, last = EPOCH_NS + round(first_s * 1e9), EPOCH_NS + round((first_s + span_s) * 1e9)
+    kept = log.between(first, last)
+    assert kept.stamps_ns[0] <= first
+    assert kept.stamps_ns[-1] >= last
+    assert kept.stamps_ns[0] >= first - MAX_GAP_S * 1e9
+    assert kept.stamps_ns[-1] <= last + MAX_GAP_S * 1e9

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.background import Background, learn_background
+from laci_stereo.core.cloud import empty_cloud
+from laci_stereo.core.frames import FloatArray, invert, planar, rotate_xy, transform
+from laci_stereo.core.settings import Settings, VehicleSettings
+from laci_stereo.core.sighting import KEPT_POINTS, Sighting, dense, find_vehicles
+from tests.simulated import (
+    EPOCH_NS,
+    LEFT_TURN,
+    Drive,
+    Mover,
+    Recording,
+    Scene,
+    Sensor,
+    Solid,
+    car,
+    lidar,
+    pedestrian,
+    scene,
+    stereo,
+)
+
+NOTHING = Background((), 0, 0.3)
+KINDS = pytest.mark.parametrize("sensor", [lidar(), stereo()], ids=["lidar", "stereo"])
+
+
+def standing(x: float, y: float, yaw_deg: float = 0.0) -> Drive:
+    return Drive((x, y), yaw_deg, speeds=((0.0, 0.0),))
+
+
+def T_level_sensor(recording: Recording) -> FloatArray:
+    forward = recording.T_world_sensor[:3, :3] @ np.array(recording.axes.forward)
+    yaw = float(np.arctan2(forward[1], forward[0]))
+    return invert(planar(yaw, recording.T_world_sensor[:2, 3])) @ recording.T_world_sensor
+
+
+def found(made: Scene, background: Background = NOTHING, frame: int = 0, **vehicle: float) -> list[Sighting]:
+    settings = Settings(vehicle=replace(VehicleSettings(), **vehicle))
+    recording = made.recording
+    return find_vehicles(recording.frame(frame), 0.5, T_level_sensor(recording), background, settings)
+
+
+def alone(drive: Drive, sensor: Sensor | None = None, others: tuple[Mover, ...] = ()) -> Scene:
+    """One vehicle on a bare road, seen along x."""
+    return scene(drive, sensor, last_s=0.5, others=others, static=(), yaw_deg=0.0)
+
+
+@KINDS
+@pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 90.0, 135.0])
+def test_a_vehicle_is_found_where_it_is(sensor: Sensor, yaw_deg: float) -> None:
+    (only,) = found(alone(standing(17.0, 1.0, yaw_deg), sensor))
+    assert only.flaw is None
+    assert only.stamp_s == 0.5
+    # No centre of what is visible is farther away than half of the vehicle's diagonal.
+    assert np.linalg.norm(only.box.centre - [17.0, 1.0]) < np.hypot(4.4, 1.8) / 2
+    assert np.linalg.norm(only.middle - [17.0, 1.0]) < np.hypot(4.4, 1.8) / 2
+    assert only.box.contains(np.array([17.0, 1.0]))
+    assert 3.0 < max(only.box.length_m, only.box.width_m) < 5.5
+
+
+@KINDS
+def test_the_road_is_removed(sensor: Sensor) -> None:
+    made = alone(standing(17.0, 1.0), sensor)
+    (only,) = found(made)
+    assert only.points[:, 2].min() > VehicleSettings().min_height_m
+    assert len(only.points) == min(only.count, KEPT_POINTS)
+    assert found(replace(made, recording=replace(made.recording, movers=()))) == []
+
+
+def test_points_within_their_noise_of_the_road_are_removed() -> None:
+    noisy = stereo(sigma_px=1.0)
+    made = alone(standing(17.0, 1.0), noisy)
+    bare = replace(made, recording=replace(made.recording, movers=()))
+    assert found(bare, max_sigma_m=1e9) == []
+    assert found(bare, max_sigma_m=1e9, ground_sigmas=0.0) != []
+
+
+@KINDS
+def test_the_background_is_removed(sensor: Sensor) -> None:
+    made = scene(standing(20.0, -1.0), sensor, last_s=0.5, yaw_deg=0.0)
+    empty = replace(made.recording, movers=())
+    T = T_level_sensor(empty)
+    background = learn_background([transform(T, cloud.points) for cloud in empty.survey()])
+    big = [sighting for sighting in found(made, background) if sighting.flaw is None and sighting.box.length_m > 2.0]
+    assert len(big) == 1
+    assert np.linalg.norm(big[0].box.centre - [20.0, -1.0]) < 2.4
+    assert len(found(made)) > len(found(made, background))
+
+
+def test_cut_by_the_border_of_the_field_of_view() -> None:
+    x = 18.0
+    y = x * np.tan(np.radians(50.0))
+    (only,) = found(alone(standing(x, y - 1.0, 90.0)))
+    assert only.flaw == "cut"
+    (only,) = found(alone(standing(x, y - 4.0, 90.0)))
+    assert only.flaw is None
+
+
+def test_far() -> None:
+    near, far = (found(alone(standing(x, 0.0), stereo()))[0] for x in (25.0, 34.0))
+    assert near.flaw is None
+    assert far.flaw == "far"
+    assert far.sigma_m > VehicleSettings().max_sigma_m > near.sigma_m > 0.1
+
+
+def test_too_far_to_be_looked_at() -> None:
+    assert found(alone(standing(60.0, 0.0), stereo())) == []
+
+
+def test_thin() -> None:
+    few = lidar(layers=12, columns=100)
+    (only,) = found(alone(standing(30.0, 0.0), few))
+    assert only.flaw == "thin"
+    assert only.count < VehicleSettings().min_points
+    (walker,) = found(alone(standing(30.0, 30.0), others=(pedestrian(standing(14.0, 0.0)),)))
+    assert walker.flaw == "thin"
+    assert walker.count >= VehicleSettings().min_points
+
+
+def test_what_hangs_over_the_road_is_no_vehicle() -> None:
+    made = alone(
+        standing(20.0, 0.0), others=(Mover(standing(20.0, 0.0, 45.0), (Solid((0, 0), 0.0, 4.0, 4.0, 4.5, 6.0),)),)
+    )
+    (only,) = found(made)
+    assert only.points[:, 2].max() < 1.7
+
+
+def test_the_largest_comes_first() -> None:
+    made = alone(standing(15.0, 0.0), others=(car(standing(25.0, 6.0)), pedestrian(standing(20.0, -5.0))))
+    counts = [sighting.count for sighting in found(made)]
+    assert len(counts) == 3
+    assert counts == sorted(counts, reverse=True)
+
+
+@pytest.mark.parametrize("turn", [0.7, 2.0, -2.5])
+def test_a_turned_scene_gives_the_same_sightings(turn: float) -> None:
+    made = scene(LEFT_TURN, last_s=2.0, yaw_deg=0.0, static=())
+    turned = replace(made, recording=made.recording.turned(turn))
+    for one, other in zip(found(made, frame=12), found(turned, frame=12), strict=True):
+        assert one.box.centre == pytest.approx(other.box.centre, abs=1e-6)
+        assert one.count == other.count
+
+
+def test_an_empty_frame() -> None:
+    assert find_vehicles(empty_cloud(EPOCH_NS), 0.0, np.eye(4), NOTHING, Settings()) == []
+
+
+def test_dense_drops_what_is_strewn_behind_and_keeps_the_sides() -> None:
+    rng = np.random.default_rng(0)
+    side = np.column_stack([rng.uniform(0.0, 4.4, 400), rng.normal(0.0, 0.05, 400)])
+    strewn = rng.uniform([0.0, 0.5], [4.4, 4.0], (60, 2))
+    xy = rotate_xy(0.4, np.concatenate([side, strewn])) + [30.0, -20.0]
+    keep = dense(xy, VehicleSettings())
+    assert keep[:400].mean() > 0.95
+    assert keep[400:].mean() < 0.1
+
+
+def test_dense_keeps_the_few_points_of_a_sparse_scanner() -> None:
+    xy = np.column_stack([np.linspace(0.0, 4.4, 12), np.zeros(12)])
+    assert dense(xy, VehicleSettings()).all()

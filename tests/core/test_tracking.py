@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.settings import TrackSettings
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking import Track, link_tracks
+from tests.core.tracks import DRIVE, sighting, track
+from tests.simulated import Drive
+
+RATES = pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0])
+
+
+def frames_of(*tracks: Track) -> list[list[Sighting]]:
+    """All sightings of some tracks, frame by frame."""
+    every = sorted((sighting for track in tracks for sighting in track.sightings), key=lambda one: one.stamp_s)
+    return [list(frame) for _, frame in groupby(every, key=lambda one: one.stamp_s)]
+
+
+def driven(drive: Drive, rate_hz: float, last_s: float = 5.0, jitter_m: float = 0.0, **of_each: object) -> Track:
+    stamps = np.arange(0.0, last_s, 1.0 / rate_hz)
+    noise = np.random.default_rng(0).uniform(-jitter_m, jitter_m, (len(stamps), 2))
+    return track(stamps, drive.at(stamps)[0] + noise, **of_each)
+
+
+def same(found: Track, true: Track) -> bool:
+    return {id(sighting) for sighting in found.sightings} == {id(sighting) for sighting in true.sightings}
+
+
+@RATES
+def test_one_vehicle_is_one_track(rate_hz: float) -> None:
+    true = driven(DRIVE, rate_hz, jitter_m=0.4)
+    (found,) = link_tracks(frames_of(true))
+    assert same(found, true)
+    assert (np.diff(found.stamps_s) > 0).all()
+
+
+@RATES
+def test_a_vehicle_that_brakes_hard_is_one_track(rate_hz: float) -> None:
+    true = driven(
+        Drive((0.0, 0.0), 0.0, speeds=((0.0, 15.0), (1.0, 15.0), (2.7, 0.0), (3.2, 0.0), (4.2, 4.0))), rate_hz
+    )
+    (found,) = link_tracks(frames_of(true))
+    assert same(found, true)
+
+
+@RATES
+def test_vehicles_that_meet_keep_their_own_tracks(rate_hz: float) -> None:
+    east = driven(Drive((-20.0, 0.0), 0.0, speeds=((0.0, 8.0),)), rate_hz)
+    west = driven(Drive((20.0, 3.5), 180.0, speeds=((0.0, 8.0),)), rate_hz)
+    found = link_tracks(frames_of(east, west))
+    assert len(found) == 2
+    assert all(any(same(one, true) for one in found) for true in (east, west))
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0])
+def test_vehicles_whose_paths_cross_keep_their_own_tracks(rate_hz: float) -> None:
+    one = driven(Drive((-20.0, 0.0), 0.0, speeds=((0.0, 8.0),)), rate_hz)
+    other = driven(Drive((0.0, -26.0), 90.0, speeds=((0.0, 8.0),)), rate_hz)
+    found = link_tracks(frames_of(one, other))
+    assert len(found) == 2
+    assert all(any(same(track, true) for track in found) for true in (one, other))
+
+
+@RATES
+def test_an_occlusion_of_half_a_second_is_bridged(rate_hz: float) -> None:
+    true = driven(DRIVE, rate_hz)
+    seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 2.5))
+    (found,) = link_tracks(frames_of(seen))
+    assert same(found, seen)
+
+
+def test_what_was_lost_for_too_long_is_another_track() -> None:
+    true = driven(DRIVE, 10.0)
+    seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 3.5))
+    assert len(link_tracks(frames_of(seen))) == 2
+    assert len(link_tracks(frames_of(seen), TrackSettings(max_lost_s=2.0))) == 1
+
+
+@RATES
+def test_debris_does_not_take_the_vehicles_track(rate_hz: float) -> None:
+    true = driven(DRIVE, rate_hz, jitter_m=0.3, count=600)
+    rng = np.random.default_rng(1)
+    debris = [
+        sighting(s.stamp_s, s.middle + rng.uniform(-2.0, 2.0, 2), count=15, flaw="thin")
+        for s in true.sightings
+        if rng.random() < 0.4
+    ]
+    found = link_tracks(frames_of(true, Track(tuple(debris))))
+    assert same(found[0], true)
+
+
+@pytest.mark.parametrize("away", [(8.0, 6.0), (-12.0, 0.0), (0.0, 11.5)])
+def test_what_stood_still_does_not_leap_onto_a_vehicle(away: tuple[float, float]) -> None:
+    stamps = np.arange(0.0, 2.0, 0.1)
+    shrub = track(stamps, np.tile(away, (len(stamps), 1)))
+    true = driven(Drive((0.0, 0.0), 0.0), 10.0)
+    late = Track(tuple(s for s in true.sightings if s.stamp_s > 2.7))
+    moved = Track(tuple(sighting(s.stamp_s, s.middle - late.sightings[0].middle) for s in late.sightings))
+    found = link_tracks(frames_of(shrub, moved))
+    assert len(found) == 2
+    assert all(any(same(one, true) for one in found) for true in (shrub, moved))
+
+
+def test_the_longest_comes_first() -> None:
+    short = driven(Drive((-20.0, 0.0), 0.0), 10.0, last_s=1.0)
+    long = driven(Drive((20.0, 30.0), 180.0), 10.0)
+    found = link_tracks(frames_of(short, long))
+    assert [len(one.sightings) for one in found] == [50, 10]
+
+
+def test_nothing_seen() -> None:
+    assert link_tracks([]) == []
+    assert link_tracks([[], []]) == []
+
+
+def test_frames_are_consumed_as_a_stream() -> None:
+    true = driven(DRIVE, 10.0)
+    (found,) = link_tracks(iter(frames_of(true)))
+    assert same(found, true)
+
+
+def test_only_sightings_without_a_flaw_are_usable() -> None:
+    flaws = ["cut", None, None, "far", "thin", "thin"]
+    found = Track(tuple(sighting(float(i), np.array([i, 0.0]), flaw=flaw) for i, flaw in enumerate(flaws)))  # type: ignore[arg-type]
+    assert found.stamps_s.tolist() == [1.0, 2.0]
+    assert found.centres.tolist() == [[1.0, 0.0], [2.0, 0.0]]
+    assert found.flaws() == {"cut": 1, "far": 1, "thin": 2}
+    assert Track(()).centres.shape == (0, 2)
+
+
+def test_joining() -> None:
+    whole = driven(DRIVE, 10.0)
+    even, odd = Track(whole.sightings[::2]), Track(whole.sightings[1::2])
+    assert even.disjoint(odd)
+    assert even.joined(odd) == odd.joined(even) == whole
+    assert not even.disjoint(whole)

@@ -1,0 +1,638 @@
+"""The installed command from outside: what it refuses and how, what it leaves behind, what it prints and writes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+import laci_stereo
+from tests.cli_support import (
+    DEMONSTRATION,
+    Site,
+    refusal,
+    rewrite,
+    run,
+    running,
+    snapshot,
+)
+from tests.conftest import Finished
+
+NOT_CALIBRATED, UNUSABLE, INTERRUPTED = 1, 2, 130
+ETSI_EPOCH_S = 1_072_915_200
+
+Damage = Callable[[Site], None]
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals, terminals and file systems")
+
+
+def images(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.jpg"))
+
+
+def cut(path: Path) -> None:
+    """Cut an image off, as a full disk or a lost connection does."""
+    rewrite(path, path.read_bytes()[:5000])
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+
+
+def write_rows(path: Path, rows: list[dict[str, str]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    rewrite(path, text.getvalue().encode())
+
+
+# ------------------------------------------------------------------------------------- folders of images
+
+
+def no_left(site: Site) -> None:
+    shutil.rmtree(site.left)
+
+
+def empty_right(site: Site) -> None:
+    shutil.rmtree(site.right)
+    site.right.mkdir()
+
+
+def left_is_a_file(site: Site) -> None:
+    shutil.rmtree(site.left)
+    site.left.write_bytes(b"no folder")
+
+
+def one_image(site: Site) -> None:
+    for path in images(site.left)[1:]:
+        path.unlink()
+
+
+def other_times(site: Site) -> None:
+    for path in images(site.right):
+        path.rename(path.with_name(f"{int(path.stem) + 100 * 10**9}.jpg"))
+
+
+def few_on_the_right(site: Site) -> None:
+    for path in images(site.right)[5:]:
+        path.unlink()
+
+
+def frame_numbers(site: Site) -> None:
+    for number, path in enumerate(images(site.left)):
+        path.rename(path.with_name(f"{number:06d}.jpg"))
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (no_left, ("left does not exist", "needed is a folder of images")),
+        (empty_right, ("right is empty", "needed are images")),
+        (left_is_a_file, ("left is a file", "needed is a folder of images")),
+        (one_image, ("left holds 1 image", "needed are at least 2")),
+        (other_times, ("left", "right", "0 pairs", "needed are at least half", "difference 100.0 s")),
+        (few_on_the_right, ("left (18 images)", "right (5 images)", "5 pairs", "needed are at least half")),
+        (frame_numbers, ("left", "'000000.jpg'", "frame numbers", "timestamps.txt")),
+    ],
+)
+def test_folders_that_are_no_stereo_recording_are_refused(site: Site, damage: Damage, words: tuple[str, ...]) -> None:
+    damage(site)
+    site.refused(UNUSABLE, *words)
+
+
+@pytest.mark.parametrize(("place", "name"), [(1, "x" * 300), (3, "cam.csv/deeper")])
+def test_paths_that_no_file_can_have_are_refused(site: Site, place: int, name: str) -> None:
+    arguments = site.arguments()
+    arguments[place] = name
+    before = snapshot(site.root)
+    refusal(run(arguments, site.root), UNUSABLE, name, "needed is a")
+    assert snapshot(site.root) == before
+
+
+# ------------------------------------------------------------------------------------- stereo calibration
+
+
+def stereo_text(old: str, new: str) -> Damage:
+    def damage(site: Site) -> None:
+        site.replace_text(site.stereo, old, new)
+
+    return damage
+
+
+def stereo_content(content: bytes) -> Damage:
+    def damage(site: Site) -> None:
+        rewrite(site.stereo, content)
+
+    return damage
+
+
+def no_stereo(site: Site) -> None:
+    site.stereo.unlink()
+
+
+K1 = "K1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 550., 0., 319.5, 0., 550., 179.5, 0., 0., 1. ]"
+IDENTITY = "[ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]"
+BASELINE = "[ -0.59999999999999998, 0., 0. ]"
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        pytest.param(no_stereo, ("no stereo.yaml", "needed is one", "--stereo FILE"), id="missing"),
+        pytest.param(stereo_content(b""), ("stereo.yaml is empty", "needed"), id="empty"),
+        pytest.param(
+            stereo_text("K1:", "Q:"), ("lacks the camera matrix of the left camera", "needed is one of K1"), id="no K1"
+        ),
+        pytest.param(stereo_text("T:", "Q:"), ("lacks the translation between the cameras", "it holds"), id="no T"),
+        pytest.param(
+            stereo_text(K1, K1.replace("0., 550., 179.5", "0., 0., 179.5")),
+            ("left camera's focal length is 550, 0 pixels", "needed are positive"),
+            id="singular K1",
+        ),
+        pytest.param(
+            stereo_text(IDENTITY, "[ 1., 0., 0., 0., 1., 0., 0., 0., 0. ]"),
+            ("R is no rotation", "det R is 0", "needed is an orthogonal matrix with determinant 1"),
+            id="singular R",
+        ),
+        pytest.param(
+            stereo_text(BASELINE, "[ -600., 0., 0. ]"), ("baseline", "is 600 m", "0.02 to 10 m", "millimetres"), id="mm"
+        ),
+        pytest.param(stereo_text(BASELINE, "[ 0., 0., 0. ]"), ("baseline", "is 0 m", "0.02 to 10 m"), id="no baseline"),
+        pytest.param(
+            stereo_text("image_width: 640\nimage_height: 360", "image_width: 1280\nimage_height: 720"),
+            ("image size is 1280 x 720", "the images are 640 x 360", "needed"),
+            id="other size",
+        ),
+    ],
+)
+def test_stereo_calibrations_that_cannot_be_one_are_refused(site: Site, damage: Damage, words: tuple[str, ...]) -> None:
+    damage(site)
+    site.refused(UNUSABLE, str(site.root), *words)
+
+
+def test_the_cameras_exchanged_are_refused_with_a_guess(site: Site) -> None:
+    site.left.rename(site.root / "other")
+    site.right.rename(site.left)
+    (site.root / "other").rename(site.right)
+    site.refused(UNUSABLE, "left", "of the pixels match", "needed are 10%", "exchanged", "folders swapped")
+
+
+def test_a_baseline_in_the_other_direction_is_refused_with_a_guess(site: Site) -> None:
+    site.replace_text(site.stereo, BASELINE, "[ 0.6, 0., 0. ]")
+    site.refused(UNUSABLE, "left", "of the pixels match", "needed are 10%", "T given in the other direction")
+
+
+def test_right_images_of_another_size_are_refused(site: Site) -> None:
+    for path in images(site.right):
+        _, content = cv2.imencode(".jpg", np.zeros((240, 320, 3), dtype=np.uint8))
+        rewrite(path, content.tobytes())
+    site.refused(UNUSABLE, "right", "320x240", "640x360", "at least 80%")
+
+
+# ------------------------------------------------------------------------------------- damaged images
+
+
+def test_one_bad_image_of_many_is_skipped_counted_and_named(site: Site) -> None:
+    images(site.left)[-1].unlink()
+    damaged = images(site.left)[8]
+    cut(damaged)
+    notes = [
+        "1 right images without a partner",
+        f"{damaged} is cut off after 5000 bytes (a JPEG without its end); needed is a whole image",
+    ]
+    ran = site.run()
+    assert ran.code == 0, ran.err
+    assert ran.err.splitlines() == [f"note: {note}" for note in notes]
+    assert "17 image pairs" in ran.out
+    assert "1 unreadable image" in ran.out
+    assert json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"] == notes
+
+
+def test_any_image_may_be_the_damaged_one(site: Site) -> None:
+    # The frame in which least moves is matched first, and it is one of the quiet ones at the beginning.
+    for path in images(site.right)[:3]:
+        cut(path)
+    ran = site.run("--quiet")
+    assert (ran.code, ran.out, ran.err) == (0, "", "")
+    notes = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"]
+    assert len(notes) == 3
+
+
+def test_more_than_a_fifth_of_damaged_images_are_refused(site: Site) -> None:
+    for path in images(site.left)[::4]:
+        cut(path)
+    first = images(site.left)[0].name
+    site.refused(UNUSABLE, "5 of 18 frames are unusable", "at least 80%", first, "is cut off after 5000 bytes")
+
+
+# ------------------------------------------------------------------------------------- messages
+
+
+def cam_content(content: bytes) -> Damage:
+    def damage(site: Site) -> None:
+        rewrite(site.cam, content)
+
+    return damage
+
+
+def header_only(site: Site) -> None:
+    rewrite(site.cam, site.cam.read_bytes().splitlines()[0] + b"\n")
+
+
+def no_header(site: Site) -> None:
+    rewrite(site.cam, b"\n".join(site.cam.read_bytes().splitlines()[1:]) + b"\n")
+
+
+def without_column(name: str) -> Damage:
+    def damage(site: Site) -> None:
+        write_rows(site.cam, [{k: v for k, v in row.items() if k != name} for row in rows_of(site.cam)])
+
+    return damage
+
+
+def exchanged(site: Site) -> None:
+    rows = rows_of(site.cam)
+    write_rows(site.cam, [{**row, "latitude": row["longitude"], "longitude": row["latitude"]} for row in rows])
+
+
+def no_positions(site: Site) -> None:
+    rows = rows_of(site.cam)
+    write_rows(site.cam, [{**row, "latitude": "900000001", "longitude": "1800000001"} for row in rows])
+
+
+def no_cam(site: Site) -> None:
+    site.cam.unlink()
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        pytest.param(no_cam, ("does not exist", "needed"), id="missing"),
+        pytest.param(cam_content(b""), ("is empty", "needed"), id="empty"),
+        pytest.param(header_only, ("holds a header but no rows", "needed is at least one message"), id="header only"),
+        pytest.param(no_header, ("begins with 1760000002.237", "needed is a header row"), id="no header"),
+        pytest.param(
+            without_column("heading"),
+            ("lacks the column heading", "it holds timestamp, station_id, latitude, longitude, altitude, speed"),
+            id="no heading",
+        ),
+        pytest.param(exchanged, ("latitude and longitude look exchanged", "9.94", "48.42"), id="exchanged"),
+        pytest.param(no_positions, ("no position", "all of 99 rows", "needed are at least 2"), id="no positions"),
+    ],
+)
+def test_logs_that_cannot_be_read_are_refused(site: Site, damage: Damage, words: tuple[str, ...]) -> None:
+    damage(site)
+    site.refused(UNUSABLE, str(site.cam), *words)
+
+
+def shifted(site: Site, by_s: float) -> None:
+    rows = rows_of(site.cam)
+    write_rows(site.cam, [{**row, "timestamp": f"{float(row['timestamp']) + by_s:.3f}"} for row in rows])
+
+
+@pytest.mark.parametrize(
+    ("by_s", "words"),
+    [
+        (1000, ("1002.2 s after",)),
+        (-7200, ("time zone of 2 h",)),
+        (18, ("GPS time is 18 s ahead",)),
+        (37, ("TAI is 37 s ahead",)),
+        (5 - ETSI_EPOCH_S, ("ETSI's epoch, 2004-01-01", "add 1072915195 s")),
+    ],
+)
+def test_a_log_of_another_time_is_refused_with_both_intervals_and_a_guess(
+    site: Site, by_s: float, words: tuple[str, ...]
+) -> None:
+    shifted(site, by_s)
+    recorded = "2025-10-09T08:53:20.000Z to 2025-10-09T08:53:29.600Z"
+    line = site.refused(UNUSABLE, str(site.cam), "do not overlap", recorded, "needed", *words)
+    assert ("likely" in line) == (by_s != 1000)
+
+
+def standing(site: Site) -> None:
+    rows = rows_of(site.cam)
+    place = {name: rows[40][name] for name in ("latitude", "longitude", "heading")}
+    write_rows(site.cam, [{**row, **place, "speed": "0.00"} for row in rows])
+
+
+def creeping(site: Site) -> None:
+    rows = rows_of(site.cam)
+    for i, row in enumerate(rows):
+        row.update(latitude=f"{48.4225836 + i * 1e-7:.7f}", longitude="9.9429767", heading="0.0", speed="0.60")
+    write_rows(site.cam, rows)
+
+
+@pytest.mark.parametrize("damage", [standing, creeping])
+def test_a_vehicle_that_stands_still_is_not_calibrated(site: Site, damage: Damage) -> None:
+    damage(site)
+    site.refused(NOT_CALIBRATED, "not calibrated", "station 4711 stands still", "needed")
+
+
+def test_a_log_that_ends_before_the_vehicle_comes_is_refused(site: Site) -> None:
+    write_rows(site.cam, [row for row in rows_of(site.cam) if float(row["timestamp"]) < 1760000002.3])
+    site.refused(UNUSABLE, str(site.cam), "1 CAMs with a position", "needed are at least 2")
+
+
+def test_an_empty_road_is_not_calibrated(site: Site) -> None:
+    for folder in (site.left, site.right):
+        quiet = [path.readlink() for path in images(folder)[:4]]
+        for i, path in enumerate(images(folder)):
+            path.unlink()
+            path.symlink_to(quiet[i % 4])
+    site.refused(NOT_CALIBRATED, "not calibrated", "no vehicle was found", "needed is one that is seen in 10 frames")
+
+
+# ------------------------------------------------------------------------------------- arguments
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--nonsense",), ("No such option", "--nonsense")),
+        (("--stereo", "nowhere.yaml"), ("nowhere.yaml does not exist", "needed")),
+        (("--map", "nowhere.osm"), ("nowhere.osm does not exist", "needed")),
+        (("--background", "nonsense"), ("--background is 'nonsense'", "needed is START..END")),
+        (("--background", "0..18"), ("0..18", "needed", "0..17")),
+        (("--background", "5..2"), ("5..2", "needed", "first <= last")),
+        (("--background", "x" * 300), ("x" * 300, "File name too long")),
+        (("--disparities", "nonsense"), ("--disparities is 'nonsense'", "needed is MIN..MAX")),
+        (("--disparities", "64..0"), ("64..0", "needed is 0 <= smallest < largest")),
+        (("--disparities", "0..100000"), ("0..100000", "needed", "640")),
+        (("--cam-reference", "nonsense"), ("--cam-reference is 'nonsense'", "needed is front, center")),
+        (("--crs", "nonsense"), ("'nonsense'", "needed is a UTM zone such as EPSG:32632")),
+        (("--height", "-1"), ("--height is -1.0 m", "needed is a number above 0")),
+        (("--height", "inf"), ("--height is inf m", "needed is a number above 0")),
+        (("--station", "12"), ("cam.csv", "station 12", "needed is one of 4711")),
+        (("--method", "guess"), ("--method", "'guess'", "paper")),
+        (("surplus",), ("unexpected extra argument", "surplus")),
+    ],
+    ids=lambda value: " ".join(value)[:40],
+)
+def test_arguments_that_make_no_sense_are_refused(site: Site, options: tuple[str, ...], words: tuple[str, ...]) -> None:
+    site.refused(UNUSABLE, *words, options=options)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("calibrate", "left", "right"), ("Missing argument 'CAM'", "laci-stereo calibrate --help")),
+        (("nonsense",), ("No such command 'nonsense'", "laci-stereo --help")),
+    ],
+)
+def test_commands_that_make_no_sense_are_refused(
+    tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    refusal(run(arguments, tmp_path), UNUSABLE, *words)
+
+
+def test_help_is_no_error(tmp_path: Path) -> None:
+    ran = run(("calibrate", "--help"), tmp_path)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out.startswith("Usage: laci-stereo calibrate")
+
+
+def test_without_arguments_it_shows_its_help(tmp_path: Path) -> None:
+    ran = run((), tmp_path)
+    assert (ran.code, ran.out) == (UNUSABLE, "")
+    assert ran.err.startswith("Usage: laci-stereo")
+
+
+# ------------------------------------------------------------------------------------- where the result goes
+
+
+def earlier_result(site: Site) -> Path:
+    """Put a result of the right names there; its content tells whether it was touched."""
+    site.out.mkdir()
+    for name in ("calibration.json", "overlay_1.png", "topdown.png"):
+        (site.out / name).write_text(f"earlier {name}", encoding="utf-8")
+    return site.out
+
+
+def test_an_earlier_result_is_kept(site: Site) -> None:
+    earlier_result(site)
+    site.refused(UNUSABLE, str(site.out), "holds a result already", "--overwrite")
+
+
+@pytest.mark.parametrize("options", [[], ["--overwrite"]])
+def test_a_folder_of_other_things_is_never_replaced(site: Site, options: list[str]) -> None:
+    site.refused(UNUSABLE, "left: holds other files", "needed", options=options, out=site.left)
+
+
+def test_overwrite_replaces_nothing_but_a_result(site: Site) -> None:
+    site.refused(UNUSABLE, "cam.csv: is not a folder", "needed", options=["--overwrite"], out=site.cam)
+    link = site.root / "link"
+    link.symlink_to(earlier_result(site))
+    site.refused(UNUSABLE, "link: is not a folder", "needed", options=["--overwrite"], out=link)
+    (site.out / "notes.txt").write_text("mine", encoding="utf-8")
+    site.refused(UNUSABLE, str(site.out), "holds notes.txt", "needed", options=["--overwrite"])
+
+
+@posix
+@pytest.mark.parametrize(
+    ("out", "reason"),
+    [("cam.csv/result", "Not a directory"), ("cam.csv/new/result", "Not a directory"), ("x" * 300, "name too long")],
+)
+def test_places_that_cannot_be_written_are_refused(site: Site, out: str, reason: str) -> None:
+    site.refused(UNUSABLE, out, "cannot be written", reason, "needed", out=site.root / out)
+
+
+@posix
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="nothing is denied to root")
+def test_folders_without_permission_are_refused(site: Site) -> None:
+    closed = site.root / "closed"
+    closed.mkdir(mode=0o500)
+    site.refused(UNUSABLE, str(closed), "cannot be written", "Permission denied", "needed", out=closed / "result")
+
+
+def test_overwrite_replaces_a_result_as_a_whole(site: Site) -> None:
+    earlier_result(site)
+    (site.out / "overlay_9.png").write_text("of a longer recording", encoding="utf-8")
+    before = snapshot(site.root)
+    ran = site.run("--overwrite")
+    assert ran.code == 0, ran.err
+    after = snapshot(site.root)
+    changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    assert all(Path(name).parts[0] == site.out.name for name in changed)
+    assert json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["station_id"] == 4711
+    assert not (site.out / "overlay_9.png").exists()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system with room for one result, not for two."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=600k", "tmpfs", str(disk)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode != 0:
+        pytest.skip("file systems cannot be mounted here")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+@posix
+def test_a_full_disk_leaves_the_earlier_result(site: Site, small_disk: Path) -> None:
+    shutil.copytree(earlier_result(site), small_disk / "result")
+    options = ["--overwrite"]
+    site.refused(UNUSABLE, "result: cannot be written (No space left", options=options, out=small_disk / "result")
+    site.refused(UNUSABLE, "disk: is a mount point", "needed", out=small_disk)
+
+
+@posix
+def test_files_that_may_not_grow_leave_the_earlier_result(site: Site) -> None:
+    earlier_result(site)
+    before = snapshot(site.root)
+    # 64 blocks of 512 or 1024 bytes: calibration.json fits, the pictures do not.
+    limited = ("/bin/sh", "-c", 'ulimit -f 64; exec "$@"', "sh")
+    line = refusal(run(site.arguments("--overwrite"), site.root, within=limited), UNUSABLE)
+    assert "result: cannot be written (File too large)" in line
+    assert snapshot(site.root) == before
+
+
+# ------------------------------------------------------------------------------------- interrupts
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Children inherit an ignored SIGINT, as that of shells' background jobs, but not a handled one."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def until_logged(words: str) -> Callable[[subprocess.Popen[str], Site], None]:
+    def wait(process: subprocess.Popen[str], _: Site) -> None:
+        assert process.stderr is not None
+        assert any(words in line for line in process.stderr)
+
+    return wait
+
+
+def until_writing(process: subprocess.Popen[str], site: Site) -> None:
+    while not list(site.root.glob(".result.*/calibration.json")):
+        assert process.poll() is None
+        time.sleep(0.002)
+
+
+@posix
+@pytest.mark.parametrize(
+    ("ending", "wait"),
+    [
+        pytest.param(signal.SIGINT, until_logged("first look"), id="Ctrl-C in the survey"),
+        pytest.param(signal.SIGINT, until_logged("background"), id="Ctrl-C among the frames"),
+        pytest.param(signal.SIGINT, until_writing, id="Ctrl-C while it writes"),
+        pytest.param(signal.SIGTERM, until_writing, id="SIGTERM while it writes"),
+    ],
+)
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupt_ends_it_and_leaves_everything_as_it_was(
+    site: Site, ending: signal.Signals, wait: Callable[[subprocess.Popen[str], Site], None]
+) -> None:
+    earlier_result(site)
+    before = snapshot(site.root)
+    with running(site.arguments("--overwrite", "--verbose"), site.root) as process:
+        wait(process, site)
+        process.send_signal(ending)
+        out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (INTERRUPTED, "")
+    lines = [line for line in err.splitlines() if line and not line.startswith("INFO: ")]
+    assert lines == ["laci-stereo: interrupted; nothing was written"]
+    assert snapshot(site.root) == before
+
+
+# ------------------------------------------------------------------------------------- what it prints
+
+
+@posix
+def test_progress_is_shown_on_a_terminal(site: Site) -> None:
+    ours, theirs = os.openpty()
+    with running(site.arguments(), site.root, stderr=theirs) as process:
+        os.close(theirs)
+        shown = b"".join(iter(lambda: read_terminal(ours), b"")).decode()
+        out, _ = process.communicate(timeout=30)
+    os.close(ours)
+    assert process.returncode == 0
+    assert "survey" in shown
+    assert "frames" in shown
+    assert "18/18" in shown
+    assert out.startswith("Sensor ")
+
+
+def read_terminal(terminal: int) -> bytes:
+    try:
+        return os.read(terminal, 4096)
+    except OSError:  # Linux says so when the other end is closed
+        return b""
+
+
+SUMMARY = ("Sensor", "Position", "Height", "Looks", "Vehicle", "Background", "Fit", "Doubt", "Input", "Verdict")
+
+
+def test_it_ends_with_a_summary_of_ten_lines(demonstration: Finished) -> None:
+    assert (demonstration.ran.code, demonstration.ran.err) == (0, "")
+    *summary, written = demonstration.ran.out.splitlines()
+    assert tuple(line.split()[0] for line in summary) == SUMMARY
+    assert written.startswith("Written    calibration: calibration.json, overlay_1.png")
+
+
+def test_the_result_holds_what_the_schema_and_the_readme_say(demonstration: Finished) -> None:
+    names = sorted(path.name for path in demonstration.out.iterdir())
+    overlays = [name for name in names if name.startswith("overlay_")]
+    assert names == ["calibration.json", *overlays, "topdown.png"]
+    assert len(overlays) >= 2
+    for name in overlays:
+        picture = cv2.imread(str(demonstration.out / name))
+        assert picture is not None
+        assert picture.shape == (720, 1280, 3)
+    topdown = cv2.imread(str(demonstration.out / "topdown.png"))
+    assert topdown is not None
+    assert len(np.unique(topdown.reshape(-1, 3), axis=0)) > 10
+    document = json.loads((demonstration.out / "calibration.json").read_text(encoding="utf-8"))
+    schema = Path(laci_stereo.__file__).parent / "io" / "calibration.schema.json"
+    Draft202012Validator(json.loads(schema.read_text(encoding="utf-8"))).validate(document)
+    assert document["notes"] == []
+
+
+def test_nothing_else_is_left(demonstration: Finished) -> None:
+    assert [path.name for path in demonstration.out.parent.iterdir()] == ["calibration"]
+    assert demonstration.out.stat().st_mode & 0o777 == 0o755
+
+
+def test_the_demonstration_finds_where_the_camera_really_is(demonstration: Finished) -> None:
+    document = json.loads((demonstration.out / "calibration.json").read_text(encoding="utf-8"))
+    truth = json.loads((DEMONSTRATION / "truth.json").read_text(encoding="utf-8"))
+    found = np.array(document["T_utm_sensor"])
+    true = np.array(truth["stereo"]["T_world_camera_utm"])
+    # The vehicle's true track as the camera sees it, brought back onto the map by what was found.
+    track = np.array([[east, north, 0.0, 1.0] for _, east, north in truth["vehicle_centres_utm"]])
+    apart = ((found @ np.linalg.inv(true) - np.eye(4)) @ track.T)[:2]
+    assert np.sqrt((apart**2).sum(axis=0).mean()) < 0.8
+    turned = np.arccos(np.clip((np.trace(found[:3, :3] @ true[:3, :3].T) - 1) / 2, -1.0, 1.0))
+    assert np.degrees(turned) < 0.5
+    assert abs(found[2, 3] - true[2, 3]) < 0.03
+    assert document["height_m"] == pytest.approx(true[2, 3], abs=0.03)
+
+
+def test_quiet_prints_nothing_whatever_decoders_say_and_makes_the_folders_above(site: Site) -> None:
+    # Zeros in the compressed data, all markers whole: libjpeg complains and goes on.
+    for path in images(site.left)[6:9]:
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2 : len(content) // 2 + 400] = bytes(400)
+        rewrite(path, bytes(content))
+    ran = site.run("--quiet", out=site.root / "new" / "deep" / "result")
+    assert (ran.code, ran.out, ran.err) == (0, "", "")
+    assert (site.root / "new" / "deep" / "result" / "calibration.json").is_file()
