@@ -9,7 +9,8 @@
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.errors import CalibrationError, InputError, LaciError
 from laci_stereo.core.settings import Settings
-from laci_stereo.run import Options, StereoResult, calibrate
+from laci_stereo.job import Result
+from laci_stereo.run import Options, calibrate
 from laci_stereo.stereo.settings import StereoSettings
 
 __all__ = [
@@ -20,8 +21,8 @@ __all__ = [
     "LaciError",
     "Options",
     "ReferencePoint",
+    "Result",
     "Settings",
-    "StereoResult",
     "StereoSettings",
     "calibrate",
 ]

@@ -8,9 +8,12 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import click
 
@@ -20,14 +23,13 @@ from laci_stereo.core.errors import CalibrationError, LaciError, SettingError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import GroundSettings, Settings
 from laci_stereo.io.output import check_output
+from laci_stereo.job import DriveOptions, Job
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.settings import StereoSettings
 
 NOT_CALIBRATED = 1
 UNUSABLE_INPUT = 2
 INTERRUPTED = 130
-
-PATH = click.Path(path_type=Path)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -40,89 +42,134 @@ def cli() -> None:
     """
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What every calibrating command is asked, whatever the sensor."""
+
+    out: Path
+    overwrite: bool
+    lane_map: Path | None
+    station: int | None
+    cam_reference: str
+    crs: str | None
+    height: float | None
+    method: str
+    name: str | None
+    workers: int
+    quiet: bool
+    verbose: bool
+
+    def drive(self) -> DriveOptions:
+        """Return what of it concerns the drive.
+
+        Raises
+        ------
+        SettingError
+            If it makes no sense.
+        """
+        return DriveOptions(
+            lane_map=self.lane_map,
+            station=self.station,
+            reference=parse_reference(self.cam_reference),
+            crs=self.crs,
+            name=self.name,
+            core=Settings(ground=ground_near(self.height)),
+        )
+
+
+_PATH = click.Path(path_type=Path)
+
+_ASKED = (
+    click.option("--out", type=_PATH, default=Path("calibration"), show_default=True, help="Folder for the result."),
+    click.option("--overwrite", is_flag=True, help="Replace a result that is there already."),
+    click.option(
+        "--map", "lane_map", type=_PATH, help="Lanelet2 or GeoJSON lane map [default: map.osm beside the recording]."
+    ),
+    click.option("--station", type=int, help="Sender, where the log has several [default: the one whose track fits]."),
+    click.option(
+        "--cam-reference",
+        default="front",
+        show_default=True,
+        metavar="front|center|rear-axle:X|X,Y",
+        help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
+        "the box's centre, or X m ahead and Y m left of it.",
+    ),
+    click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
+    click.option("--height", type=float, metavar="M", help="About how high the sensor hangs [default: found]."),
+    click.option("--method", type=click.Choice(["paper"]), default="paper", show_default=True, help="Estimator."),
+    click.option("--name", help="What you call the sensor [default: the folder around the recording]."),
+    click.option(
+        "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
+    ),
+    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
+    click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
+)
+
+
+def calibrating(command: Callable[..., Job]) -> Callable[..., None]:
+    """Make a command of a function that prepares a job: add the common options, run the job, save and print."""
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        asked = Asked(**{field.name: given.pop(field.name) for field in fields(Asked)})
+        _log_to_stderr(quiet=asked.quiet, verbose=asked.verbose)
+        check_output(asked.out, overwrite=asked.overwrite)
+        _carry_out(command(asked, **given), asked)
+
+    for option in reversed(_ASKED):
+        run = option(run)
+    return run
+
+
+def _carry_out(job: Job, asked: Asked) -> None:
+    if not asked.quiet:
+        for note in job.provenance.notes:
+            click.echo(f"note: {note}", err=True)
+    result = job.run(lambda source: source if asked.quiet else WithProgress(source))
+    result.save(asked.out, overwrite=asked.overwrite)
+    if not asked.quiet:
+        for note in job.recording.skipped:
+            click.echo(f"note: {note}", err=True)
+        click.echo(result.summary)
+        click.echo(f"{'Written':<11}{asked.out}: {', '.join(sorted(path.name for path in asked.out.iterdir()))}")
+
+
 @cli.command()
-@click.argument("left", type=PATH)
-@click.argument("right", type=PATH)
-@click.argument("cam", type=PATH)
-@click.option("--out", type=PATH, default=Path("calibration"), show_default=True, help="Folder for the result.")
-@click.option("--overwrite", is_flag=True, help="Replace a result that is there already.")
-@click.option("--stereo", type=PATH, help="Stereo calibration [default: stereo.yaml, .yml or .json beside LEFT].")
+@click.argument("left", type=_PATH)
+@click.argument("right", type=_PATH)
+@click.argument("cam", type=_PATH)
+@click.option("--stereo", type=_PATH, help="Stereo calibration [default: stereo.yaml, .yml or .json beside LEFT].")
 @click.option("--rectified", is_flag=True, help="The images are rectified already.")
-@click.option("--map", "lane_map", type=PATH, help="Lanelet2 or GeoJSON lane map [default: map.osm beside LEFT].")
 @click.option(
     "--background",
     metavar="START..END|DIR",
     help="Frames without moving objects: numbers from 0, or a folder with left/ and right/ [default: found].",
 )
-@click.option("--station", type=int, help="Sender, where the log has several [default: the one whose track fits].")
-@click.option(
-    "--cam-reference",
-    default="front",
-    show_default=True,
-    metavar="front|center|rear-axle:X|X,Y",
-    help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
-    "the box's centre, or X m ahead and Y m left of it.",
-)
-@click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions].")
-@click.option("--height", type=float, metavar="M", help="About how high the camera hangs [default: found].")
 @click.option("--disparities", metavar="MIN..MAX", help="Disparities to search, pixels [default: from the geometry].")
-@click.option("--method", type=click.Choice(["paper"]), default="paper", show_default=True, help="Estimator.")
-@click.option("--name", help="What you call the sensor [default: the folder around LEFT].")
-@click.option("--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8].")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-@click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
+@calibrating
 def calibrate(
+    asked: Asked,
     left: Path,
     right: Path,
     cam: Path,
-    out: Path,
-    overwrite: bool,
     stereo: Path | None,
     rectified: bool,
-    lane_map: Path | None,
     background: str | None,
-    station: int | None,
-    cam_reference: str,
-    crs: str | None,
-    height: float | None,
     disparities: str | None,
-    method: str,
-    name: str | None,
-    workers: int,
-    quiet: bool,
-    verbose: bool,
-) -> None:
+) -> Job:
     """Calibrate a stereo camera.
 
     LEFT and RIGHT are folders of images whose names, or a timestamps.txt among them, tell the time. CAM is a CSV log
     of Cooperative Awareness Messages with the columns timestamp, station_id, latitude, longitude, heading, speed,
     vehicle_length and vehicle_width.
     """
-    assert method == "paper"  # the only one so far
-    _log_to_stderr(quiet=quiet, verbose=verbose)
     options = Options(
+        **vars(asked.drive()),
         stereo=stereo,
-        lane_map=lane_map,
         background=parse_background(background),
-        station=station,
-        reference=parse_reference(cam_reference),
-        crs=crs,
-        name=name,
-        core=Settings(ground=ground_near(height)),
-        camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=workers),
+        camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=asked.workers),
     )
-    check_output(out, overwrite=overwrite)
-    job = prepare(left, right, cam, options)
-    if not quiet:
-        for note in job.provenance.notes:
-            click.echo(f"note: {note}", err=True)
-    result = job.run(lambda source: source if quiet else WithProgress(source))
-    result.save(out, overwrite=overwrite)
-    if not quiet:
-        for note in result.skipped:
-            click.echo(f"note: {note}", err=True)
-        click.echo(result.summary)
-        click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    return prepare(left, right, cam, options)
 
 
 class WithProgress:
@@ -171,7 +218,7 @@ class WithProgress:
 
 
 def parse_background(text: str | None) -> tuple[int, int] | Path | None:
-    """Read ``START..END`` or a folder.
+    """Read ``START..END`` or the path of another recording.
 
     Raises
     ------
@@ -183,7 +230,7 @@ def parse_background(text: str | None) -> tuple[int, int] | Path | None:
     numbers = _interval(text)
     if numbers is not None:
         return numbers
-    if Path(text).is_dir():
+    if Path(text).exists():
         return Path(text)
     raise SettingError(f"--background is {text!r}; needed is START..END in frame numbers, or an existing folder")
 
@@ -259,27 +306,39 @@ def _terminate(_signal: int, _frame: FrameType | None) -> None:
 
 
 def main() -> None:
-    """Run the command line: every error that is the input's becomes one line and an exit code."""
+    """Run ``laci-stereo``."""
+    run_command(cli, "laci-stereo")
+
+
+def run_command(command: click.Command, program: str) -> None:
+    """Run a command line: every error that is the input's becomes one line and an exit code."""
     _silence_decoders()
     signal.signal(signal.SIGTERM, _terminate)  # so that a half-written result is removed
+    message, code = _outcome(command, program)
+    if message:
+        click.echo(f"{program}: {message}", err=True)
+    sys.exit(code)
+
+
+def _outcome(command: click.Command, program: str) -> tuple[str, int]:
+    """Return what to say, in one line, and the exit code."""
     try:
-        cli(standalone_mode=False)
-    except click.exceptions.Abort:
-        _fail("interrupted; nothing was written", INTERRUPTED)
-    except KeyboardInterrupt:
-        _fail("interrupted; nothing was written", INTERRUPTED)
+        command(prog_name=program, standalone_mode=False)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return "interrupted; nothing was written", INTERRUPTED
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
-        sys.exit(error.exit_code)
+        return "", error.exit_code
     except click.UsageError as error:
-        command = error.ctx.command_path if error.ctx is not None else "laci-stereo"
-        _fail(f"{error.format_message().rstrip('.')}; see {command} --help", UNUSABLE_INPUT)
+        asked = error.ctx.command_path if error.ctx is not None else program
+        return f"{error.format_message().rstrip('.')}; see {asked} --help", UNUSABLE_INPUT
     except CalibrationError as error:
-        _fail(f"not calibrated: {error}", NOT_CALIBRATED)
+        return f"not calibrated: {error}", NOT_CALIBRATED
     except LaciError as error:
-        _fail(str(error), UNUSABLE_INPUT)
+        return str(error), UNUSABLE_INPUT
     except OSError as error:  # a file system that fails under a path that was readable before
-        _fail(f"{error.filename or 'input or output'}: {error.strerror}", UNUSABLE_INPUT)
+        return f"{error.filename or 'input or output'}: {error.strerror}", UNUSABLE_INPUT
+    return "", 0
 
 
 def _silence_decoders() -> None:
@@ -292,8 +351,3 @@ def _silence_decoders() -> None:
     os.dup2(nowhere, sys.stderr.fileno())
     os.close(nowhere)
     sys.stderr = os.fdopen(ours, "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)
-
-
-def _fail(message: str, code: int) -> None:
-    click.echo(f"laci-stereo: {message}", err=True)
-    sys.exit(code)

@@ -18,7 +18,7 @@ DEMONSTRATION = Path(__file__).parents[1] / "calib_data"
 LONGEST_RUN_S = 120.0
 
 QUIET_FRAMES = 4
-FIRST_SEEN_S, LAST_SEEN_S, STRIDE = 4.3, 9.7, 2
+FIRST_SEEN_S, LAST_SEEN_S = 5.7, 9.7
 SIZE = (640, 360)
 
 
@@ -29,6 +29,14 @@ class Ran:
     code: int
     out: str
     err: str
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run and the folder that it wrote."""
+
+    ran: Ran
+    out: Path
 
 
 @dataclass(frozen=True)
@@ -133,7 +141,7 @@ def write_small_recording(folder: Path) -> None:
     seen = [name for name in names if FIRST_SEEN_S <= int(Path(name).stem) / 1e9 - epoch_s <= LAST_SEEN_S]
     for side in ("left", "right"):
         (folder / side).mkdir()
-        for name in names[:QUIET_FRAMES] + seen[::STRIDE]:
+        for name in names[:QUIET_FRAMES] + seen:
             image = cv2.imread(str(DEMONSTRATION / side / name))
             assert image is not None
             small = cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)

@@ -1,19 +1,10 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from tests.cli_support import DEMONSTRATION, Ran, Site, link_recording, run, write_small_recording
-
-
-@dataclass(frozen=True)
-class Finished:
-    """A run and the folder that it wrote."""
-
-    ran: Ran
-    out: Path
+from tests.cli_support import DEMONSTRATION, Finished, Site, link_recording, run, write_small_recording
 
 
 @pytest.fixture(scope="session")

@@ -69,7 +69,7 @@ class Place:
 ULM = Place(48.42, 9.94, "EPSG:32632")
 SYDNEY = Place(-33.86, 151.2, "EPSG:32756")
 ZONE_BORDER = Place(52.0, 12.0, "EPSG:32633")
-QUITO = Place(0.0, -78.5, "EPSG:32617")
+EQUATOR = Place(0.0, -78.5, "EPSG:32617")
 TROMSO = Place(69.65, 18.95, "EPSG:32634")
 
 
@@ -174,8 +174,9 @@ class Mover:
 
 def car(drive: Drive, length: float = 4.4, width: float = 1.8) -> Mover:
     body = Solid((0.0, 0.0), 0.0, length, width, 0.2, 0.8)
-    cabin = Solid((-0.1 * length, 0.0), 0.0, 0.55 * length, 0.9 * width, 0.8, 1.5)
-    return Mover(drive, (body, cabin))
+    windows = Solid((-0.06 * length, 0.0), 0.0, 0.76 * length, 0.95 * width, 0.8, 1.15)
+    roof = Solid((-0.08 * length, 0.0), 0.0, 0.5 * length, 0.9 * width, 1.15, 1.5)
+    return Mover(drive, (body, windows, roof))
 
 
 def pedestrian(drive: Drive) -> Mover:
@@ -219,8 +220,8 @@ class Sensor:
 
 
 def lidar(
-    layers: int = 32,
-    columns: int = 300,
+    layers: int = 64,
+    columns: int = 240,
     field_deg: tuple[float, float] = (100.0, 30.0),
     down_deg: float = 0.0,
     sigma_m: float = 0.02,
@@ -406,8 +407,8 @@ class Scene:
 
 HOUSES = (
     Solid((46.0, 4.0), 3.0, 1.0, 60.0, 0.0, 12.0),
-    Solid((40.0, 20.0), 0.0, 8.0, 10.0, 0.0, 9.0),
-    Solid((41.0, -17.0), 8.0, 8.0, 4.0, 0.0, 6.0),
+    Solid((42.5, 20.0), 0.0, 8.0, 10.0, 0.0, 9.0),
+    Solid((43.5, -17.0), 8.0, 8.0, 4.0, 0.0, 6.0),
     Solid((17.0, 9.5), 4.0, 4.5, 1.8, 0.0, 1.5),
     Solid((26.0, -11.0), 0.0, 0.3, 0.3, 0.0, 6.0),
 )

@@ -20,6 +20,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from laci_stereo.run import prepare
+from laci_stereo.stereo.recording import StereoRecording
+
 HERE = Path(__file__).resolve().parent.parent
 
 PLAIN = """
@@ -54,10 +57,9 @@ def tool(recording: Path, out: Path) -> list[str]:
 
 def whole_disparities(recording: Path) -> int:
     """Return how many disparities the tool searches in a whole image."""
-    from laci_stereo.run import prepare
-
-    job = prepare(recording / "left", recording / "right", recording / "cam.csv")
-    return job.recording.whole_region().count
+    source = prepare(recording / "left", recording / "right", recording / "cam.csv").recording
+    assert isinstance(source, StereoRecording)
+    return source.whole_region().count
 
 
 def repeated(recording: Path, pairs: int, folder: Path) -> Path:

@@ -89,7 +89,7 @@ def calibrate(
     match = match_track(xy_level, xy_world, settings.match)
 
     ground_covariance = ground.covariance_level(source.axes)
-    doubt = doubt_of(match, xy_level, xy_world, choice.track, vehicle)
+    doubt = doubt_of(match, choice.track, vehicle, settings.match)
     residual_rms_m = float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean()))
     return Calibration(
         world=world,

@@ -29,7 +29,7 @@ class PointCloud:
     at_edge : ndarray of bool, shape (n,)
         The point lies at the border of the field of view, so that what it belongs to may be cut off there.
     offset_s : ndarray, shape (n,), or None
-        Each point's own time after ``stamp_ns``, seconds: a scanner needs a tenth of a second for a turn, in which a car
+        Each point's own time after ``stamp_ns``, seconds: a scanner turns for a tenth of a second, in which a car
         at 10 m/s moves by a metre. None: all points were taken at the stamp.
     """
 

@@ -53,8 +53,8 @@ def match_track(xy_level: FloatArray, xy_world: FloatArray, settings: MatchSetti
         If no point is far enough from the last one.
     """
     settings = settings or MatchSettings()
-    vectors_level = xy_level[:-1] - xy_level[-1]
-    vectors_world = xy_world[:-1] - xy_world[-1]
+    vectors_level = xy_level[:-1] - xy_level[-1:]
+    vectors_world = xy_world[:-1] - xy_world[-1:]
     lengths = np.minimum(np.linalg.norm(vectors_level, axis=1), np.linalg.norm(vectors_world, axis=1))
     long_enough = lengths >= settings.min_vector_m
     if not long_enough.any():

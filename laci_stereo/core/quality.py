@@ -8,10 +8,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
-from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
+from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.result import Quality, Verdict
-from laci_stereo.core.settings import QualitySettings
+from laci_stereo.core.settings import MatchSettings, QualitySettings
 from laci_stereo.core.tracking import Track
 
 
@@ -38,45 +38,55 @@ class Doubt:
         return float(np.sqrt(2 * self.position_m**2 + (self.yaw_rad * self.spread_m) ** 2))
 
 
-def doubt_of(
-    match: PlanarMatch, xy_level: FloatArray, xy_world: FloatArray, track: Track, vehicle: VehicleTrack
-) -> Doubt:
+def doubt_of(match: PlanarMatch, track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Doubt:
     """Estimate the errors of the paper's match.
 
-    What remains between the tracks is the error of box centres. It changes as slowly as the side of the vehicle that
-    is in view, so it is not averaged over frames. The match cannot see the part that all frames share; half of what
-    the boxes, less what is only their points' noise, lack of the vehicle's true length and width bounds it. The yaw
-    leans on the last point of the trace and on the mean of the others, each with that error.
+    A sensor sees the near sides of a vehicle, so its boxes lack what faces away. The match is repeated with boxes that
+    have grown away from the sensor to the vehicle's true size, and by how much that changes the result is its doubt.
+    To this comes what then remains between the tracks. It changes as slowly as the side in view, so it is not averaged
+    over frames; the yaw leans on the last point of the trace and on the mean of the others, each with that error.
 
     Parameters
     ----------
     match : PlanarMatch
-    xy_level, xy_world : ndarray, shape (n, 2)
-        The two tracks at the frames used.
     track : Track
     vehicle : VehicleTrack
+    settings : MatchSettings
+        Of the match.
     """
-    remains = match(xy_level) - xy_world
-    lacking = _lacking(track, vehicle) / 2
-    position = float(np.sqrt((remains**2).mean() + (lacking**2).mean()))
+    xy_world, yaw_world, known = vehicle.at(track.stamps_s)
+    xy_level, xy_world = track.centres[known], xy_world[known]
+    grown = xy_level + _lacking(track, vehicle, wrap(yaw_world - match.yaw_rad))[known]
+    regrown = match_track(grown, xy_world, settings)
+    shifted = (match(grown) - regrown(grown)).mean(axis=0)
+    remains = float(np.sqrt(((regrown(grown) - xy_world) ** 2).mean()))
     lengths = np.linalg.norm(xy_world[:-1] - xy_world[-1], axis=1)
     spread = float(np.sqrt(((xy_world - xy_world.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    yaw = np.sqrt(2) * position / max(float(np.sqrt((lengths**2).mean())), 1e-9)
-    return Doubt(position, float(yaw), spread)
+    return Doubt(
+        position_m=float(np.hypot(remains, np.sqrt((shifted**2).mean()))),
+        yaw_rad=float(
+            np.hypot(wrap(regrown.yaw_rad - match.yaw_rad), np.sqrt(2) * remains / np.sqrt((lengths**2).mean()))
+        ),
+        spread_m=spread,
+    )
 
 
-def _lacking(track: Track, vehicle: VehicleTrack) -> FloatArray:
-    """Return by how much the boxes are shorter and narrower than the vehicle, shape (2,)."""
+def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> FloatArray:
+    """Return from the boxes' middles to those that they would have with the vehicle's true size, shape (n, 2)."""
     seen = track.usable
-    extents = np.array([(sighting.box.length_m, sighting.box.width_m) for sighting in seen])
-    in_box = np.array([np.arctan2(*sighting.box.centre[::-1]) - sighting.box.yaw_rad for sighting in seen])
+    sizes = np.array([(sighting.box.length_m, sighting.box.width_m) for sighting in seen])
+    turned = np.array([sighting.box.yaw_rad for sighting in seen]) - yaw_level
+    c, s = np.abs(np.cos(turned)), np.abs(np.sin(turned))
+    extents = np.column_stack(
+        [(sizes * np.column_stack([c, s])).sum(axis=1), (sizes * np.column_stack([s, c])).sum(axis=1)]
+    )
+    sight = rotate_xy(-yaw_level, track.centres / np.linalg.norm(track.centres, axis=1, keepdims=True))
     # Half of the points are on the near side, and the outermost of n lies at the quantile 1 / n.
     outermost = -ndtri(1 / np.array([max(sighting.count / 2, 2.0) for sighting in seen]))
     noise = 2 * outermost * np.array([sighting.sigma_m for sighting in seen])
-    extents -= noise[:, None] * np.abs(np.column_stack([np.cos(in_box), np.sin(in_box)]))
     true = np.array([vehicle.length_m, vehicle.width_m])
-    lacking: FloatArray = true - np.median(extents, axis=0).clip(0.0, true)
-    return lacking
+    lacking = true - (extents - noise[:, None] * np.abs(sight)).clip(0.0, true)
+    return rotate_xy(yaw_level, np.sign(sight) * lacking / 2)
 
 
 def covariance_of(

@@ -98,7 +98,8 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
     )
     coarse = (matcher.compute(left, right).astype(np.float32) / 16)[:, region.reach :]
     own = np.ascontiguousarray(left[:, region.reach :])
-    found = coarse >= region.smallest
+    # The best at an end of the range is no minimum.
+    found = (coarse > region.smallest) & (coarse < region.smallest + region.count - 1)
     refined = refine(own, right, region.reach, coarse, found, settings.refine_window_px)
     sigma = np.sqrt(refined.variance + settings.disparity_floor_px**2)
     white = cv2.blur((own >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5

@@ -111,6 +111,11 @@ class StereoRecording:
         """First and last stamp."""
         return self.pairs[0].stamp_ns, self.pairs[-1].stamp_ns
 
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Why each image that could not be used was left out, one line each."""
+        return tuple(self.reader.skipped[path] for path in sorted(self.reader.skipped))
+
     def __len__(self) -> int:
         return len(self.pairs)
 
@@ -236,7 +241,8 @@ class StereoRecording:
         """Reproject pixels with a disparity: depth = f b / d along the pixel's ray."""
         plane = self.rectification
         u_right = np.rint(u - d).astype(np.int64)
-        usable = (d > 0) & (u_right >= 0) & plane.left.valid[v, u] & plane.right.valid[v, u_right.clip(0)]
+        # What is not nearer than the noise can tell may be at any distance, even beyond what numbers can hold.
+        usable = (d > sigma_px) & (u_right >= 0) & plane.left.valid[v, u] & plane.right.valid[v, u_right.clip(0)]
         v, u, d, sigma_px, u_right = v[usable], u[usable], d[usable], sigma_px[usable], u_right[usable]
         depth = plane.focal_px * plane.baseline_m / d
         points = plane.rays[v, u] * depth[:, None]

@@ -13,6 +13,8 @@ from laci_stereo.io.stereo_calibration import Lens, StereoRig
 EDGE_PX = 4
 """What lies nearer than this to where either image ends may be cut off there."""
 
+ROUNDING_PX = 1e-3
+
 
 @dataclass(frozen=True)
 class View:
@@ -25,7 +27,7 @@ class View:
     valid : ndarray of bool, shape (height, width)
         The rectified pixel lies inside the raw image.
     inner : ndarray of bool, shape (height, width)
-        It lies inside by more than `EDGE_PX`.
+        It lies inside by more than `EDGE_PX`, and as far from the border of the rectified image.
     """
 
     maps: tuple[Raster, Raster] | None
@@ -121,14 +123,14 @@ def _view(lens: Lens, R: FloatArray, P: FloatArray, size: tuple[int, int], mirro
     if mirrored:
         map_x, map_y = np.ascontiguousarray(map_x[:, ::-1]), np.ascontiguousarray(map_y[:, ::-1])
     u, v = np.meshgrid(np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32))
-    same = size == lens.size and max(np.abs(map_x - u).max(), np.abs(map_y - v).max()) < 1e-3
+    same = size == lens.size and max(np.abs(map_x - u).max(), np.abs(map_y - v).max()) < ROUNDING_PX
     fixed = None if same else cv2.convertMaps(map_x, map_y, cv2.CV_16SC2)
-    return View(fixed, _inside(map_x, map_y, lens.size, 0), _inside(map_x, map_y, lens.size, EDGE_PX))
+    inner = _inside(map_x, map_y, lens.size, EDGE_PX) & _inside(u, v, size, EDGE_PX)
+    return View(fixed, _inside(map_x, map_y, lens.size, 0), inner)
 
 
 def _inside(map_x: Raster, map_y: Raster, size: tuple[int, int], margin: int) -> BoolArray:
-    width, height = size
-    inside: BoolArray = (
-        (map_x >= margin) & (map_x <= width - 1 - margin) & (map_y >= margin) & (map_y <= height - 1 - margin)
-    )
+    first = margin - ROUNDING_PX
+    right, bottom = size[0] - 1 - first, size[1] - 1 - first
+    inside: BoolArray = (map_x >= first) & (map_x <= right) & (map_y >= first) & (map_y <= bottom)
     return inside

@@ -22,6 +22,11 @@ FINER = 4
 DERIVATIVE = np.array([[-1, 9, -45, 0, 45, -9, 1]], np.float32) / 60
 """Central difference of the sixth order: a shorter one is too flat for fine texture, and the shift too large."""
 
+LEAST_INFORMATION = 1e-3
+
+ROUNDING = 1 / 6
+"""Variance of the difference of two grey values from their rounding alone."""
+
 SAMPLE_STRIDE = 4
 """Of the residuals, every fourth in both directions gives the same median."""
 
@@ -81,15 +86,16 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
         mean = (gradient + other) / 2
         # The product of both images' gradients, since the square of one would count its noise as texture.
         texture = gradient * other
-        information = np.maximum(_sums(texture, side), 1e-3)
+        information = np.maximum(_sums(texture, side), LEAST_INFORMATION)
         # A pixel's difference holds its own shift already; what is wanted is the shift of the whole window.
         shift = _sums(mean * apart + texture * held, side) / information
         held = np.where(straddles, 0, shift)
     residual = _sums(apart * apart, side) / np.maximum(count, 1.0)
     some = found[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
     typical = float(np.median(residual[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][some])) if some.any() else 0.0
-    values, variance = start + shift, np.maximum(residual, typical) * _sums(mean * mean, side) / information**2
-    return _continued(Refined(values, variance), coarse, found, straddles, jump, side)
+    noise = np.maximum(residual, max(typical, ROUNDING))
+    variance = noise * np.maximum(_sums(mean * mean, side), information) / information**2
+    return _continued(Refined(start + shift, variance), coarse, found, straddles, jump, side)
 
 
 def _upsampled(image: Raster) -> Raster:

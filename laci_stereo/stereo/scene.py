@@ -56,12 +56,13 @@ class Look:
     def changed(self, shrunken: Raster) -> BoolArray:
         """Return where an image differs from the scene at rest, at the shrunken size, holes filled.
 
-        The light may have changed since: one gain for the whole image is put in first, and what was brighter than the
-        camera can tell stays so.
+        The light may have changed since: one gain for the whole image is put in first. What was brighter at rest than
+        the camera can tell may have any brightness above that.
         """
         gain = _gain(shrunken, self.image)
-        expected = np.minimum(gain * self.image, WHITE)
-        apart = cv2.absdiff(shrunken.astype(np.float32), expected) > CHANGE_SIGMAS * max(gain, 1.0) * self.noise
+        brighter = shrunken.astype(np.float32) - np.minimum(gain * self.image, WHITE)
+        limit = CHANGE_SIGMAS * max(gain, 1.0) * self.noise
+        apart = (brighter < -limit) | ((brighter > limit) & (self.image < WHITE))
         mask = cv2.morphologyEx(apart.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
         reach = 2 * (BLEED_PX // SHRINK) + 1
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))

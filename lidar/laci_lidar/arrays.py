@@ -62,8 +62,18 @@ def read_npz(content: bytes, what: str) -> Columns:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            arrays = {member.filename.removesuffix(".npy"): _member(archive, member, what) for member in archive.infolist()}
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, ValueError, RuntimeError) as problem:
+            arrays = {
+                member.filename.removesuffix(".npy"): _member(archive, member, what) for member in archive.infolist()
+            }
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        NotImplementedError,
+        ValueError,
+        RuntimeError,
+    ) as problem:
         raise ScanError(f"{what} is damaged: {quoted(str(problem))}; needed is a whole archive of arrays") from problem
     main = next((name for name in _POINTS if name in arrays), None)
     if main is None and len(arrays) == 1:
@@ -80,8 +90,8 @@ def read_npz(content: bytes, what: str) -> Columns:
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> npt.NDArray[Any]:
     if member.file_size > LARGEST_RATIO * max(member.compress_size, 1):
         raise ScanError(
-            f"{what}: {quoted(member.filename)} promises {member.file_size} bytes from {member.compress_size}; needed is "
-            "an archive that NumPy wrote"
+            f"{what}: {quoted(member.filename)} promises {member.file_size} bytes from {member.compress_size}; "
+            "needed is an archive that NumPy wrote"
         )
     return _array(archive.read(member), f"{what}, array {quoted(member.filename)}")
 
@@ -92,10 +102,12 @@ def _array(content: bytes, what: str) -> npt.NDArray[Any]:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read_header(stream)
-    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError, UnicodeDecodeError) as problem:
+    except Exception as problem:  # of many kinds: a header is parsed as Python
         raise ScanError(f"{what} is no array: {quoted(str(problem))}; needed is a file that NumPy wrote") from problem
     if dtype.hasobject:
-        raise ScanError(f"{what} is a pickle (type {quoted(str(dtype))}), which is never loaded; needed is an array of numbers")
+        raise ScanError(
+            f"{what} is a pickle (type {quoted(str(dtype))}), which is never loaded; needed is an array of numbers"
+        )
     count = 1
     for length in shape:
         count *= max(int(length), 0)

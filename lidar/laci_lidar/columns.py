@@ -1,4 +1,4 @@
-"""What every format comes to: named columns of numbers, one value per point; and layouts that are still to be filled."""
+"""What every format comes to: columns of numbers, one value per point, under the names of their fields."""
 
 from __future__ import annotations
 
@@ -70,6 +70,8 @@ def from_text(text: bytes, fields: Sequence[Field], points: int, what: str) -> C
     # Long integers are times in nanoseconds, which no float64 holds.
     kinds = [field.dtype if field.dtype.kind in "iu" and field.dtype.itemsize == 8 else np.float64 for field in fields]
     layout = [(f"{i} {k}", kinds[i]) for i, field in enumerate(fields) for k in range(field.count)]
+    if points == 0:
+        return named(fields, [np.zeros(0) for _ in fields])
     try:
         records = np.loadtxt((line.decode("ascii") for line in lines), layout, comments=None, ndmin=1)
     except (ValueError, OverflowError) as problem:

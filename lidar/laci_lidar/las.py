@@ -37,7 +37,9 @@ def read_las(content: bytes, what: str) -> Columns:
     except (ScanError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
     except BaseException as problem:  # a panic of the decompressor is no Exception
-        raise ScanError(f"{what} cannot be read: {quoted(str(problem))}; needed is a whole LAS or LAZ file") from problem
+        raise ScanError(
+            f"{what} cannot be read: {quoted(str(problem))}; needed is a whole LAS or LAZ file"
+        ) from problem
     if len(las.points) != las.header.point_count:
         raise ScanError(f"{what} is cut off: {len(las.points)} of {las.header.point_count} points are there")
     names = set(las.point_format.dimension_names)

@@ -17,7 +17,9 @@ LONGEST_HEADER = 1 << 16
 _TYPES = {("F", 2): "<f2", ("F", 4): "<f4", ("F", 8): "<f8"} | {
     (kind, size): f"<{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)
 }
-_ENTRIES = frozenset({"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS"})
+_ENTRIES = frozenset(
+    ["VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"]
+)
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,7 @@ def read_pcd(content: bytes, what: str) -> Columns:
         return unpacked(data, header.fields, header.points)
     if header.encoding == "binary_compressed":
         return _decompressed(data, header, what)
-    raise ScanError(
-        f"{what}: DATA is {quoted(header.encoding)}; needed is 'ascii', 'binary' or 'binary_compressed'"
-    )
+    raise ScanError(f"{what}: DATA is {quoted(header.encoding)}; needed is 'ascii', 'binary' or 'binary_compressed'")
 
 
 def _short(what: str, points: int, found: str) -> ScanError:
@@ -96,11 +96,13 @@ def _header(content: bytes, what: str) -> _Header:
     while "DATA" not in entries:
         end = content.find(b"\n", at, LONGEST_HEADER)
         if end < 0:
-            raise ScanError(f"{what} is no PCD file: its header has no line DATA within {min(at, LONGEST_HEADER)} bytes")
+            raise ScanError(
+                f"{what} is no PCD file: its header has no line DATA within {min(at, LONGEST_HEADER)} bytes"
+            )
         words = content[at:end].decode("latin-1").split()
         at = end + 1
         if words and not words[0].startswith("#"):
-            if words[0] not in _ENTRIES and words[0] != "DATA":
+            if words[0] not in _ENTRIES:
                 raise ScanError(f"{what}: the header's entry {quoted(words[0])} is unknown; needed is a PCD header")
             entries[words[0]] = words[1:]
     fields = _fields(entries, what)
@@ -122,7 +124,9 @@ def _fields(entries: Mapping[str, list[str]], what: str) -> tuple[Field, ...]:
     fields = []
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
         if (kind, size) not in _TYPES:
-            raise ScanError(f"{what}: the field {quoted(name)} has type {quoted(kind)} of {size} bytes; needed is F, I or U")
+            raise ScanError(
+                f"{what}: the field {quoted(name)} has type {quoted(kind)} of {size} bytes; needed is F, I or U"
+            )
         fields.append(Field(name, np.dtype(_TYPES[kind, size]), count))
     return tuple(fields)
 
@@ -131,7 +135,9 @@ def _points(entries: Mapping[str, list[str]], what: str) -> int:
     if "POINTS" in entries:
         points = _numbers(entries, "POINTS", what)
     else:
-        points = [a * b for a, b in zip(_numbers(entries, "WIDTH", what), _numbers(entries, "HEIGHT", what), strict=False)]
+        points = [
+            a * b for a, b in zip(_numbers(entries, "WIDTH", what), _numbers(entries, "HEIGHT", what), strict=False)
+        ]
     if len(points) != 1:
         raise ScanError(f"{what}: the header tells {len(points)} numbers of points; needed is one entry POINTS")
     return points[0]

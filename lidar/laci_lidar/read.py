@@ -114,5 +114,7 @@ def _format(content: bytes, path: Path) -> ScanFormat:
         )
     if found is None and told is not KITTI_FORMAT:
         named = f"no {told.name} file" if told is not None else "of no known format"
-        raise ScanError(f"{path} is {named}: it begins with {head[:8]!r}; needed is PCD, PLY, LAS, LAZ, .bin, .npy or .npz")
+        raise ScanError(
+            f"{path} is {named}: it begins with {head[:8]!r}; needed is PCD, PLY, LAS, LAZ, .bin, .npy or .npz"
+        )
     return found or KITTI_FORMAT

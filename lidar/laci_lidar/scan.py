@@ -9,7 +9,7 @@ import numpy as np
 from laci_lidar.columns import Column, Columns
 from laci_lidar.errors import ScanError
 from laci_lidar.point_times import offsets_s
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.io.text_file import listed
 
 NO_RETURN_M = 0.01
@@ -69,6 +69,8 @@ class Scan:
         return len(self.points)
 
 
+# A damaged file holds any bits: signalling NaN, and numbers whose square is infinite.
+@np.errstate(invalid="ignore", over="ignore")
 def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
     """Make a scan of what was found in a file or a message.
 
@@ -87,12 +89,13 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
         If there are no coordinates, no point with a return, or the coordinates are no metres.
     """
     plain = {name.lower().replace("_", "").replace(" ", ""): column for name, column in columns.items()}
-    missing = [axis for axis in "xyz" if axis not in plain or plain[axis].ndim != 1 or plain[axis].dtype.kind not in "fiu"]
-    if missing:
+    if any(_first(plain, (axis,)) is None for axis in "xyz"):
         raise ScanError(f"{what} has the fields {listed(list(columns)) or '(none)'}; needed are x, y and z")
     if len(plain["x"]) == 0:
         raise ScanError(f"{what} is empty: it has 0 points")
-    points = np.column_stack([plain[axis].astype(np.float64) for axis in "xyz"])
+    points = np.empty((len(plain["x"]), 3))
+    for i, axis in enumerate("xyz"):
+        points[:, i] = plain[axis]
     times = _first(plain, TIME_NAMES)
     keep, range_m = _returns(points, what)
     if times is not None:
@@ -105,7 +108,9 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
         )
     keep &= range_m <= FARTHEST_M
     if not keep.any():
-        raise ScanError(f"{what}: 0 of {len(points)} points have a return; needed are finite coordinates off the origin")
+        raise ScanError(
+            f"{what}: 0 of {len(points)} points have a return; needed are finite coordinates off the origin"
+        )
     intensity = _first(plain, INTENSITY_NAMES)
     return Scan(
         points[keep],
@@ -114,10 +119,9 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
     )
 
 
-def _returns(points: FloatArray, what: str) -> tuple[np.ndarray[tuple[int], np.dtype[np.bool_]], FloatArray]:
+def _returns(points: FloatArray, what: str) -> tuple[BoolArray, FloatArray]:
     """Return which points are a return, and the distances of all."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
+    range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
         raise ScanError(f"{what}: none of its {len(points)} points is finite; needed are numbers in metres")

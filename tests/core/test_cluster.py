@@ -76,7 +76,7 @@ def test_neither_order_nor_place_matters(seed: int, columns: int, rows: int) -> 
 
 def test_two_cars_a_metre_apart_are_two() -> None:
     car = np.stack(np.meshgrid(np.arange(0.0, 4.4, 0.1), np.arange(0.0, 1.8, 0.1)), axis=-1).reshape(-1, 2)
-    xy = np.concatenate([car, car + [0.0, 2.8]])
+    xy = np.concatenate([car, car + np.array([0.0, 2.8])])
     first, second = cluster(xy, SETTINGS)
     assert {frozenset(first.tolist()), frozenset(second.tolist())} == {
         frozenset(range(len(car))),

@@ -66,7 +66,7 @@ def test_distances_stay(T: FloatArray, p: FloatArray, q: FloatArray) -> None:
 @given(angles, metres, metres, vectors)
 def test_planar_turns_then_shifts_and_keeps_height(yaw: float, x: float, y: float, p: FloatArray) -> None:
     moved = transform(planar(yaw, np.array([x, y])), p[None])[0]
-    assert moved[:2] == pytest.approx(rotate_xy(yaw, p[:2]) + [x, y], abs=1e-8)
+    assert moved[:2] == pytest.approx(rotate_xy(yaw, p[:2]) + np.array([x, y]), abs=1e-8)
     assert moved[2] == p[2]
 
 
@@ -75,8 +75,9 @@ def test_rotation_is_proper_and_counter_clockwise(yaw: float) -> None:
     R = rotation_z(yaw)
     assert R @ R.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(R) == pytest.approx(1.0)
-    assert R[:2, 0] == pytest.approx([math.cos(yaw), math.sin(yaw)])
-    assert rotate_xy(math.pi / 2, np.array([1.0, 0.0])) == pytest.approx([0.0, 1.0], abs=1e-12)
+    assert R @ [1.0, 0.0, 0.0] == pytest.approx([math.cos(yaw), math.sin(yaw), 0.0])
+    quarter = rotate_xy(math.pi / 2, np.array([1.0, 0.0]))
+    assert quarter == pytest.approx([0.0, 1.0], abs=1e-12)
 
 
 def test_rotate_takes_one_angle_per_point() -> None:
@@ -102,5 +103,6 @@ def test_wrap_at_the_border() -> None:
 
 @pytest.mark.parametrize("axes", [OPENCV_AXES, FORWARD_LEFT_UP_AXES])
 def test_axes_are_orthogonal_units(axes: Axes) -> None:
-    assert np.linalg.norm(axes.forward) == np.linalg.norm(axes.up) == 1.0
+    lengths = np.linalg.norm([axes.forward, axes.up], axis=1)
+    assert lengths.tolist() == [1.0, 1.0]
     assert np.dot(axes.forward, axes.up) == 0.0

@@ -139,6 +139,6 @@ def test_utm_from_sensor(yaw: float, shift: tuple[float, ...], centre: tuple[flo
     assert transform(T_utm_sensor, np.array([centre]))[0, 2] == pytest.approx(there[0, 2])
     assume(np.linalg.norm(there) > 1.0)
     # 100 m from there the scale, which a rigid transform cannot have, is off by no more than 4 cm.
-    away = np.array(centre) + [100.0, 0.0, 0.0]
+    away = np.array(centre) + np.array([100.0, 0.0, 0.0])
     error = transform(T_utm_sensor, away[None])[:, :2] - world.to_utm(transform(T_world_sensor, away[None])[:, :2])
     assert np.linalg.norm(error) == pytest.approx(100.0 * abs(1 - world.grid_scale), abs=1e-6)

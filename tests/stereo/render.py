@@ -12,7 +12,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, rotation_z
+from laci_stereo.core.frames import FloatArray, IntArray, Raster, rotation_z
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
 
 ROAD = 0
@@ -155,7 +155,7 @@ def _view(
 
     def cast(du: float, dv: float) -> tuple[FloatArray, FloatArray, IntArray]:
         directions = turned(rays(lens, (u + du).ravel(), (v + dv).ravel()), to_road)
-        return directions, *_first_hit(origin, directions, boxes)
+        return directions, *trace(origin, directions, boxes)
 
     grey = np.zeros(height * width, dtype=np.float32)
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
@@ -171,8 +171,17 @@ def _view(
     return View((grey / samples**2).reshape(shape), points.reshape(*shape, 3), owner.reshape(shape))
 
 
-def _first_hit(origin: FloatArray, directions: FloatArray, boxes: Sequence[Box]) -> tuple[FloatArray, IntArray]:
-    """Return how many times its direction each ray goes until it meets something (0: nothing), and what."""
+def trace(origin: FloatArray, directions: FloatArray, boxes: Sequence[Box]) -> tuple[FloatArray, IntArray]:
+    """Return how many times its direction each ray goes until it meets something (0: nothing), and its owner.
+
+    Parameters
+    ----------
+    origin : ndarray, shape (3,)
+        Road frame.
+    directions : ndarray, shape (n, 3)
+        Road frame, of any length.
+    boxes : sequence of Box
+    """
     with np.errstate(divide="ignore"):
         depth = np.where(directions[:, 2] < 0, -origin[2] / directions[:, 2], np.inf)
     owner = np.where(np.isfinite(depth), ROAD, NOTHING)
@@ -254,19 +263,3 @@ def _tile() -> Raster:
     band = (frequency > 0.5 / _TILE_WAVE) & (frequency < 1.0 / _TILE_WAVE)
     tile = np.fft.ifft2(np.fft.fft2(rng.normal(size=(_TILE, _TILE))) * band).real
     return np.pad(tile / tile.std(), ((0, 1), (0, 1)), mode="wrap").astype(np.float32)
-
-
-def seen_by_both(rig: StereoRig, left: View, right: View, tolerance_m: float = 0.05) -> BoolArray:
-    """Tell which pixels of the raw left image show a surface that the right camera sees too."""
-    height, width = left.owner.shape
-    points = left.points.reshape(-1, 3)
-    some = np.isfinite(points[:, 0])
-    in_right = turned(points[some], rig.R_right_left) + rig.t_right_left_m
-    pixels = np.rint(project(rig.right, in_right)).astype(int)
-    inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
-    seen = np.zeros(len(points), dtype=bool)
-    other = right.points[pixels[:, 1].clip(0, height - 1), pixels[:, 0].clip(0, width - 1)]
-    reach = np.linalg.norm(points[some], axis=1)
-    near = np.abs(np.linalg.norm(other, axis=1) - reach) < tolerance_m * np.maximum(reach, 10.0) / 2
-    seen[some] = inside & np.where(np.isnan(near), False, near)
-    return seen.reshape(height, width)

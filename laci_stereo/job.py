@@ -1,0 +1,246 @@
+"""From a recording and a drive to a result folder, whatever the sensor."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+
+from laci_stereo.core.calibrate import calibrate, world_around
+from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint
+from laci_stereo.core.cloud import PointCloudSource
+from laci_stereo.core.errors import CamError, OutputError
+from laci_stereo.core.frames import Raster
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import Settings
+from laci_stereo.io.calibration_file import Provenance, to_document, to_text
+from laci_stereo.io.cam_csv import read_cam_csv
+from laci_stereo.io.lane_map import LaneMap, read_lane_map
+from laci_stereo.io.output import RESULT_FILE, result_folder
+from laci_stereo.io.overlap import check_overlap
+from laci_stereo.report.summary import summarise
+from laci_stereo.report.topdown import draw_topdown
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveOptions:
+    """What a user can say about any calibration.
+
+    Attributes
+    ----------
+    lane_map : Path or None
+        Lanelet2 or GeoJSON; None looks for map.osm beside the recording.
+    station : int or None
+        The sender; None takes the one whose track fits.
+    reference : ReferencePoint
+        Where on the vehicle the messages' positions are.
+    crs : str or None
+        The UTM zone; None takes the messages'.
+    name : str or None
+        What people call the sensor; None takes the name of the folder around the recording.
+    core : Settings
+    """
+
+    lane_map: Path | None = None
+    station: int | None = None
+    reference: ReferencePoint = FRONT
+    crs: str | None = None
+    name: str | None = None
+    core: Settings = field(default_factory=Settings)
+
+    def config(self) -> dict[str, object]:
+        """Return every effective setting; paths stand among the inputs."""
+        return {
+            "method": "paper",
+            "station": self.station,
+            "reference": asdict(self.reference),
+            "crs": self.crs,
+            **asdict(self.core),
+        }
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The messages of a drive and the map of the place.
+
+    Attributes
+    ----------
+    cam : Path
+    messages : CamLog
+        Of the stations that may be the sender.
+    lane_map : LaneMap or None
+    files : mapping of str to str
+        What was read, with its SHA-256.
+    notes : tuple of str
+        How it was understood.
+    """
+
+    cam: Path
+    messages: CamLog
+    lane_map: LaneMap | None
+    files: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], options: DriveOptions) -> Drive:
+    """Read the messages and the map, and check that they belong to the recording.
+
+    Parameters
+    ----------
+    cam : Path
+    lane_map : Path or None
+    span_ns : tuple of int
+        First and last stamp of the recording.
+    options : DriveOptions
+
+    Raises
+    ------
+    CamError, MapError
+    """
+    recorded = read_cam_csv(cam)
+    messages = _of_station(recorded.log, options.station, cam)
+    with _naming(cam):
+        check_overlap(messages, *span_ns)
+        world = world_around(messages.between(*span_ns), options.crs)
+    read = read_lane_map(lane_map, world) if lane_map is not None else None
+    files = {str(path): sha256(path) for path in (cam, lane_map) if path is not None}
+    return Drive(cam, messages, read, files, recorded.notes + (read.notes if read is not None else ()))
+
+
+class Recording(PointCloudSource, Protocol):
+    """A source that remembers which of its files it could not use."""
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Why each frame that could not be used was left out, one line each."""
+
+
+Drawing = Callable[[Calibration], Iterator[tuple[str, Raster]]]
+"""Draws pictures that only one kind of sensor has, each with its file name."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Inputs that were read and hold together, before the long work.
+
+    Attributes
+    ----------
+    recording : Recording
+    drive : Drive
+    options : DriveOptions
+    provenance : Provenance
+    inputs : str
+        What was read, in words.
+    draw : callable
+        The sensor's own pictures.
+    """
+
+    recording: Recording
+    drive: Drive
+    options: DriveOptions
+    provenance: Provenance
+    inputs: str
+    draw: Drawing
+
+    def run(self, watch: Callable[[PointCloudSource], PointCloudSource] = lambda source: source) -> Result:
+        """Calibrate.
+
+        Parameters
+        ----------
+        watch : callable
+            Wraps the recording, for example to show progress while its frames are consumed.
+
+        Raises
+        ------
+        LaciError
+            If the recording cannot be read or does not determine a transform.
+        """
+        options = self.options
+        with _naming(self.drive.cam):
+            calibration = calibrate(
+                watch(self.recording), self.drive.messages, options.core, reference=options.reference, crs=options.crs
+            )
+        return Result(calibration, self)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A calibration and what it was made from.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    job : Job
+    """
+
+    calibration: Calibration
+    job: Job
+
+    @property
+    def summary(self) -> str:
+        """Ten lines that a person understands."""
+        provenance = self.job.provenance
+        inputs = f"{self.job.inputs}, {len(self.job.recording.skipped)} unreadable"
+        return summarise(self.calibration, f"{provenance.name} ({provenance.frame})", inputs)
+
+    def save(self, out: Path | str = "calibration", *, overwrite: bool = False) -> Path:
+        """Write calibration.json and the pictures into a folder, as a whole or not at all.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        OutputError
+            If the folder exists (and is no result, or ``overwrite`` is False), or cannot be written.
+        """
+        out = Path(out)
+        provenance = replace(self.job.provenance, notes=self.job.provenance.notes + self.job.recording.skipped)
+        text = to_text(to_document(self.calibration, provenance))
+        with result_folder(out, overwrite=overwrite) as folder:
+            (folder / RESULT_FILE).write_text(text, encoding="utf-8")
+            for name, picture in self.pictures():
+                _write_picture(folder / name, picture)
+        return out
+
+    def pictures(self) -> Iterator[tuple[str, Raster]]:
+        """Draw the view from above and the sensor's own pictures, each with its file name."""
+        yield "topdown.png", draw_topdown(self.calibration, self.job.drive.lane_map)
+        yield from self.job.draw(self.calibration)
+
+
+def sha256(path: Path) -> str:
+    """Return a file's SHA-256 in hexadecimal digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@contextmanager
+def _naming(cam: Path) -> Iterator[None]:
+    """Put the file's name before what is found wrong with messages where their file is not known any more."""
+    try:
+        yield
+    except CamError as error:
+        raise CamError(f"{cam}: {error}") from error
+
+
+def _of_station(log: CamLog, station: int | None, cam: Path) -> CamLog:
+    if station is None:
+        return log
+    if station not in log.stations():
+        present = ", ".join(str(number) for number in log.stations()[:10])
+        raise CamError(f"{cam}: station {station} is not in the log; needed is one of {present}")
+    return log.of(station)
+
+
+def _write_picture(path: Path, picture: Raster) -> None:
+    encoded, content = cv2.imencode(path.suffix, picture)
+    if not encoded:
+        raise OutputError(f"{path}: cannot be encoded as {path.suffix}")
+    path.write_bytes(content.tobytes())

@@ -1,0 +1,118 @@
+"""``laci-lidar``: arguments in, exit codes out."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+from laci_lidar.axes import parse_axes
+from laci_lidar.run import LidarOptions, prepare
+from laci_lidar.settings import LidarSettings, Sweep
+from laci_stereo.cli import Asked, calibrating, parse_background, run_command
+from laci_stereo.core.errors import SettingError
+from laci_stereo.job import Job
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="laci-stereo", message="%(prog)s %(version)s")
+def cli() -> None:
+    """Find where a roadside LiDAR stands and looks, from one connected vehicle that drives by.
+
+    Exit codes: 0 calibrated; 1 the input was read but does not determine a calibration; 2 the input cannot be read
+    or makes no sense; 130 interrupted.
+    """
+
+
+@cli.command()
+@click.argument("scans", type=click.Path(path_type=Path))
+@click.argument("cam", type=click.Path(path_type=Path))
+@click.option("--topic", help="Topic with the point clouds, where a bag has several.")
+@click.option(
+    "--axes",
+    default="x forward, z up",
+    show_default=True,
+    help="Which way the sensor's axes point, such as 'y forward' or 'z down'.",
+)
+@click.option("--range-sigma", type=float, metavar="M", help="Noise of a range [default: from the ground].")
+@click.option("--angle-sigma", type=float, metavar="DEG", help="Noise of a bearing [default: from the beams' spacing].")
+@click.option(
+    "--sweep",
+    metavar="AT,DIRECTION,HZ",
+    help="How the scanner turns, where the points have no times of their own: start, middle or end for what the "
+    "stamp is, ccw or cw seen from above, turns in a second; such as start,cw,10.",
+)
+@click.option(
+    "--accumulate",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Scans in a frame, for patterns that do not repeat.",
+)
+@click.option(
+    "--background",
+    metavar="START..END|PATH",
+    help="Scans without moving objects: numbers from 0, or a folder or bag [default: found].",
+)
+@calibrating
+def calibrate(
+    asked: Asked,
+    scans: Path,
+    cam: Path,
+    topic: str | None,
+    axes: str,
+    range_sigma: float | None,
+    angle_sigma: float | None,
+    sweep: str | None,
+    accumulate: int,
+    background: str | None,
+) -> Job:
+    """Calibrate a LiDAR.
+
+    SCANS is a folder of PCD, PLY, LAS, LAZ, KITTI .bin, .npy or .npz files whose names, or a timestamps.txt among
+    them, tell the time; or a ROS 1 bag, a ROS 2 bag or an MCAP file. CAM is a CSV log of Cooperative Awareness
+    Messages with the columns timestamp, station_id, latitude, longitude, heading, speed, vehicle_length and
+    vehicle_width.
+    """
+    options = LidarOptions(
+        **vars(asked.drive()),
+        topic=topic,
+        background=parse_background(background),
+        scanner=LidarSettings(
+            range_sigma_m=range_sigma,
+            angle_sigma_rad=None if angle_sigma is None else math.radians(angle_sigma),
+            sweep=parse_sweep(sweep),
+            accumulate=accumulate,
+            axes=parse_axes(axes),
+            workers=asked.workers,
+        ),
+    )
+    return prepare(scans, cam, options)
+
+
+def parse_sweep(text: str | None) -> Sweep | None:
+    """Read ``AT,DIRECTION,HZ``.
+
+    Raises
+    ------
+    SettingError
+        If it is not that.
+    """
+    if text is None:
+        return None
+    needed = "needed is start|middle|end,ccw|cw,HZ, such as start,cw,10"
+    parts = text.split(",")
+    if len(parts) != 3 or parts[0] not in ("start", "middle", "end") or parts[1] not in ("ccw", "cw"):
+        raise SettingError(f"--sweep is {text!r}; {needed}")
+    try:
+        rate_hz = float(parts[2])
+    except ValueError as error:
+        raise SettingError(f"--sweep is {text!r}; {needed}") from error
+    return Sweep(stamp_at=parts[0], direction=parts[1], rate_hz=rate_hz)  # type: ignore[arg-type]
+
+
+def main() -> None:
+    """Run ``laci-lidar``."""
+    run_command(cli, "laci-lidar")

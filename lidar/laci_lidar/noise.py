@@ -1,0 +1,134 @@
+"""How exact a scanner is, estimated from what it saw of the ground and from the pattern of its beams."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from laci_stereo.core.errors import GroundError
+from laci_stereo.core.frames import Axes, FloatArray, IntArray
+from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.settings import GroundSettings
+
+START_SIGMA_M = 0.02
+"""What most data sheets promise; with it the ground is found for the first time."""
+
+SMALLEST_SIGMA_M, LARGEST_SIGMA_M = 0.003, 0.2
+"""No time-of-flight scanner is more exact, and none that is sold is worse."""
+
+SMALLEST_SIGMA_RAD, LARGEST_SIGMA_RAD = 1e-4, 1e-2
+"""Encoders are no more exact, and beams no wider."""
+
+NEAR_GROUND_M = 0.1
+"""Points no farther from the plane than this are the road; beyond it kerbs begin."""
+
+_SAMPLE = 3000
+_SAME_BEAM_RAD = 1e-4
+_MAD_TO_SIGMA = 1.4826
+_BINS = 8
+_MIN_PAIRS = 10
+# The horizon: 3 deg, or 100 m from 5 m above the ground.
+_SMALLEST_STEEPNESS = 0.05
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of a scanner's range and of its bearing.
+
+    Attributes
+    ----------
+    range_sigma_m, angle_sigma_rad : float
+    """
+
+    range_sigma_m: float
+    angle_sigma_rad: float
+
+
+def estimate_angle_sigma(scans: Sequence[FloatArray]) -> float:
+    """Estimate the noise of bearings from the pattern of scans, each of shape (n, 3).
+
+    What a beam hits lies anywhere within its step, because the step is made about as wide as the beam. So the bearing
+    is uniform within the angle between neighbouring beams, and its standard deviation is this angle / sqrt(12).
+    """
+    steps = [_steps(_directions(points)) for points in scans]
+    found = np.concatenate(steps) if steps else np.zeros(0)
+    if len(found) == 0:
+        return SMALLEST_SIGMA_RAD
+    return float(np.clip(np.median(found) / np.sqrt(12.0), SMALLEST_SIGMA_RAD, LARGEST_SIGMA_RAD))
+
+
+def estimate_range_sigma(
+    scans: Sequence[FloatArray], angle_sigma_rad: float, axes: Axes, settings: GroundSettings
+) -> float:
+    """Estimate the noise of ranges from the ground in scans, each of shape (n, 3).
+
+    The plane predicts the range of every point on the road. Of two neighbours in one scan the residuals differ only by
+    noise, for the road's crown and the plane's error are common to both. A bearing that is off by d makes the plane's
+    prediction wrong by k d, k = range / tan(grazing angle), so the variance of a residual is sigma_range^2 + k^2
+    sigma_bearing^2. A line through the variances over k^2 separates the two; the medians in its bins leave kerbs out.
+
+    Raises
+    ------
+    GroundError
+        If there is no ground.
+    """
+    points = np.concatenate(scans) if scans else np.zeros((0, 3))
+    range_m = np.linalg.norm(points, axis=1)
+    along = np.full(len(points), START_SIGMA_M)
+    ground = fit_ground(points, along, range_m * angle_sigma_rad, axes.up, settings)
+    differences, leverage = np.concatenate([_differences(scan, ground) for scan in scans], axis=1)
+    if len(differences) < _BINS * _MIN_PAIRS:
+        raise GroundError(
+            f"{len(differences)} pairs of neighbouring points on the ground; needed are {_BINS * _MIN_PAIRS} for "
+            "an estimate of the noise of ranges, or the noise itself"
+        )
+    bins = np.array_split(np.argsort(leverage), _BINS)
+    variance = [np.median(np.abs(differences[bin_])) ** 2 * _MAD_TO_SIGMA**2 / 2 for bin_ in bins]
+    spread = np.maximum(variance, SMALLEST_SIGMA_M**2)
+    lines = np.column_stack([np.ones(_BINS), [np.median(leverage[bin_] ** 2) for bin_ in bins]])
+    # The variance of a variance grows with its square.
+    (at_nothing, _), _ = nnls(lines / spread[:, None], np.ones(_BINS))
+    return float(np.clip(np.sqrt(at_nothing), SMALLEST_SIGMA_M, LARGEST_SIGMA_M))
+
+
+def _differences(points: FloatArray, ground: GroundPlane) -> FloatArray:
+    """Return by how much the residuals of range differ between neighbours on the ground, and their k; shape (2, n)."""
+    road = points[np.abs(ground.heights(points)) < NEAR_GROUND_M]
+    directions = _directions(road)
+    steepness = np.maximum(-directions @ ground.normal, _SMALLEST_STEEPNESS)
+    residuals = np.linalg.norm(road, axis=1) - ground.height_m / steepness
+    sample, other, angle = _neighbours(directions)
+    if len(angle) == 0:
+        return np.zeros((2, 0))
+    near = angle < 2 * np.median(angle)
+    sample, other = sample[near], other[near]
+    leverage = ground.height_m / steepness[sample] * np.sqrt(1 / steepness[sample] ** 2 - 1)
+    return np.stack([residuals[sample] - residuals[other], leverage])
+
+
+def _steps(directions: FloatArray) -> FloatArray:
+    return _neighbours(directions)[2]
+
+
+def _neighbours(directions: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return a sample of directions, the nearest other beam of each, and the angle between them."""
+    nothing = np.zeros(0, dtype=np.int64)
+    if len(directions) < 3:
+        return nothing, nothing, np.zeros(0)
+    sample = np.unique(np.linspace(0, len(directions) - 1, _SAMPLE).round().astype(np.int64))
+    # A second return has the direction of the first.
+    angle, index = map(np.asarray, cKDTree(directions).query(directions[sample], k=3))
+    which = np.where(angle[:, 1] > _SAME_BEAM_RAD, 1, 2)
+    rows = np.arange(len(sample))
+    angle, other = angle[rows, which], index[rows, which]
+    usable = (angle > _SAME_BEAM_RAD) & np.isfinite(angle)
+    return sample[usable], other[usable], angle[usable]
+
+
+def _directions(points: FloatArray) -> FloatArray:
+    directions: FloatArray = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return directions

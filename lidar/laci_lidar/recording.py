@@ -1,0 +1,227 @@
+"""A LiDAR recording as a source of point clouds."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from laci_lidar.errors import ScanError
+from laci_lidar.noise import Noise, estimate_angle_sigma, estimate_range_sigma
+from laci_lidar.scan import Scan
+from laci_lidar.sequence import ScanSequence
+from laci_lidar.settings import LidarSettings
+from laci_lidar.view import View, learn_view
+from laci_stereo.core.cloud import PointCloud, empty_cloud
+from laci_stereo.core.errors import SettingError
+from laci_stereo.core.frames import Axes, FloatArray, IntArray
+from laci_stereo.core.settings import GroundSettings
+from laci_stereo.stereo.ahead import workers
+
+log = logging.getLogger(__name__)
+
+SURVEY_FRAMES = 20
+"""Whole frames for the ground and the background, evenly spread: a vehicle stands in few of them at the same place."""
+
+NOISE_SCANS = 5
+"""Scans from which the noise is estimated: each has thousands of points on the ground."""
+
+GAP_PERIODS = 1.5
+"""Scans farther apart than this are not gathered into one frame."""
+
+MAX_READERS = 4
+
+
+@dataclass(frozen=True)
+class Scanner:
+    """What is learnt of a scanner from some scans before its recording is streamed.
+
+    Attributes
+    ----------
+    view : View
+    noise : Noise
+    """
+
+    view: View
+    noise: Noise
+
+
+class LidarRecording:
+    """Frames of a LiDAR (implements `PointCloudSource`).
+
+    Parameters
+    ----------
+    scans : ScanSequence
+    settings : LidarSettings
+    ground : GroundSettings
+        For the first look at the road, from which the noise follows.
+    background : ScanSequence, range or None
+        Scans without moving objects, of their own or as indices of ``scans``. None: some of all scans are taken.
+    name : str
+        What people call the sensor.
+    """
+
+    kind = "lidar"
+
+    def __init__(
+        self,
+        scans: ScanSequence,
+        settings: LidarSettings | None = None,
+        ground: GroundSettings | None = None,
+        background: ScanSequence | range | None = None,
+        name: str = "LiDAR",
+    ) -> None:
+        self.name = name
+        self.scans = scans
+        self.settings = settings or LidarSettings()
+        self._ground = ground or GroundSettings()
+        self._threads = min(workers(self.settings.workers), MAX_READERS)
+        self._frames = group_scans(scans.stamps_ns, self.settings.accumulate)
+        self._quiet, self._quiet_frames = self._survey_frames(background)
+
+    @property
+    def axes(self) -> Axes:
+        """Where forward and up are."""
+        return self.settings.axes
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp of the scans."""
+        return int(self.scans.stamps_ns[0]), int(self.scans.stamps_ns[-1])
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Why each scan that could not be used was left out, one line each."""
+        return tuple(self.scans.skipped.values())
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        """Yield every frame."""
+        return self._clouds(self.scans, self._frames)
+
+    def survey(self) -> Iterator[PointCloud]:
+        """Yield some of the frames, evenly spread, or of those without moving objects where these are known."""
+        return (cloud for cloud in self._clouds(self._quiet, self._quiet_frames) if len(cloud))
+
+    @cached_property
+    def scanner(self) -> Scanner:
+        """The scanner's field of view and noise, as set or as learnt from the survey's scans.
+
+        Raises
+        ------
+        ScanError
+            If these cannot be read.
+        GroundError
+            If the noise of ranges is not set, and no ground is seen.
+        """
+        indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
+        sampled = indices[np.unique(np.linspace(0, len(indices) - 1, NOISE_SCANS).round().astype(np.int64))]
+        kept: list[FloatArray] = []
+
+        def clouds() -> Iterator[FloatArray]:
+            for index, scan in zip(indices, self._quiet.read(indices.tolist(), self._threads), strict=True):
+                if scan is not None:
+                    points = scan.points[self._far_enough(scan.points)]
+                    if index in sampled:
+                        kept.append(points)
+                    yield points
+
+        view = learn_view(clouds(), self.axes)
+        if not any(len(points) for points in kept):
+            raise ScanError(
+                f"{self.scans.path}: no point is {self.settings.min_range_m:g} m or more away; needed is a view"
+            )
+        scanner = Scanner(view, self._noise(kept))
+        log.info(
+            "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
+            np.degrees(view.width_rad),
+            100 * scanner.noise.range_sigma_m,
+            np.degrees(scanner.noise.angle_sigma_rad),
+        )
+        return scanner
+
+    def _survey_frames(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:
+        if background is None:
+            return self.scans, _spread(self._frames)
+        if not isinstance(background, range):
+            return background, _spread(group_scans(background.stamps_ns, self.settings.accumulate))
+        if not (len(background) and 0 <= background[0] <= background[-1] < len(self.scans)):
+            raise SettingError(
+                f"background scans are {background.start}..{background.stop - 1}; needed are first <= last within "
+                f"0..{len(self.scans) - 1}"
+            )
+        chosen = np.array(background)
+        groups = group_scans(self.scans.stamps_ns[chosen], self.settings.accumulate)
+        return self.scans, _spread([chosen[group] for group in groups])
+
+    def _noise(self, scans: Sequence[FloatArray]) -> Noise:
+        angle, along = self.settings.angle_sigma_rad, self.settings.range_sigma_m
+        if angle is None:
+            angle = estimate_angle_sigma(scans)
+        if along is None:
+            along = estimate_range_sigma(scans, angle, self.axes, self._ground)
+        return Noise(along, angle)
+
+    def _clouds(self, sequence: ScanSequence, frames: Sequence[IntArray]) -> Iterator[PointCloud]:
+        scanner = self.scanner
+        scans = sequence.read([int(index) for frame in frames for index in frame], self._threads)
+        for frame in frames:
+            stamps = sequence.stamps_ns[frame]
+            stamp_ns = int(stamps[len(stamps) // 2])
+            parts = [(int(stamp) - stamp_ns, next(scans)) for stamp in stamps]
+            yield self._cloud(stamp_ns, [(shift, scan) for shift, scan in parts if scan is not None], scanner)
+        next(scans, None)  # at its end the sequence says if too many could not be read
+
+    def _cloud(self, stamp_ns: int, parts: Sequence[tuple[int, Scan]], scanner: Scanner) -> PointCloud:
+        """Gather scans, each with its time after the frame's stamp in nanoseconds, into one frame."""
+        if not parts:
+            return empty_cloud(stamp_ns)
+        points = np.concatenate([scan.points for _, scan in parts])
+        offsets = [self._offsets_s(scan, scanner) for _, scan in parts]
+        offset_s = None
+        if len(parts) > 1 or offsets[0] is not None or parts[0][0] != 0:
+            offset_s = np.concatenate(
+                [
+                    np.full(len(scan), shift / 1e9) + (0.0 if own is None else own)
+                    for (shift, scan), own in zip(parts, offsets, strict=True)
+                ]
+            )
+        keep = self._far_enough(points)
+        points = points[keep]
+        return PointCloud(
+            stamp_ns,
+            points,
+            sigma_along_m=np.full(len(points), scanner.noise.range_sigma_m),
+            sigma_across_m=np.linalg.norm(points, axis=1) * scanner.noise.angle_sigma_rad,
+            at_edge=scanner.view.at_edge(points),
+            offset_s=None if offset_s is None else offset_s[keep],
+        )
+
+    def _offsets_s(self, scan: Scan, scanner: Scanner) -> FloatArray | None:
+        if self.settings.sweep is not None:
+            return scanner.view.offsets_s(scan.points, self.settings.sweep)
+        return scan.offset_s
+
+    def _far_enough(self, points: FloatArray) -> np.ndarray:
+        keep: np.ndarray = np.einsum("ij,ij->i", points, points) >= self.settings.min_range_m**2
+        return keep
+
+
+def group_scans(stamps_ns: IntArray, size: int) -> list[IntArray]:
+    """Put consecutive scans into groups of at most ``size``, none of which spans a gap; return their indices."""
+    indices = np.arange(len(stamps_ns))
+    if size == 1 or len(indices) < 2:
+        return list(indices[:, None])
+    steps = np.diff(stamps_ns)
+    runs = np.split(indices, np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1)
+    return [run[start : start + size] for run in runs for start in range(0, len(run), size)]
+
+
+def _spread(frames: Sequence[IntArray]) -> list[IntArray]:
+    chosen = np.unique(np.linspace(0, len(frames) - 1, SURVEY_FRAMES).round().astype(np.int64))
+    return [frames[index] for index in chosen]

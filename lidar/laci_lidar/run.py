@@ -1,0 +1,118 @@
+"""From scans to a result: the run behind ``laci-lidar calibrate``, for Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from laci_lidar.recording import LidarRecording
+from laci_lidar.scans import open_scans
+from laci_lidar.sequence import ScanSequence
+from laci_lidar.settings import LidarSettings
+from laci_stereo.core.errors import SettingError
+from laci_stereo.core.frames import Raster
+from laci_stereo.core.result import Calibration
+from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.io.lane_map import find_lane_map
+from laci_stereo.job import DriveOptions, Job, Result, read_drive
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarOptions(DriveOptions):
+    """What a user can say about the calibration of a LiDAR.
+
+    Attributes
+    ----------
+    topic : str or None
+        Of a bag; None takes the only one with point clouds.
+    background : tuple of int, Path or None
+        First and last scan without moving objects, or a folder or bag with such scans; None looks for them.
+    scanner : LidarSettings
+    """
+
+    topic: str | None = None
+    background: tuple[int, int] | Path | None = None
+    scanner: LidarSettings = field(default_factory=LidarSettings)
+
+    def config(self) -> dict[str, object]:
+        """Return every effective setting; paths stand among the inputs."""
+        background = self.background
+        return {
+            **super().config(),
+            "topic": self.topic,
+            "background": str(background) if isinstance(background, Path) else background,
+            "lidar": asdict(self.scanner),
+        }
+
+
+def calibrate(scans: Path | str, cam: Path | str, options: LidarOptions | None = None) -> Result:
+    """Calibrate a LiDAR from its scans and a log of Cooperative Awareness Messages.
+
+    Parameters
+    ----------
+    scans : path
+        A folder of scans, or a ROS bag or MCAP file.
+    cam : path
+        The log, as CSV.
+    options : LidarOptions
+
+    Raises
+    ------
+    InputError
+        If something cannot be read or makes no sense.
+    CalibrationError
+        If it was read but does not determine a transform.
+    """
+    return prepare(Path(scans), Path(cam), options).run()
+
+
+def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
+    """Read everything but the scans, and check that it holds together.
+
+    Raises
+    ------
+    InputError
+    """
+    options = options or LidarOptions()
+    sequence = open_scans(scans, options.topic)
+    recording = LidarRecording(
+        sequence,
+        options.scanner,
+        options.core.ground,
+        _background(sequence, options.background),
+        options.name or scans.absolute().name,
+    )
+    drive = read_drive(cam, options.lane_map or find_lane_map(scans), recording.span_ns, options)
+    return Job(
+        recording=recording,
+        drive=drive,
+        options=options,
+        provenance=Provenance(
+            name=recording.name,
+            kind=recording.kind,
+            frame="as in the scans",
+            inputs={str(scans): len(sequence), **drive.files},
+            config=options.config(),
+            notes=sequence.notes + drive.notes,
+        ),
+        inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
+        draw=_no_pictures,
+    )
+
+
+def _background(sequence: ScanSequence, asked: tuple[int, int] | Path | None) -> ScanSequence | range | None:
+    if asked is None:
+        return None
+    if isinstance(asked, Path):
+        return open_scans(asked)
+    first, last = asked
+    if not 0 <= first <= last < len(sequence):
+        last_scan = len(sequence) - 1
+        raise SettingError(f"background scans are {first}..{last}; needed are first <= last within 0..{last_scan}")
+    return range(first, last + 1)
+
+
+def _no_pictures(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
+    """Draw nothing: a LiDAR has no image."""
+    yield from ()

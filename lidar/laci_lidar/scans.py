@@ -1,0 +1,56 @@
+"""Opening what a user has: a folder of scans or a bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from laci_lidar.errors import ScanError
+from laci_lidar.folder import ScanFolder
+from laci_lidar.read import SUFFIXES
+from laci_lidar.sequence import ScanSequence
+
+_BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+_BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+def open_scans(path: Path, topic: str | None = None) -> ScanSequence:
+    """Open a folder of scans, a ROS 1 bag, a ROS 2 bag or an MCAP file.
+
+    Parameters
+    ----------
+    path : Path
+    topic : str or None
+        Of a bag. None takes the only one with point clouds.
+
+    Raises
+    ------
+    ScanError
+        If it is none of these, or unusable.
+    """
+    if _is_bag(path):
+        try:
+            from laci_lidar.bag import BagScans
+        except ImportError as problem:
+            raise ScanError(
+                f"{path}: reading bags needs the extra 'bag' ({problem.name} is not installed); "
+                "needed is pip install 'laci-stereo[bag]'"
+            ) from problem
+        return BagScans.open(path, topic)
+    if path.is_file() and path.suffix.lower() in SUFFIXES:
+        raise ScanError(f"{path} is a single scan; needed is the folder with all of them, or a bag")
+    if topic is not None:
+        raise ScanError(f"{path} is no bag, and has no topic {topic!r}; needed is a bag, or no topic")
+    return ScanFolder.open(path)
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or any(
+            entry.suffix in _BAG_SUFFIXES[1:] and entry.is_file() for entry in path.iterdir()
+        )
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(16)
+    except (OSError, ValueError):
+        return False
+    return head.startswith(_BAG_MAGICS) or path.suffix.lower() in _BAG_SUFFIXES

@@ -1,0 +1,75 @@
+"""What a recording of scans is: stamps that are known at once, and scans that are read when they are asked for."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from laci_lidar.errors import ScanError
+from laci_lidar.scan import Scan
+from laci_stereo.core.frames import IntArray
+
+log = logging.getLogger(__name__)
+
+MAX_BAD_SHARE = 0.2
+"""A larger share of unreadable scans is an error."""
+
+
+class ScanSequence(Protocol):
+    """A lazy recording, which is read as often as it is asked for."""
+
+    @property
+    def path(self) -> Path:
+        """The folder or bag."""
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """Unix times in nanoseconds, strictly ascending, shape (n,)."""
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """The scans that could not be read so far, by name, each with the reason in one line."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know about the recording, one line each."""
+
+    def __len__(self) -> int:
+        """Return the number of scans."""
+
+    def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
+        """Yield the scans at ascending indices, None where one is unreadable.
+
+        Raises
+        ------
+        ScanError
+            At the end, if more than a fifth of them were unreadable.
+        """
+
+
+def counted(results: Iterable[tuple[str, Scan | ScanError]], skipped: dict[str, str]) -> Iterator[Scan | None]:
+    """Yield scans, None for those that could not be read; these are put into ``skipped``.
+
+    Raises
+    ------
+    ScanError
+        At the end, if more than a fifth could not be read.
+    """
+    attempted, failed = 0, []
+    for name, result in results:
+        attempted += 1
+        if isinstance(result, Scan):
+            yield result
+            continue
+        failed.append(str(result))
+        if name not in skipped:
+            log.info("%s", result)
+        skipped[name] = str(result)
+        yield None
+    if len(failed) > MAX_BAD_SHARE * attempted:
+        raise ScanError(
+            f"{len(failed)} of {attempted} scans are unusable; needed are at least {1 - MAX_BAD_SHARE:.0%} usable; "
+            f"the first: {failed[0]}"
+        )

@@ -1,0 +1,84 @@
+"""Every setting of the LiDAR, its default, and why it has that value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from laci_stereo.core.errors import SettingError
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """How a scanner turns that does not tell each point's own time.
+
+    Attributes
+    ----------
+    stamp_at : {"start", "middle", "end"}
+        Which moment of the sweep a scan's stamp is.
+    direction : {"ccw", "cw"}
+        Seen from above, as the sensor hangs.
+    rate_hz : float
+        Turns in a second, of the mirror or head; a scanner with a field of 100 deg sweeps it in 100 / 360 of a turn.
+    start_deg : float or None
+        Where a sweep begins, counter-clockwise from forward. None: at the border of the field of view; behind the
+        sensor if it sees all around.
+    """
+
+    stamp_at: Literal["start", "middle", "end"] = "start"
+    direction: Literal["ccw", "cw"] = "cw"
+    rate_hz: float = 10.0
+    start_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.stamp_at not in ("start", "middle", "end"):
+            raise SettingError(f"the stamp is at {self.stamp_at!r} of a sweep; needed is 'start', 'middle' or 'end'")
+        if self.direction not in ("ccw", "cw"):
+            raise SettingError(f"the direction of a sweep is {self.direction!r}; needed is 'ccw' or 'cw'")
+        if not 0.5 <= self.rate_hz <= 200.0:
+            raise SettingError(f"the rate of sweeps is {self.rate_hz:g} Hz; needed is 0.5 to 200 turns in a second")
+        if self.start_deg is not None and not -360.0 <= self.start_deg <= 360.0:
+            raise SettingError(f"a sweep starts at {self.start_deg:g} deg; needed is -360 to 360")
+
+
+@dataclass(frozen=True)
+class LidarSettings:
+    """How scans become point clouds.
+
+    Attributes
+    ----------
+    range_sigma_m : float or None
+        Standard deviation of a range. None: from how the ranges of neighbouring points on the ground differ.
+    angle_sigma_rad : float or None
+        Standard deviation of a bearing. None: from the step between neighbouring beams.
+    sweep : Sweep or None
+        How the scanner turns. None: each point's own time is taken from the scans where they tell it; where they do
+        not, all points were taken at the stamp.
+    accumulate : int
+        Scans gathered into one frame, for patterns that do not repeat and need several scans to fill the view.
+    min_range_m : float
+        What is nearer is the sensor's own mast and housing; the lowest mounting that is calibrated is 1.5 m high.
+    axes : Axes
+        Where forward and up are in the sensor frame.
+    workers : int
+        Scans read at the same time; 0 takes the number of processors, at most 4: reading is bound by the disk.
+    """
+
+    range_sigma_m: float | None = None
+    angle_sigma_rad: float | None = None
+    sweep: Sweep | None = None
+    accumulate: int = 1
+    min_range_m: float = 1.0
+    axes: Axes = FORWARD_LEFT_UP_AXES
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        for name, largest, unit in (("range_sigma_m", 1.0, "m"), ("angle_sigma_rad", 0.1, "rad")):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value <= largest:
+                raise SettingError(f"{name} is {value:g} {unit}; needed is more than 0 and at most {largest:g} {unit}")
+        if not 1 <= self.accumulate <= 1000:
+            raise SettingError(f"accumulate is {self.accumulate}; needed is 1 to 1000 scans in a frame")
+        if not 0.0 <= self.min_range_m < 50.0:
+            raise SettingError(f"min_range_m is {self.min_range_m:g} m; needed is 0 to 50 m")
