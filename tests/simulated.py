@@ -276,7 +276,7 @@ class Recording:
     movers: tuple[Mover, ...]
     times_s: FloatArray
     seed: int = 0
-    surveyed: int = 12
+    surveyed: int = 8
 
     @property
     def kind(self) -> str:

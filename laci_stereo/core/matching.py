@@ -111,8 +111,8 @@ def choose_track(
 
     Each pair is brought together by a rigid motion; a frame counts by 1 - (r / r_max)^2, where r is what remains and
     r_max is half of the vehicle's diagonal, because the centre of what is visible of a vehicle is no farther from its
-    own. Fragments of the chosen track, torn apart by an occlusion, are joined to it; what its motion leaves within
-    the vehicle is another part of the vehicle, seen apart, and no rival.
+    own. Fragments of the chosen track, torn apart by an occlusion, are joined to it; a track that its motion brings
+    onto a vehicle as well is no rival.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def choose_track(
         joined = _join(best, other, vehicles, settings)
         if joined is not None:
             best = joined
-        elif _on_same_vehicle(best, other, vehicles):
+        elif _agree(best, other, vehicles):
             continue
         elif other.explained > settings.clear_share * best.explained:
             raise MatchError(_tie(best, other))
@@ -172,11 +172,15 @@ def _join(
     return joined
 
 
-def _on_same_vehicle(best: _Candidate, other: _Candidate, vehicles: Mapping[int, VehicleTrack]) -> bool:
-    """Tell whether the best motion leaves the other track within the vehicle, where nothing else can be."""
-    if best.station != other.station:
+def _agree(best: _Candidate, other: _Candidate, vehicles: Mapping[int, VehicleTrack]) -> bool:
+    """Tell whether the best motion also puts the other track onto its vehicle, and so both say the same.
+
+    It is another part of the same vehicle, where nothing else can be, or another sender that is in view too. Two
+    stations with one track agree as well, but one of them is not what is seen.
+    """
+    if best.station != other.station and best.track.shares(other.track):
         return False
-    vehicle = vehicles[best.station]
+    vehicle = vehicles[other.station]
     xy_world, _, known = vehicle.at(other.track.stamps_s)
     remains = np.linalg.norm(best.fit(other.track.centres) - xy_world, axis=1)[known]
     return bool(np.median(remains) < _reach(vehicle))

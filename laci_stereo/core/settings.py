@@ -178,7 +178,8 @@ class MatchSettings:
     Attributes
     ----------
     min_vector_m : float
-        theta_beta: shorter location vectors, relative to the last point of the trace, are left out.
+        theta_beta: shorter location vectors, relative to the last point of the trace, are left out. A box's centre may
+        be off by half a car's width, which turns a vector of this length by 5 deg.
     min_frames : int
         Frames in which the vehicle must be seen and its position be known.
     min_path_m : float
@@ -190,9 +191,9 @@ class MatchSettings:
         A second candidate that explains more than this share of what the best one explains is a tie.
     """
 
-    min_vector_m: float = 5.0
+    min_vector_m: float = 10.0
     min_frames: int = 10
-    min_path_m: float = 5.0
+    min_path_m: float = 10.0
     min_explained: float = 0.5
     clear_share: float = 0.8
 

@@ -30,7 +30,9 @@ class Sighting:
     Attributes
     ----------
     stamp_s : float
-        Seconds since the recording's first stamp.
+        When its points were taken, seconds since the recording's first stamp.
+    frame_s : float
+        The stamp of its frame, which sightings in one frame share.
     points : ndarray, shape (n, 3)
         Some of its points, level frame, metres.
     count : int
@@ -46,6 +48,7 @@ class Sighting:
     """
 
     stamp_s: float
+    frame_s: float
     points: FloatArray
     count: int
     middle: FloatArray
@@ -55,15 +58,15 @@ class Sighting:
 
 
 def find_vehicles(
-    cloud: PointCloud, stamp_s: float, T_level_sensor: FloatArray, background: Background, settings: Settings
+    cloud: PointCloud, frame_s: float, T_level_sensor: FloatArray, background: Background, settings: Settings
 ) -> list[Sighting]:
     """Find what may be a vehicle in a frame (paper section III-C).
 
     Parameters
     ----------
     cloud : PointCloud
-    stamp_s : float
-        Seconds since the recording's first stamp.
+    frame_s : float
+        Its stamp, seconds since the recording's first stamp.
     T_level_sensor : ndarray, shape (4, 4)
     background : Background
     settings : Settings
@@ -85,7 +88,7 @@ def find_vehicles(
     found = []
     for group in cluster(points[candidates, :2], settings.cluster):
         members = candidates[group]
-        sighting = _sighting(points[members], cloud[members], stamp_s, settings)
+        sighting = _sighting(points[members], cloud[members], frame_s, settings)
         if sighting is not None:
             found.append(sighting)
     return found
@@ -113,7 +116,7 @@ def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:
     return keep
 
 
-def _sighting(points: FloatArray, cloud: PointCloud, stamp_s: float, settings: Settings) -> Sighting | None:
+def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: Settings) -> Sighting | None:
     limits = settings.vehicle
     sigma_m = float(np.median(cloud.sigma_along_m))
     flaw: Flaw | None = None
@@ -131,4 +134,6 @@ def _sighting(points: FloatArray, cloud: PointCloud, stamp_s: float, settings: S
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
     kept = np.unique(np.linspace(0, len(points) - 1, KEPT_POINTS).round().astype(int))
-    return Sighting(stamp_s, points[kept], len(points), np.median(points[:, :2], axis=0), box, flaw, sigma_m)
+    # A scanner passes a vehicle in milliseconds, so one time serves all of its points.
+    stamp_s = frame_s if cloud.offset_s is None else frame_s + float(np.median(cloud.offset_s))
+    return Sighting(stamp_s, frame_s, points[kept], len(points), np.median(points[:, :2], axis=0), box, flaw, sigma_m)

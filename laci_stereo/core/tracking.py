@@ -51,8 +51,13 @@ class Track:
 
     def disjoint(self, other: Track) -> bool:
         """Tell whether no frame holds both."""
-        mine = {sighting.stamp_s for sighting in self.sightings}
-        return not any(sighting.stamp_s in mine for sighting in other.sightings)
+        mine = {sighting.frame_s for sighting in self.sightings}
+        return not any(sighting.frame_s in mine for sighting in other.sightings)
+
+    def shares(self, other: Track) -> bool:
+        """Tell whether a sighting is part of both."""
+        mine = {id(sighting) for sighting in self.sightings}
+        return any(id(sighting) in mine for sighting in other.sightings)
 
     def joined(self, other: Track) -> Track:
         """Return two disjoint tracks as one."""
@@ -79,9 +84,9 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
     for sightings in frames:
         if not sightings:
             continue
-        now = sightings[0].stamp_s
-        finished += [track for track in active if now - track[-1].stamp_s > settings.max_lost_s]
-        active = [track for track in active if now - track[-1].stamp_s <= settings.max_lost_s]
+        now = sightings[0].frame_s
+        finished += [track for track in active if now - track[-1].frame_s > settings.max_lost_s]
+        active = [track for track in active if now - track[-1].frame_s <= settings.max_lost_s]
         taken = _assign(active, sightings, settings)
         for index, sighting in enumerate(sightings):
             if index in taken:
@@ -98,10 +103,11 @@ def _assign(
     """Return the track of each sighting that has one."""
     if not tracks:
         return {}
-    expected = [_expect(track, sightings[0].stamp_s, settings) for track in tracks]
     here = np.array([sighting.middle for sighting in sightings])
-    distance = np.linalg.norm(np.array([xy for xy, _ in expected])[:, None] - here[None], axis=2)
-    gate = np.array([reach for _, reach in expected])[:, None]
+    stamps_s = np.array([sighting.stamp_s for sighting in sightings])
+    expected = [_expect(track, stamps_s, settings) for track in tracks]
+    distance = np.linalg.norm(np.array([xy for xy, _ in expected]) - here, axis=2)
+    gate = np.array([reach for _, reach in expected])
     sizes = np.log10([sighting.count for sighting in sightings])
     size_before = np.log10([float(np.median([sighting.count for sighting in track[-5:]])) for track in tracks])
     # Debris that breaks off a vehicle is near to it but small: a factor of ten counts as much as the whole gate.
@@ -111,16 +117,16 @@ def _assign(
     return {int(c): int(r) for r, c in zip(rows, columns, strict=True) if cost[r, c] < UNLINKED}
 
 
-def _expect(track: Sequence[Sighting], now_s: float, settings: TrackSettings) -> tuple[FloatArray, float]:
-    """Return where a track should be, shape (2,), and by how much that may be wrong."""
+def _expect(track: Sequence[Sighting], stamps_s: FloatArray, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
+    """Return where a track should be at some times, shape (n, 2), and by how much that may be wrong, shape (n,)."""
     last = track[-1]
-    ahead_s = now_s - last.stamp_s
+    ahead_s = (stamps_s - last.stamp_s).clip(0.0)
     recent = [sighting for sighting in track[-6:] if last.stamp_s - sighting.stamp_s <= settings.max_lost_s]
     if len(recent) < 3:
-        return last.middle, settings.jitter_m + settings.max_speed_mps * ahead_s
+        return np.tile(last.middle, (len(stamps_s), 1)), settings.jitter_m + settings.max_speed_mps * ahead_s
     span_s = last.stamp_s - recent[0].stamp_s
     velocity = (last.middle - recent[0].middle) / span_s
     # The mean velocity of the span is that of its middle.
     gained_mps = settings.max_acceleration_mps2 * (ahead_s + span_s) / 2
     slip = settings.jitter_m * (1 + ahead_s / span_s) + gained_mps * ahead_s
-    return last.middle + velocity * ahead_s, slip
+    return last.middle + velocity * ahead_s[:, None], slip

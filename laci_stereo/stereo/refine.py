@@ -27,9 +27,6 @@ LEAST_INFORMATION = 1e-3
 ROUNDING = 1 / 6
 """Variance of the difference of two grey values from their rounding alone."""
 
-SAMPLE_STRIDE = 4
-"""Of the residuals, every fourth in both directions gives the same median."""
-
 
 @dataclass(frozen=True)
 class Refined:
@@ -52,8 +49,8 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     least. Without such a line a pixel at a jump belongs to no surface and is dropped; one inside of something thinner
     than a window keeps the window of its own.
 
-    The variance is that of least squares: the mean squared residual over the sum of squared gradients. A window's own
-    residual counts where it is larger than the image's typical one: occlusion, gloss, another surface.
+    The variance is that of least squares, from the window's own residual: it tells the image's noise there, and also
+    occlusion, gloss and other surfaces.
 
     Parameters
     ----------
@@ -90,10 +87,7 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
         # A pixel's difference holds its own shift already; what is wanted is the shift of the whole window.
         shift = _sums(mean * apart + texture * held, side) / information
         held = np.where(straddles, 0, shift)
-    residual = _sums(apart * apart, side) / np.maximum(count, 1.0)
-    some = found[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
-    typical = float(np.median(residual[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][some])) if some.any() else 0.0
-    noise = np.maximum(residual, max(typical, ROUNDING))
+    noise = np.maximum(_sums(apart * apart, side) / np.maximum(count, 1.0), ROUNDING)
     variance = noise * np.maximum(_sums(mean * mean, side), information) / information**2
     return _continued(Refined(start + shift, variance), coarse, found, straddles, jump, side)
 

@@ -17,8 +17,8 @@ from laci_stereo.core.settings import GroundSettings
 START_SIGMA_M = 0.02
 """What most data sheets promise; with it the ground is found for the first time."""
 
-SMALLEST_SIGMA_M, LARGEST_SIGMA_M = 0.003, 0.2
-"""No time-of-flight scanner is more exact, and none that is sold is worse."""
+SMALLEST_SIGMA_M, LARGEST_SIGMA_M = 0.005, 0.2
+"""No scanner for roads is more exact, and none that is sold is worse."""
 
 SMALLEST_SIGMA_RAD, LARGEST_SIGMA_RAD = 1e-4, 1e-2
 """Encoders are no more exact, and beams no wider."""
@@ -30,7 +30,8 @@ _SAMPLE = 3000
 _SAME_BEAM_RAD = 1e-4
 _MAD_TO_SIGMA = 1.4826
 _BINS = 8
-_MIN_PAIRS = 10
+# So that the smallest bin has some eight.
+_MIN_PAIRS = 1000
 # The horizon: 3 deg, or 100 m from 5 m above the ground.
 _SMALLEST_STEEPNESS = 0.05
 
@@ -81,17 +82,19 @@ def estimate_range_sigma(
     along = np.full(len(points), START_SIGMA_M)
     ground = fit_ground(points, along, range_m * angle_sigma_rad, axes.up, settings)
     differences, leverage = np.concatenate([_differences(scan, ground) for scan in scans], axis=1)
-    if len(differences) < _BINS * _MIN_PAIRS:
+    if len(differences) < _MIN_PAIRS:
         raise GroundError(
-            f"{len(differences)} pairs of neighbouring points on the ground; needed are {_BINS * _MIN_PAIRS} for "
+            f"{len(differences)} pairs of neighbouring points on the ground; needed are {_MIN_PAIRS} for "
             "an estimate of the noise of ranges, or the noise itself"
         )
-    bins = np.array_split(np.argsort(leverage), _BINS)
-    variance = [np.median(np.abs(differences[bin_])) ** 2 * _MAD_TO_SIGMA**2 / 2 for bin_ in bins]
-    spread = np.maximum(variance, SMALLEST_SIGMA_M**2)
-    lines = np.column_stack([np.ones(_BINS), [np.median(leverage[bin_] ** 2) for bin_ in bins]])
-    # The variance of a variance grows with its square.
-    (at_nothing, _), _ = nnls(lines / spread[:, None], np.ones(_BINS))
+    # Of the steeper half, because far away the unevenness of the road counts; fine where the road is seen most steeply.
+    edges = np.round(len(leverage) / 2 * np.linspace(0.0, 1.0, _BINS + 1) ** 2).astype(np.int64)
+    bins = np.split(np.argsort(leverage)[: edges[-1]], edges[1:-1])
+    variance = np.array([np.median(np.abs(differences[bin_])) ** 2 * _MAD_TO_SIGMA**2 / 2 for bin_ in bins])
+    squares = np.array([np.median(leverage[bin_] ** 2) for bin_ in bins])
+    # The standard deviation of a variance is proportional to it, and falls with the root of the number of pairs.
+    weight = np.sqrt(np.diff(edges)) / np.maximum(variance, SMALLEST_SIGMA_M**2)
+    (at_nothing, _), _ = nnls(np.column_stack([weight, weight * squares]), weight * variance)
     return float(np.clip(np.sqrt(at_nothing), SMALLEST_SIGMA_M, LARGEST_SIGMA_M))
 
 

@@ -133,9 +133,8 @@ class LidarRecording:
 
         view = learn_view(clouds(), self.axes)
         if not any(len(points) for points in kept):
-            raise ScanError(
-                f"{self.scans.path}: no point is {self.settings.min_range_m:g} m or more away; needed is a view"
-            )
+            nearest = f"{self.settings.min_range_m:g} m"
+            raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
         scanner = Scanner(view, self._noise(kept))
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",

@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_lidar.axes import forward_left_up
 from laci_lidar.settings import Sweep
-from laci_stereo.core.frames import Axes, BoolArray, FloatArray
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray, wrap
 
 WHOLE_RAD = float(np.radians(330.0))
 """A wider field is taken for all around: what is missing then is a mast, and no border is near a road."""
@@ -76,8 +76,8 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
     # In each bin the lowest and the highest azimuth that was seen in it.
     low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
     for points in clouds:
-        azimuths = _azimuths(points, axes)
-        bins = np.floor((azimuths + np.pi) * (_BINS / (2 * np.pi))).astype(np.int64) % _BINS
+        azimuths = wrap(_azimuths(points, axes))
+        bins = np.minimum((azimuths + np.pi) * (_BINS / (2 * np.pi)), _BINS - 1).astype(np.int64)
         np.minimum.at(low, bins, azimuths)
         np.maximum.at(high, bins, azimuths)
     seen = np.isfinite(low)

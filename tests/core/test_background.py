@@ -147,7 +147,7 @@ def test_who_walks_by_in_quiet_frames_is_no_background() -> None:
     xy, _ = made.recording.movers[1].drive.at(made.recording.times_s)
     T = T_level_sensor(made.recording) @ invert(made.recording.T_world_sensor)
     background = learnt(made)
-    assert background.quiet_frames >= 6
+    assert background.quiet_frames >= 4
     covered = background.covers(transform(T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2])
     assert covered.mean() < 0.1
 
@@ -174,7 +174,7 @@ def test_a_bare_road_has_no_background() -> None:
     made = scene(static=())
     background = learn_background(clouds_level(replace(made.recording, movers=())))
     assert background.boxes == ()
-    assert background.quiet_frames == 12
+    assert background.quiet_frames == len(clouds_level(made.recording))
     assert not background.covers(on_drive(made)).any()
 
 

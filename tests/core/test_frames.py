@@ -73,9 +73,11 @@ def test_planar_turns_then_shifts_and_keeps_height(yaw: float, x: float, y: floa
 @given(angles)
 def test_rotation_is_proper_and_counter_clockwise(yaw: float) -> None:
     R = rotation_z(yaw)
-    assert R @ R.T == pytest.approx(np.eye(3), abs=1e-12)
+    product = R @ R.T
+    assert product == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(R) == pytest.approx(1.0)
-    assert R @ [1.0, 0.0, 0.0] == pytest.approx([math.cos(yaw), math.sin(yaw), 0.0])
+    forward = R @ np.array([1.0, 0.0, 0.0])
+    assert forward == pytest.approx([math.cos(yaw), math.sin(yaw), 0.0])
     quarter = rotate_xy(math.pi / 2, np.array([1.0, 0.0]))
     assert quarter == pytest.approx([0.0, 1.0], abs=1e-12)
 

@@ -90,7 +90,7 @@ def test_a_vector_that_is_short_in_one_of_the_tracks_is_left_out() -> None:
 @pytest.mark.parametrize("count", [0, 1, 2, 10])
 def test_too_short(count: int) -> None:
     xy = np.column_stack([np.linspace(0.0, 4.5, count), np.zeros(count)])
-    with pytest.raises(MatchError, match=r"at most \d\.\d m away from its last position.*needed are 5\.0 m"):
+    with pytest.raises(MatchError, match=r"at most \d\.\d m away from its last position.*needed are 10\.0 m"):
         match_track(xy, xy)
 
 
@@ -164,6 +164,13 @@ def test_two_vehicles_that_drive_alike_are_a_tie() -> None:
 def test_two_stations_of_one_vehicle_are_a_tie() -> None:
     with pytest.raises(MatchError, match=r"stations 7 and 8 fit equally well.*name the sender's station"):
         choose_track([seen()], {7: vehicle(), 8: vehicle()})
+
+
+def test_two_senders_that_agree_are_no_tie() -> None:
+    behind = replace(DRIVE, start_s=2.0)
+    tracks = [seen(), seen(behind, seed=1)]
+    choice = choose_track(tracks, {7: vehicle(behind), 42: vehicle()})
+    assert choice.track is tracks[0 if choice.station == 42 else 1]
 
 
 def test_nothing_that_moves_fits() -> None:

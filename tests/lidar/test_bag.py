@@ -109,7 +109,7 @@ def test_a_topic_is_chosen_or_asked_for(storage: str, tmp_path: Path):
     assert "needed is --topic with one of /left, /right" in refusal(path)
     assert len(open_scans(path, "/left")) == len(open_scans(path, "right")) == 3
     assert "no topic '/middle'; it has /chatter (std_msgs/msg/String), /left" in refusal(path, "/middle")
-    assert "/chatter has type std_msgs/msg/String" in refusal(path, "/chatter")
+    assert "/chatter is of type std_msgs/msg/String" in refusal(path, "/chatter")
     assert "no topic of type sensor_msgs/PointCloud2; it has /chatter" in refusal(write([]))
 
 

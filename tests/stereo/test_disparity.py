@@ -94,7 +94,7 @@ def test_disparity_is_unbiased_and_its_sigma_is_honest(name: str) -> None:
         assert abs(error[np.abs(error) < 2].mean()) < 0.05
         # A rendered rig is perfect, so the floor that real ones need is most of sigma here.
         assert 0.2 < robust_std(error / sigma) < 1.3
-        assert np.mean(np.abs(error) > 3 * sigma) < 0.03
+        assert np.mean(np.abs(error) > 3 * sigma) < 0.04
 
 
 @every_rig
@@ -179,7 +179,7 @@ def test_a_region_is_matched_as_in_the_whole(name: str, region: Region) -> None:
     assert both.sum() > 0.95 * np.isfinite(same).sum()
     apart = np.abs((values - same)[both])
     assert np.mean(apart > part.sigma[inner][both]) < 0.05
-    assert np.mean(apart > 0.5) < 0.01
+    assert np.mean(apart > 0.5) < 0.02
 
 
 def test_disparities_that_are_not_searched_are_not_found() -> None:

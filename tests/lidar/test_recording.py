@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from laci_lidar.axes import forward_left_up, parse_axes
+from laci_lidar.errors import ScanError
+from laci_lidar.recording import SURVEY_FRAMES, LidarRecording, group_scans
+from laci_lidar.scan import Scan
+from laci_lidar.scans import open_scans
+from laci_lidar.settings import LidarSettings, Sweep
+
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.cloud import PointCloudSource
+from laci_stereo.core.errors import SettingError
+from laci_stereo.core.frames import FloatArray, rigid
+from laci_stereo.io.cam_csv import read_cam_csv
+from tests.io.support import SHARED, needs_shared
+from tests.lidar.scanner import Listed, listed, road
+from tests.lidar.support import EPOCH_NS, PERIOD_NS, write_bag2, write_pcd
+
+EXACT = LidarSettings(range_sigma_m=0.02, angle_sigma_rad=1e-3)
+
+
+def scans(count: int, offset: bool = True) -> list[Scan]:
+    found = []
+    for seed in range(count):
+        points = road(sigma_m=0.02, seed=seed, layers=16, step_deg=0.8)
+        found.append(Scan(points, None, np.linspace(0.0, 0.09, len(points)) if offset else None))
+    return found
+
+
+def test_a_frame_holds_its_scan_with_noise_edges_and_times():
+    sequence = listed(scans(4))
+    recording: PointCloudSource = LidarRecording(sequence, EXACT, name="mast 3")
+    assert (recording.kind, recording.name, len(recording)) == ("lidar", "mast 3", 4)
+    assert recording.span_ns == (EPOCH_NS, EPOCH_NS + 3 * PERIOD_NS)
+    for _ in range(2):
+        for cloud, scan, stamp in zip(recording, sequence.scans, sequence.stamps_ns, strict=True):
+            assert scan is not None
+            assert cloud.stamp_ns == stamp
+            np.testing.assert_array_equal(cloud.points, scan.points)
+            np.testing.assert_array_equal(cloud.offset_s, scan.offset_s)
+            assert (cloud.sigma_along_m == 0.02).all()
+            np.testing.assert_allclose(cloud.sigma_across_m, 1e-3 * np.linalg.norm(scan.points, axis=1))
+            azimuth = np.degrees(np.abs(np.arctan2(scan.points[:, 1], scan.points[:, 0])))
+            np.testing.assert_array_equal(cloud.at_edge, azimuth > 59.51)
+
+
+def test_noise_that_is_not_set_is_estimated():
+    sequence = listed(scans(6))
+    noise = LidarRecording(sequence).scanner.noise
+    assert noise.range_sigma_m == pytest.approx(0.02, rel=0.25)
+    assert noise.angle_sigma_rad == pytest.approx(np.radians(0.8) / np.sqrt(12), rel=0.1)
+    half_set = LidarRecording(sequence, LidarSettings(angle_sigma_rad=5e-4)).scanner.noise
+    assert half_set.angle_sigma_rad == 5e-4
+    assert half_set.range_sigma_m == pytest.approx(0.02, rel=0.25)
+
+
+def test_without_times_of_points_there_are_none_unless_the_sweep_is_told():
+    sequence = listed(scans(3, offset=False))
+    assert all(cloud.offset_s is None for cloud in LidarRecording(sequence, EXACT))
+    told = LidarRecording(sequence, replace(EXACT, sweep=Sweep("start", "ccw", 10.0)))
+    for cloud in told:
+        azimuth = np.degrees(np.arctan2(cloud.points[:, 1], cloud.points[:, 0]))
+        np.testing.assert_allclose(cloud.offset_s, (azimuth + 60.0) / 3600.0, atol=1e-9)
+
+
+def test_what_is_near_the_sensor_is_left_out():
+    points = road()
+    mast = np.array([[0.3, 0.2, -0.5], [0.0, 0.9, 0.0]])
+    sequence = listed([Scan(np.concatenate([mast, points]), None, np.zeros(len(points) + 2))])
+    (cloud,) = LidarRecording(sequence, EXACT)
+    np.testing.assert_array_equal(cloud.points, points)
+    (cloud,) = LidarRecording(sequence, replace(EXACT, min_range_m=0.0))
+    assert len(cloud) == len(points) + 2
+
+
+def test_scans_are_gathered_each_point_at_its_own_time():
+    sequence = listed(scans(7), gaps=[3])
+    recording = LidarRecording(sequence, replace(EXACT, accumulate=3))
+    frames = list(recording)
+    assert len(frames) == len(recording) == 3
+    for cloud, members in zip(frames, ([0, 1, 2], [3], [4, 5, 6]), strict=True):
+        middle = sequence.stamps_ns[members[len(members) // 2]]
+        assert cloud.stamp_ns == middle
+        parts = [sequence.scans[i] for i in members]
+        np.testing.assert_array_equal(cloud.points, np.concatenate([part.points for part in parts]))
+        own = [(sequence.stamps_ns[i] - middle) / 1e9 + sequence.scans[i].offset_s for i in members]
+        np.testing.assert_allclose(cloud.offset_s, np.concatenate(own))
+
+
+def test_gathered_scans_without_times_still_have_those_of_their_stamps():
+    sequence = listed(scans(2, offset=False))
+    (cloud,) = LidarRecording(sequence, replace(EXACT, accumulate=2))
+    assert cloud.stamp_ns == EPOCH_NS + PERIOD_NS
+    assert set(np.round(cloud.offset_s, 9)) == {-0.1, 0.0}
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 100])
+def test_every_scan_is_in_one_group(size: int):
+    stamps = listed([None] * 23, gaps=[4, 11]).stamps_ns
+    groups = group_scans(stamps, size)
+    assert np.concatenate(groups).tolist() == list(range(23))
+    assert max(len(group) for group in groups) <= size
+    assert all(np.ptp(stamps[group]) <= (size - 1) * PERIOD_NS for group in groups)
+
+
+def test_unreadable_scans_are_empty_frames_until_they_are_too_many():
+    some = scans(30)
+    recording = LidarRecording(listed([None if i % 10 == 3 else scan for i, scan in enumerate(some)]), EXACT)
+    assert [len(cloud) == 0 for cloud in recording] == [i % 10 == 3 for i in range(30)]
+    assert all(len(cloud) for cloud in recording.survey())
+    assert sorted(recording.scans.skipped) == ["13", "23", "3"]
+    with pytest.raises(ScanError, match="needed are at least 80% usable"):
+        list(LidarRecording(listed([None if i % 3 == 1 else scan for i, scan in enumerate(some)]), EXACT))
+
+
+def test_the_survey_is_spread_or_what_is_told_to_be_quiet():
+    sequence = listed(scans(50, offset=False))
+    spread = [cloud.stamp_ns for cloud in LidarRecording(sequence, EXACT).survey()]
+    assert len(spread) == SURVEY_FRAMES
+    assert (spread[0], spread[-1]) == (sequence.stamps_ns[0], sequence.stamps_ns[-1])
+    assert np.ptp(np.diff(spread)) <= PERIOD_NS
+    told = LidarRecording(sequence, EXACT, background=range(10, 14)).survey()
+    assert [cloud.stamp_ns for cloud in told] == sequence.stamps_ns[10:14].tolist()
+    other = Listed(scans(3), EPOCH_NS - 10**12 + np.arange(3) * PERIOD_NS)
+    assert [
+        cloud.stamp_ns for cloud in LidarRecording(sequence, EXACT, background=other).survey()
+    ] == other.stamps_ns.tolist()
+    for wrong in (range(48, 51), range(0), range(-1, 3)):
+        with pytest.raises(SettingError, match="background scans are"):
+            LidarRecording(sequence, EXACT, background=wrong)
+
+
+def test_a_view_of_nothing_but_the_mast():
+    sequence = listed([Scan(np.full((50, 3), 0.2))] * 3)
+    with pytest.raises(ScanError, match="nearer than 1 m"):
+        list(LidarRecording(sequence, EXACT))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"range_sigma_m": 0.0},
+        {"angle_sigma_rad": 1.0},
+        {"accumulate": 0},
+        {"min_range_m": -1.0},
+        {"range_sigma_m": np.nan},
+    ],
+)
+def test_settings_out_of_range(wrong):
+    with pytest.raises(SettingError, match="needed is"):
+        LidarSettings(**wrong)
+
+
+# The shared crossing, through files.
+
+CROSSING = SHARED / "data/crossing"
+
+
+def calibrated(recording: LidarRecording) -> FloatArray:
+    return calibrate(recording, read_cam_csv(CROSSING / "cam.csv").log).T_utm_sensor
+
+
+@pytest.fixture(scope="module")
+def plain() -> FloatArray:
+    return calibrated(LidarRecording(open_scans(CROSSING / "lidar_8")))
+
+
+@needs_shared
+def test_eight_layers_are_calibrated(plain: FloatArray):
+    shift_m, turn_deg = errors(plain, "lidar_8")
+    assert shift_m < 1.0
+    assert turn_deg < 2.0
+
+
+@needs_shared
+def test_thirty_two_layers_are_calibrated():
+    shift_m, turn_deg = errors(calibrated(LidarRecording(open_scans(CROSSING / "lidar_32"))), "lidar_32")
+    assert shift_m < 1.0
+    assert turn_deg < 2.0
+
+
+def errors(T_utm_sensor: FloatArray, sensor: str) -> tuple[float, float]:
+    """Return the error at the vehicle's track, root mean square in metres, and that of the rotation in degrees."""
+    truth = json.loads((CROSSING / "truth.json").read_text())
+    T_true = np.array(truth["lidar"][sensor]["T_world_lidar_utm"])
+    track = np.array(truth["vehicle_centres_utm"])[:, 1:]
+    track = track[np.linalg.norm(track - T_true[:2, 3], axis=1) < 60.0]
+    points = np.column_stack([track, np.zeros(len(track)), np.ones(len(track))])
+    moved = points @ (T_utm_sensor @ np.linalg.inv(T_true)).T - points
+    cosine = (np.trace(T_utm_sensor[:3, :3] @ T_true[:3, :3].T) - 1.0) / 2.0
+    return float(np.sqrt((moved[:, :2] ** 2).sum(axis=1).mean())), float(np.degrees(np.arccos(min(cosine, 1.0))))
+
+
+@needs_shared
+def test_a_sensor_whose_axes_point_elsewhere_gives_the_same_place(plain: FloatArray, tmp_path: Path):
+    axes = parse_axes("y forward, z down")
+    R = forward_left_up(axes)
+    folder = open_scans(CROSSING / "lidar_8")
+    for stamp, scan in zip(folder.stamps_ns, folder.read(range(len(folder)), 1), strict=True):
+        assert scan is not None
+        write_pcd(tmp_path / f"{stamp}.pcd", dict(zip("xyz", (scan.points @ R).T, strict=True)))
+    turned = calibrated(LidarRecording(open_scans(tmp_path), LidarSettings(axes=axes))) @ rigid(R.T, np.zeros(3))
+    # The fit of the ground looks at cells along the axes, so that it is not the same to the last digit.
+    np.testing.assert_allclose(turned[:3, :3], plain[:3, :3], atol=2e-3)
+    np.testing.assert_allclose(turned[:3, 3], plain[:3, 3], rtol=0.0, atol=0.05)
+
+
+@needs_shared
+def test_a_bag_gives_the_same_place_as_the_folder(plain: FloatArray, tmp_path: Path):
+    folder = open_scans(CROSSING / "lidar_8")
+    clouds = []
+    for scan in folder.read(range(len(folder)), 1):
+        assert scan is not None
+        clouds.append({axis: scan.points[:, i].astype(np.float32) for i, axis in enumerate("xyz")})
+    bag = open_scans(write_bag2(tmp_path / "a", {"/points": clouds}, "mcap", stamps_ns=folder.stamps_ns.tolist()))
+    np.testing.assert_array_equal(calibrated(LidarRecording(bag)), plain)
