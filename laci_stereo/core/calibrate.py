@@ -23,6 +23,9 @@ from laci_stereo.core.world import World
 
 log = logging.getLogger(__name__)
 
+GROUND_POINTS = 300_000
+"""So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
+
 
 def calibrate(
     source: PointCloudSource,
@@ -113,10 +116,11 @@ def calibrate(
 def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
+    step = -(-sum(map(len, survey)) // GROUND_POINTS)
     ground = fit_ground(
-        np.concatenate([cloud.points for cloud in survey]),
-        np.concatenate([cloud.sigma_along_m for cloud in survey]),
-        np.concatenate([cloud.sigma_across_m for cloud in survey]),
+        np.concatenate([cloud.points[::step] for cloud in survey]),
+        np.concatenate([cloud.sigma_along_m[::step] for cloud in survey]),
+        np.concatenate([cloud.sigma_across_m[::step] for cloud in survey]),
         axes.up,
         settings.ground,
     )

@@ -27,6 +27,11 @@ class GroundSettings:
         Of the cells with a free view of the plane so many must support it; else what lies low is mostly something else.
     max_tilt_sigma_deg : float
         Where the normal is known less well than this, the points do not span a plane.
+    shared_noise_share : float
+        Of each point's standard deviation along its line of sight, the part that errs for all points alike. No residual
+        shows it, but it moves the plane. A matcher and a rectification leave a bias of 0.03 to 0.05 px where a pixel is
+        known to 0.1 to 0.2 px; of a LiDAR's offset of range makers only promise that it is no larger than the scatter
+        of its points, and this is a quarter of that.
     """
 
     max_tilt_deg: float = 48.0
@@ -37,6 +42,7 @@ class GroundSettings:
     min_cells: int = 36
     min_support_share: float = 0.3
     max_tilt_sigma_deg: float = 1.0
+    shared_noise_share: float = 0.25
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.errors import RigError
-from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.stereo.refine import refine
+from laci_stereo.core.frames import BoolArray, FloatArray, Raster
+from laci_stereo.stereo.refine import Refined, refine
 from laci_stereo.stereo.settings import StereoSettings
 
 SATURATED = 254
 MIN_MATCHED_SHARE = 0.1
+BAND_ROWS = 128
 
 
 @dataclass(frozen=True)
@@ -100,13 +101,30 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
     own = np.ascontiguousarray(left[:, region.reach :])
     # The best at an end of the range is no minimum.
     found = (coarse > region.smallest) & (coarse < region.smallest + region.count - 1)
-    refined = refine(own, right, region.reach, coarse, found, settings.refine_window_px)
+    refined = _refine_in_bands(own, right, region.reach, coarse, found, settings.refine_window_px)
     sigma = np.sqrt(refined.variance + settings.disparity_floor_px**2)
     white = cv2.blur((own >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
     # A shift of a pixel or more means that the window holds something else than the matched surface.
     keep = found & (np.abs(refined.values - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
     values = np.where(keep, refined.values, np.nan)
     return Disparity(values.astype(np.float64), sigma.astype(np.float64))
+
+
+def _refine_in_bands(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolArray, side: int) -> Refined:
+    """Refine some rows at a time, so that what is worked on stays in the processor's cache and memory stays flat.
+
+    Nothing reaches farther than three windows: the derivative, the sums, and the windows beside a jump.
+    """
+    margin, height = 3 * side, len(left)
+    values, variance = np.empty_like(coarse), np.empty_like(coarse)
+    for first in range(0, height, BAND_ROWS):
+        last = min(first + BAND_ROWS, height)
+        top = max(first - margin, 0)
+        rows = slice(top, min(last + margin, height))
+        part = refine(left[rows], right[rows], reach, coarse[rows], found[rows], side)
+        values[first:last] = part.values[first - top : last - top]
+        variance[first:last] = part.variance[first - top : last - top]
+    return Refined(values, variance)
 
 
 def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], settings: StereoSettings) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_lidar.bag_files import Bag, CutOffError, Message, Topic, open_bag
+from laci_lidar.bag_files import Bag, open_bag
+from laci_lidar.bag_records import CutOffError, Message, Topic
 from laci_lidar.errors import ScanError
 from laci_lidar.pointcloud2 import POINT_CLOUD, header_stamp_ns, is_known, read_message
 from laci_lidar.scan import Scan, scan_of
@@ -19,6 +20,8 @@ from laci_stereo.stereo.ahead import map_ahead
 
 EARLIEST_NS = 10**17
 """March 1973: a stamp before that was never set, or counts from the start of the sensor."""
+
+_LATEST_NS = 1 << 63
 
 
 @dataclass(frozen=True)
@@ -143,11 +146,12 @@ def _listed(path: Path, bag: Bag, topic: Topic) -> BagScans:
     try:
         for place, message in enumerate(bag.messages(topic.name)):
             stamp = header_stamp_ns(message.data, topic.ros1)
-            if stamp is None:
-                skipped[f"message {place}"] = (
-                    f"{path}, {topic.name}, message {place} has {len(message.data)} bytes only"
-                )
-            times.append((0 if stamp is None else stamp, message.recorded_ns))
+            if stamp is not None and 0 <= message.recorded_ns < _LATEST_NS:
+                times.append((stamp, message.recorded_ns))
+            else:
+                size = len(message.data)
+                skipped[f"message {place}"] = f"{path}, {topic.name}, message {place} of {size} bytes has no time"
+                times.append((0, 0))
     except CutOffError as problem:
         promised = bag.count(topic.name)
         lost = f", {promised - len(times)} are lost" if promised is not None and promised > len(times) else ""

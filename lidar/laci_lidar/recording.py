@@ -17,7 +17,7 @@ from laci_lidar.settings import LidarSettings
 from laci_lidar.view import View, learn_view
 from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.errors import SettingError
-from laci_stereo.core.frames import Axes, FloatArray, IntArray
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.stereo.ahead import workers
 
@@ -78,7 +78,7 @@ class LidarRecording:
         self.scans = scans
         self.settings = settings or LidarSettings()
         self._ground = ground or GroundSettings()
-        self._threads = min(workers(self.settings.workers), MAX_READERS)
+        self._threads = self.settings.workers or min(workers(0), MAX_READERS)
         self._frames = group_scans(scans.stamps_ns, self.settings.accumulate)
         self._quiet, self._quiet_frames = self._survey_frames(background)
 
@@ -206,8 +206,8 @@ class LidarRecording:
             return scanner.view.offsets_s(scan.points, self.settings.sweep)
         return scan.offset_s
 
-    def _far_enough(self, points: FloatArray) -> np.ndarray:
-        keep: np.ndarray = np.einsum("ij,ij->i", points, points) >= self.settings.min_range_m**2
+    def _far_enough(self, points: FloatArray) -> BoolArray:
+        keep: BoolArray = np.einsum("ij,ij->i", points, points) >= self.settings.min_range_m**2
         return keep
 
 

@@ -90,7 +90,7 @@ def test_noise_that_makes_boxes_large_does_not_hide_what_they_lack() -> None:
 
 
 def test_a_short_drive_leaves_the_yaw_in_doubt() -> None:
-    slow = replace(DRIVE, speeds=((0.0, 3.0),))
+    slow = replace(DRIVE, speeds=((0.0, 2.6),))
     assert doubt(seen(0.1, drive=slow), slow).yaw_rad > 2 * doubt(seen(0.1)).yaw_rad
 
 

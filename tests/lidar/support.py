@@ -135,12 +135,21 @@ RESOLUTION_M = {"pcd ascii": 1e-6, "ply ascii": 1e-6, "las": 1e-4, "laz": 1e-4}
 """Of formats that do not keep every bit."""
 
 
-def write_folder(folder: Path, scans: Sequence[Mapping[str, Array]], form: str = "pcd binary") -> Path:
+def write_folder(
+    folder: Path,
+    scans: Sequence[Mapping[str, Array]],
+    form: str = "pcd binary",
+    stamps_ns: Sequence[int] | None = None,
+) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     suffix, write = FILE_FORMATS[form]
-    for i, columns in enumerate(scans):
-        write(folder / f"{EPOCH_NS + i * PERIOD_NS}{suffix}", columns)
+    for stamp, columns in zip(stamps_ns or evenly(len(scans)), scans, strict=True):
+        write(folder / f"{stamp}{suffix}", columns)
     return folder
+
+
+def evenly(count: int) -> list[int]:
+    return [EPOCH_NS + i * PERIOD_NS for i in range(count)]
 
 
 def cloud_message(columns: Mapping[str, Array], stamp_ns: int, ros1: bool, big_endian: bool = False) -> Any:
@@ -160,7 +169,11 @@ def cloud_message(columns: Mapping[str, Array], stamp_ns: int, ros1: bool, big_e
 
 
 def write_bag1(
-    path: Path, topics: Mapping[str, Sequence[Mapping[str, Array]]], compression: str | None = None, delay_ns: int = 0
+    path: Path,
+    topics: Mapping[str, Sequence[Mapping[str, Array]]],
+    compression: str | None = None,
+    delay_ns: int = 0,
+    stamps_ns: Sequence[int] | None = None,
 ) -> Path:
     writer = Writer1(path)
     if compression is not None:
@@ -168,8 +181,8 @@ def write_bag1(
     with writer:
         chatter = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS1)
         connections = {topic: writer.add_connection(topic, CLOUD, typestore=ROS1) for topic in topics}
-        for i in range(max((len(scans) for scans in topics.values()), default=3)):
-            stamp = EPOCH_NS + i * PERIOD_NS
+        count = max((len(scans) for scans in topics.values()), default=3)
+        for i, stamp in enumerate(stamps_ns or evenly(count)):
             said = ROS1.types["std_msgs/msg/String"](f"hello {i}")
             writer.write(chatter, stamp, ROS1.serialize_ros1(said, "std_msgs/msg/String"))
             for topic, scans in topics.items():
@@ -192,8 +205,8 @@ def write_bag2(
     with writer:
         chatter = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS2)
         connections = {topic: writer.add_connection(topic, CLOUD, typestore=ROS2) for topic in topics}
-        for i in range(max((len(scans) for scans in topics.values()), default=3)):
-            recorded = EPOCH_NS + i * PERIOD_NS
+        count = max((len(scans) for scans in topics.values()), default=3)
+        for i, recorded in enumerate(evenly(count)):
             said = ROS2.types["std_msgs/msg/String"](f"hello {i}")
             writer.write(chatter, recorded, ROS2.serialize_cdr(said, "std_msgs/msg/String"))
             for topic, scans in topics.items():

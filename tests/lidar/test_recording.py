@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from laci_stereo.core.frames import FloatArray, rigid
 from laci_stereo.io.cam_csv import read_cam_csv
 from tests.io.support import SHARED, needs_shared
 from tests.lidar.scanner import Listed, listed, road
-from tests.lidar.support import EPOCH_NS, PERIOD_NS, write_bag2, write_pcd
+from tests.lidar.support import EPOCH_NS, FILE_FORMATS, PERIOD_NS, write_bag1, write_bag2, write_folder, write_pcd
 
 EXACT = LidarSettings(range_sigma_m=0.02, angle_sigma_rad=1e-3)
 
@@ -136,6 +137,28 @@ def test_the_survey_is_spread_or_what_is_told_to_be_quiet():
             LidarRecording(sequence, EXACT, background=wrong)
 
 
+@pytest.mark.parametrize("form", ["folder", "bag"])
+def test_memory_does_not_grow_with_the_number_of_scans(form: str, tmp_path: Path):
+    points = road(layers=64, step_deg=0.2)
+    columns = {axis: points[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
+
+    def peak(count: int) -> int:
+        if form == "folder":
+            path = write_folder(tmp_path / str(count), [columns] * count)
+        else:
+            path = write_bag1(tmp_path / f"{count}.bag", {"/points": [columns] * count})
+        recording = LidarRecording(open_scans(path), replace(EXACT, workers=1))
+        tracemalloc.start()
+        try:
+            assert sum(1 for cloud in recording if len(cloud)) == count
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    # Which scans are decoded ahead is chance; what is kept of each would make it six times as much.
+    assert peak(90) < 1.5 * peak(15)
+
+
 def test_a_view_of_nothing_but_the_mast():
     sequence = listed([Scan(np.full((50, 3), 0.2))] * 3)
     with pytest.raises(ScanError, match="nearer than 1 m"):
@@ -211,12 +234,29 @@ def test_a_sensor_whose_axes_point_elsewhere_gives_the_same_place(plain: FloatAr
     np.testing.assert_allclose(turned[:3, 3], plain[:3, 3], rtol=0.0, atol=0.05)
 
 
+BAGS = {
+    "ros 1 bag": lambda path, scans, stamps: write_bag1(path, {"/points": scans}, stamps_ns=stamps),
+    "ros 2 bag": lambda path, scans, stamps: write_bag2(path, {"/points": scans}, stamps_ns=stamps),
+    "mcap": lambda path, scans, stamps: write_bag2(path, {"/points": scans}, "mcap", stamps_ns=stamps),
+}
+
+
 @needs_shared
-def test_a_bag_gives_the_same_place_as_the_folder(plain: FloatArray, tmp_path: Path):
+@pytest.mark.parametrize(
+    "form",
+    ["mcap", *(pytest.param(form, marks=pytest.mark.slow) for form in (*FILE_FORMATS, "ros 1 bag", "ros 2 bag"))],
+)
+def test_every_format_gives_the_same_place(form: str, plain: FloatArray, tmp_path: Path):
     folder = open_scans(CROSSING / "lidar_8")
-    clouds = []
+    scans = []
     for scan in folder.read(range(len(folder)), 1):
         assert scan is not None
-        clouds.append({axis: scan.points[:, i].astype(np.float32) for i, axis in enumerate("xyz")})
-    bag = open_scans(write_bag2(tmp_path / "a", {"/points": clouds}, "mcap", stamps_ns=folder.stamps_ns.tolist()))
-    np.testing.assert_array_equal(calibrated(LidarRecording(bag)), plain)
+        columns = {axis: scan.points[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
+        still = {"t": np.zeros(len(scan), np.uint32), "intensity": np.ones(len(scan), np.float32)}
+        scans.append(columns | still)
+    stamps = folder.stamps_ns.tolist()
+    if form in BAGS:
+        written = open_scans(BAGS[form](tmp_path / "a.bag", scans, stamps))
+    else:
+        written = open_scans(write_folder(tmp_path / "scans", scans, form, stamps))
+    np.testing.assert_allclose(calibrated(LidarRecording(written)), plain, rtol=0.0, atol=1e-3)
