@@ -6,6 +6,7 @@ LaciError
 │   ├── RigError          a stereo calibration
 │   ├── CamError          a log of Cooperative Awareness Messages
 │   ├── MapError          a lane map
+│   ├── ScanError         a LiDAR's scans (in `laci_lidar`)
 │   ├── SettingError      an argument or a setting
 │   ├── CalibrationFileError  a calibration.json
 │   └── OutputError       the place where the result should go
