@@ -116,7 +116,7 @@ def calibrate(
 def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    step = -(-sum(map(len, survey)) // GROUND_POINTS)
+    step = max(1, -(-sum(map(len, survey)) // GROUND_POINTS))
     ground = fit_ground(
         np.concatenate([cloud.points[::step] for cloud in survey]),
         np.concatenate([cloud.sigma_along_m[::step] for cloud in survey]),

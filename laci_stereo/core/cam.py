@@ -135,9 +135,16 @@ class VehicleTrack:
         known = (stamps_s >= self.stamps_s[0]) & (stamps_s <= self.stamps_s[-1]) & (gap <= MAX_GAP_S)
         xy = np.full((len(stamps_s), 2), np.nan)
         yaw = np.full(len(stamps_s), np.nan)
-        xy[known] = Akima1DInterpolator(self.stamps_s, self.xy, method="makima")(stamps_s[known])
+        xy[known] = self._position(stamps_s[known])
         yaw[known] = np.interp(stamps_s[known], self.stamps_s, self.yaw_rad)
         return xy, yaw, known
+
+    def _position(self, stamps_s: FloatArray) -> FloatArray:
+        if len(self.stamps_s) == 2:  # through which SciPy before 1.16 lays a curve
+            share = (stamps_s - self.stamps_s[0]) / (self.stamps_s[1] - self.stamps_s[0])
+            straight: FloatArray = self.xy[0] + share[:, None] * (self.xy[1] - self.xy[0])
+            return straight
+        return np.asarray(Akima1DInterpolator(self.stamps_s, self.xy, method="makima")(stamps_s))
 
 
 def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:

@@ -51,6 +51,8 @@ class World:
         scale = float(proj.get_factors(longitude_deg, latitude_deg).meridional_scale)
         return cls(code, (float(round(east)), float(round(north))), scale)
 
+    # PROJ's Python side takes arrays of one element for scalars before its version 3.7.2; lists it takes as they are.
+
     @cached_property
     def _transformer(self) -> Transformer:
         return Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
@@ -61,7 +63,7 @@ class World:
 
     def from_geodetic(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
         """Map WGS84 positions, shapes (n,), to x and y in the world frame, shape (n, 2)."""
-        east, north = self._transformer.transform(longitude_deg, latitude_deg)
+        east, north = self._transformer.transform(longitude_deg.tolist(), latitude_deg.tolist())
         return self.from_utm(np.column_stack([east, north]))
 
     def from_utm(self, utm: FloatArray) -> FloatArray:
@@ -77,14 +79,15 @@ class World:
     def to_geodetic(self, xy: FloatArray) -> FloatArray:
         """Map x and y in the world frame, shape (n, 2), to WGS84 latitude and longitude in degrees, shape (n, 2)."""
         utm = self.to_utm(xy)
-        longitude, latitude = self._transformer.transform(utm[:, 0], utm[:, 1], direction="INVERSE")
+        east, north = utm.T.tolist()
+        longitude, latitude = self._transformer.transform(east, north, direction="INVERSE")
         return np.column_stack([latitude, longitude])
 
     def yaw_from_heading(
         self, heading_deg: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
     ) -> FloatArray:
         """Turn headings (clockwise from true north, deg) into yaw (counter-clockwise from grid east, rad)."""
-        convergence_deg = self._proj.get_factors(longitude_deg, latitude_deg).meridian_convergence
+        convergence_deg = self._proj.get_factors(longitude_deg.tolist(), latitude_deg.tolist()).meridian_convergence
         yaw: FloatArray = np.radians(90.0 - heading_deg + np.asarray(convergence_deg))
         return yaw
 

@@ -227,7 +227,7 @@ def _degrees(path: Path, name: str, points: object, to_wgs84: Transformer | None
         raise MapError(f"{path}: line {quoted(name)} has coordinates {quoted(str(points))}; needed are [[x, y], ...]")
     xy = np.array([position[:2] for position in positions], dtype=np.float64).reshape(-1, 2)
     if to_wgs84 is not None:
-        xy = np.column_stack(to_wgs84.transform(xy[:, 0], xy[:, 1]))
+        xy = np.column_stack(to_wgs84.transform(*xy.T.tolist()))
     off = np.flatnonzero(~((np.abs(xy[:, 0]) <= 180) & (np.abs(xy[:, 1]) <= 90)))
     if len(off):
         raise MapError(
