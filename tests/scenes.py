@@ -5,7 +5,7 @@ Scene frame: z up, the ground at z = 0, the sensor above the origin and looking 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,6 +89,23 @@ def ground_scene(
     hits = np.where(seen[:, None], directions * np.where(seen, distance, 0.0)[:, None], np.inf)
     keep = seen & ~_holes(rng, hits, ground)
     return _measure(rng, pattern, keep, distance, R, height_m, tilt_deg)
+
+
+def with_shared_error(scene: GroundScene, deviations: float) -> GroundScene:
+    """Return the scene with 1 / range off for all points alike, by so many standard deviations of each.
+
+    For a stereo camera that is a bias of the disparity, for a LiDAR an offset of the range.
+    """
+    ranges = np.linalg.norm(scene.points, axis=1)
+    # First order in 1 / range: what it pushes beyond infinity a sensor does not report.
+    stretch = 1.0 / (1.0 + deviations * scene.sigma_along_m / ranges)
+    seen = (stretch > 0.0) & (stretch * ranges < 1.5 * MAX_RANGE_M)
+    return replace(
+        scene,
+        points=(scene.points * stretch[:, None])[seen],
+        sigma_along_m=scene.sigma_along_m[seen],
+        sigma_across_m=scene.sigma_across_m[seen],
+    )
 
 
 def walls_only(seed: int, kind: str) -> GroundScene:

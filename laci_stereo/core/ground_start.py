@@ -21,7 +21,7 @@ _TRIPLES = 2000
 # As high as the things that stand about: where a point that is not on the ground may be.
 _SCENE_HEIGHT_M = 10.0
 # Planes that are judged at a time: what they need stays in a processor's cache.
-_SLICE = 32
+_SLICE = 8
 # In standard deviations: the plane of a triple is off by some more than the noise of its points.
 _THRESHOLDS = (2.0 * GATE, 1.5 * GATE, *(12 * [GATE]))
 
