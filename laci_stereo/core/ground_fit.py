@@ -4,8 +4,8 @@
 to an exact factor of the ray, so its noise is uniform there, and for a LiDAR the known noise of the range is carried
 over to first order.
 
-The plane is divided into cells, `_CELL` of azimuth wide and `_CELL` of the logarithm of range deep, which grow with the
-range. A cell, and not a point, is what supports a plane: dense surfaces near the sensor do not outvote the road, the
+The plane is divided into cells, `_CELL` rad wide and `_CELL` of the logarithm of range deep, which grow with the range.
+A cell, and not a point, is what supports a plane: dense surfaces near the sensor do not outvote the road, the
 mean of a cell is so exact that the foot of a wall and a pavement stand out from it, and noise shared by neighbours is
 counted once.
 """
@@ -84,8 +84,8 @@ class _Cells:
     """Means over the points of each cell that are on the plane within their noise.
 
     ``variance`` is that of the mean residual, ``sigma`` the standard deviation of one point's 1 / range through noise
-    along its ray, ``per_metre`` what 1 m above the plane adds to 1 / range, ``place`` the cell's azimuth and
-    ring, and ``area_m2`` what it covers on the plane, to within the slant.
+    along its ray, ``per_metre`` what 1 m above the plane adds to 1 / range, ``place`` the cell's azimuth and ring,
+    ``area_m2`` what it covers on the plane, to within the slant.
     """
 
     residual: FloatArray

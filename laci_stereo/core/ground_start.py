@@ -32,7 +32,7 @@ def robust_start(rays: Rays, up: FloatArray, settings: GroundSettings) -> FloatA
     Parameters
     ----------
     rays : Rays
-        One of each bearing, so that the count is a share of the view.
+        One of each bearing, so that what they say is a share of the view.
     up : ndarray, shape (3,)
         Unit vector in the sensor frame.
     settings : GroundSettings
