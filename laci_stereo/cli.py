@@ -59,7 +59,7 @@ class Asked:
     quiet: bool
     verbose: bool
 
-    def drive(self) -> DriveOptions:
+    def drive(self, background: tuple[int, int] | Path | None) -> DriveOptions:
         """Return what of it concerns the drive.
 
         Raises
@@ -73,6 +73,7 @@ class Asked:
             reference=parse_reference(self.cam_reference),
             crs=self.crs,
             name=self.name,
+            background=background,
             core=Settings(ground=ground_near(self.height)),
         )
 
@@ -164,9 +165,8 @@ def calibrate(
     vehicle_length and vehicle_width.
     """
     options = Options(
-        **vars(asked.drive()),
+        **vars(asked.drive(parse_background(background))),
         stereo=stereo,
-        background=parse_background(background),
         camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=asked.workers),
     )
     return prepare(left, right, cam, options)

@@ -43,6 +43,8 @@ class DriveOptions:
         The UTM zone; None takes the messages'.
     name : str or None
         What people call the sensor; None takes the name of the folder around the recording.
+    background : tuple of int, Path or None
+        First and last frame without moving objects, or the path of a recording without them; None looks for them.
     core : Settings
     """
 
@@ -51,12 +53,15 @@ class DriveOptions:
     reference: ReferencePoint = FRONT
     crs: str | None = None
     name: str | None = None
+    background: tuple[int, int] | Path | None = None
     core: Settings = field(default_factory=Settings)
 
     def config(self) -> dict[str, object]:
         """Return every effective setting; paths stand among the inputs."""
+        background = self.background
         return {
             "method": "paper",
+            "background_frames": str(background) if isinstance(background, Path) else background,
             "station": self.station,
             "reference": asdict(self.reference),
             "crs": self.crs,

@@ -26,28 +26,21 @@ STEREO_FRAME = "raw left camera: origin in the lens, x right, y down, z forward"
 class Options(DriveOptions):
     """What a user can say about the calibration of a stereo camera.
 
+    A recording given as ``background`` is a folder with images in ``left`` and ``right``.
+
     Attributes
     ----------
     stereo : Path or None
         The stereo calibration; None looks for stereo.yaml, .yml or .json beside the left images.
-    background : tuple of int, Path or None
-        First and last frame without moving objects, or a folder with such images in ``left`` and ``right``; None
-        looks for them.
     camera : StereoSettings
     """
 
     stereo: Path | None = None
-    background: tuple[int, int] | Path | None = None
     camera: StereoSettings = field(default_factory=StereoSettings)
 
     def config(self) -> dict[str, object]:
         """Return every effective setting; paths stand among the inputs."""
-        background = self.background
-        return {
-            **super().config(),
-            "background": str(background) if isinstance(background, Path) else background,
-            "stereo": asdict(self.camera),
-        }
+        return {**super().config(), "stereo": asdict(self.camera)}
 
 
 def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Options | None = None) -> Result:

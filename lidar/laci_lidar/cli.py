@@ -68,9 +68,8 @@ def calibrate(
     vehicle_width.
     """
     options = LidarOptions(
-        **vars(asked.drive()),
+        **vars(asked.drive(parse_background(background))),
         topic=topic,
-        background=parse_background(background),
         scanner=LidarSettings(
             range_sigma_m=range_sigma,
             angle_sigma_rad=None if angle_sigma is None else math.radians(angle_sigma),

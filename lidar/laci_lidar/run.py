@@ -26,24 +26,15 @@ class LidarOptions(DriveOptions):
     ----------
     topic : str or None
         Of a bag; None takes the only one with point clouds.
-    background : tuple of int, Path or None
-        First and last scan without moving objects, or a folder or bag with such scans; None looks for them.
     scanner : LidarSettings
     """
 
     topic: str | None = None
-    background: tuple[int, int] | Path | None = None
     scanner: LidarSettings = field(default_factory=LidarSettings)
 
     def config(self) -> dict[str, object]:
         """Return every effective setting; paths stand among the inputs."""
-        background = self.background
-        return {
-            **super().config(),
-            "topic": self.topic,
-            "background": str(background) if isinstance(background, Path) else background,
-            "lidar": asdict(self.scanner),
-        }
+        return {**super().config(), "topic": self.topic, "lidar": asdict(self.scanner)}
 
 
 def calibrate(scans: Path | str, cam: Path | str, options: LidarOptions | None = None) -> Result:
