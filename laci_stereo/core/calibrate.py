@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from laci_stereo.core.background import learn_background
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
-from laci_stereo.core.cloud import PointCloud, PointCloudSource
-from laci_stereo.core.errors import CamError, GroundError, TrackError
-from laci_stereo.core.frames import Axes, planar, transform
-from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.cloud import PointCloudSource
+from laci_stereo.core.errors import CamError, TrackError
+from laci_stereo.core.frames import planar
 from laci_stereo.core.matching import choose_track, match_track
+from laci_stereo.core.observe import Observation, observe
 from laci_stereo.core.quality import covariance_of, doubt_of, judge
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import find_vehicles
-from laci_stereo.core.tracking import link_tracks
 from laci_stereo.core.world import World
 
 log = logging.getLogger(__name__)
-
-GROUND_POINTS = 300_000
-"""So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
 
 
 def calibrate(
@@ -66,32 +60,37 @@ def calibrate(
     world = world_around(messages, crs)
     vehicles = _vehicles(messages, world, epoch_ns, reference)
 
-    survey = list(source.survey())
-    ground = _ground(survey, source.axes, settings)
-    T_level_sensor = ground.T_level_sensor(source.axes)
-    background = learn_background(
-        [transform(T_level_sensor, cloud.points) for cloud in survey],
-        settings.background,
-        settings.cluster,
-        settings.box,
-    )
-    del survey  # whole clouds are large
-    log.info("background: %d boxes from %d quiet frames", len(background.boxes), background.quiet_frames)
+    return locate(observe(source, settings), vehicles, world, settings)
 
-    sightings = (
-        find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings)
-        for cloud in source
-    )
-    tracks = link_tracks(sightings, settings.track)
 
-    choice = choose_track(tracks, vehicles, settings.match)
+def locate(
+    seen: Observation, vehicles: Mapping[int, VehicleTrack], world: World, settings: Settings | None = None
+) -> Calibration:
+    """Find the transform from what a sensor saw and where the senders' vehicles were.
+
+    Parameters
+    ----------
+    seen : Observation
+    vehicles : mapping of int to VehicleTrack
+        By station; their epoch is the observation's.
+    world : World
+    settings : Settings
+
+    Raises
+    ------
+    CalibrationError
+        If they do not determine a transform.
+    """
+    settings = settings or Settings()
+    choice = choose_track(seen.tracks, vehicles, settings.match)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     xy_world, _, known = vehicle.at(choice.track.stamps_s)
     xy_level, xy_world = choice.track.centres[known], xy_world[known]
     match = match_track(xy_level, xy_world, settings.match)
 
-    ground_covariance = ground.covariance_level(source.axes)
+    T_level_sensor = seen.T_level_sensor
+    ground_covariance = seen.ground.covariance_level(seen.axes)
     doubt = doubt_of(match, choice.track, vehicle, settings.match)
     residual_rms_m = float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean()))
     return Calibration(
@@ -102,30 +101,15 @@ def calibrate(
         centre_world=np.append(match(xy_level.mean(axis=0)), 0.0),
         time_offset_s=0.0,
         station_id=choice.station,
-        ground=ground,
-        background=background,
+        ground=seen.ground,
+        background=seen.background,
         track=choice.track,
         vehicle=vehicle,
         match=match,
-        axes=source.axes,
+        axes=seen.axes,
         quality=judge(doubt, ground_covariance, residual_rms_m, choice.track, known, settings.quality),
         method="paper",
     )
-
-
-def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
-    if not survey:
-        raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    step = max(1, -(-sum(map(len, survey)) // GROUND_POINTS))
-    ground = fit_ground(
-        np.concatenate([cloud.points[::step] for cloud in survey]),
-        np.concatenate([cloud.sigma_along_m[::step] for cloud in survey]),
-        np.concatenate([cloud.sigma_across_m[::step] for cloud in survey]),
-        axes.up,
-        settings.ground,
-    )
-    log.info("ground: %.3f m below the sensor", ground.height_m)
-    return ground
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:

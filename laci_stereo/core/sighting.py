@@ -34,7 +34,9 @@ class Sighting:
     frame_s : float
         The stamp of its frame, which sightings in one frame share.
     points : ndarray, shape (n, 3)
-        Some of its points, level frame, metres.
+        Some of its points, level frame, metres; none where a detector gave the box.
+    sigma_along_m, sigma_across_m : ndarray, shape (n,)
+        Their noise along and across the line of sight.
     count : int
         How many it has in all.
     middle : ndarray, shape (2,)
@@ -45,16 +47,21 @@ class Sighting:
         Why its box is not to be trusted.
     sigma_m : float
         Typical noise of its points along the line of sight.
+    radial_mps : float or None
+        How fast it moves away from the sensor, where that was measured.
     """
 
     stamp_s: float
     frame_s: float
     points: FloatArray
+    sigma_along_m: FloatArray
+    sigma_across_m: FloatArray
     count: int
     middle: FloatArray
     box: Box
     flaw: Flaw | None
     sigma_m: float = 0.0
+    radial_mps: float | None = None
 
 
 def find_vehicles(
@@ -136,4 +143,15 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
     kept = np.unique(np.linspace(0, len(points) - 1, KEPT_POINTS).round().astype(int))
     # A scanner passes a vehicle in milliseconds, so one time serves all of its points.
     stamp_s = frame_s if cloud.offset_s is None else frame_s + float(np.median(cloud.offset_s))
-    return Sighting(stamp_s, frame_s, points[kept], len(points), np.median(points[:, :2], axis=0), box, flaw, sigma_m)
+    return Sighting(
+        stamp_s=stamp_s,
+        frame_s=frame_s,
+        points=points[kept],
+        sigma_along_m=cloud.sigma_along_m[kept],
+        sigma_across_m=cloud.sigma_across_m[kept],
+        count=len(points),
+        middle=np.median(points[:, :2], axis=0),
+        box=box,
+        flaw=flaw,
+        sigma_m=sigma_m,
+    )

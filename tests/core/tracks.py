@@ -26,7 +26,8 @@ def sighting(
 ) -> Sighting:
     box = Box(np.asarray(xy, dtype=np.float64), *size, yaw_rad)
     points = np.column_stack([box.corners(), np.ones(4)])
-    return Sighting(stamp_s, stamp_s, points, count, box.centre, box, flaw, sigma_m)
+    noise = np.full(4, sigma_m)
+    return Sighting(stamp_s, stamp_s, points, noise, noise, count, box.centre, box, flaw, sigma_m)
 
 
 def track(stamps_s: FloatArray, xy: FloatArray, **of_each: object) -> Track:

@@ -80,7 +80,8 @@ def sighting(stamp_s: float, T_world_level: FloatArray) -> Sighting:
     yaw_level = (yaw[0] - YAW_RAD + np.pi / 2) % np.pi - np.pi / 2
     box = Box(level, LENGTH_M, WIDTH_M, float(yaw_level))
     points = np.column_stack([box.corners(), np.full(4, 1.4)])
-    return Sighting(float(stamp_s), float(stamp_s), points, 4, level, box, None)
+    exact = np.zeros(len(points))
+    return Sighting(float(stamp_s), float(stamp_s), points, exact, exact, 4, level, box, None)
 
 
 def lens(width: int = 1280, height: int = 720, distortion: FloatArray | None = None) -> Lens:

@@ -1,0 +1,99 @@
+"""What a sensor saw, before anything is known of the messages: ground, background and what moved."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from laci_stereo.core.background import Background, learn_background
+from laci_stereo.core.cloud import PointCloud, PointCloudSource
+from laci_stereo.core.errors import GroundError
+from laci_stereo.core.frames import Axes, FloatArray, transform
+from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.settings import Settings
+from laci_stereo.core.sighting import find_vehicles
+from laci_stereo.core.tracking import Track, link_tracks
+
+log = logging.getLogger(__name__)
+
+GROUND_POINTS = 300_000
+"""So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a sensor saw.
+
+    Attributes
+    ----------
+    axes : Axes
+        Of the sensor.
+    ground : GroundPlane
+    background : Background
+    tracks : tuple of Track
+        Everything that may have moved, in the level frame, the one with most sightings first.
+    """
+
+    axes: Axes
+    ground: GroundPlane
+    background: Background
+    tracks: tuple[Track, ...]
+
+    @cached_property
+    def T_level_sensor(self) -> FloatArray:
+        """The transform, shape (4, 4), from the sensor into the level frame."""
+        return self.ground.T_level_sensor(self.axes)
+
+
+def observe(source: PointCloudSource, settings: Settings | None = None) -> Observation:
+    """Find the ground, the background and the moving objects of a recording (paper sections III-A to III-C).
+
+    Parameters
+    ----------
+    source : PointCloudSource
+        It is read twice: a survey of whole frames, then every frame once.
+    settings : Settings
+
+    Raises
+    ------
+    CalibrationError
+        If there is no ground, or nothing whole to learn it from.
+    """
+    settings = settings or Settings()
+    survey = list(source.survey())
+    ground = _ground(survey, source.axes, settings)
+    T_level_sensor = ground.T_level_sensor(source.axes)
+    background = learn_background(
+        [transform(T_level_sensor, cloud.points) for cloud in survey],
+        settings.background,
+        settings.cluster,
+        settings.box,
+    )
+    del survey  # whole clouds are large
+    log.info("background: %d boxes from %d quiet frames", len(background.boxes), background.quiet_frames)
+
+    epoch_ns = source.span_ns[0]
+    sightings = (
+        find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings)
+        for cloud in source
+    )
+    return Observation(source.axes, ground, background, tuple(link_tracks(sightings, settings.track)))
+
+
+def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
+    if not survey:
+        raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
+    step = max(1, -(-sum(map(len, survey)) // GROUND_POINTS))
+    ground = fit_ground(
+        np.concatenate([cloud.points[::step] for cloud in survey]),
+        np.concatenate([cloud.sigma_along_m[::step] for cloud in survey]),
+        np.concatenate([cloud.sigma_across_m[::step] for cloud in survey]),
+        axes.up,
+        settings.ground,
+    )
+    log.info("ground: %.3f m below the sensor", ground.height_m)
+    return ground
