@@ -8,7 +8,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -21,15 +21,21 @@ from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import CalibrationError, LaciError, SettingError
 from laci_stereo.core.frames import Axes
-from laci_stereo.core.settings import GroundSettings, Settings
+from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
+from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
-from laci_stereo.job import DriveOptions, Job
+from laci_stereo.job import DriveOptions, Job, Task
+from laci_stereo.match import BoxOrigin, MatchOptions, MatchTask
+from laci_stereo.match import prepare as prepare_match
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.settings import StereoSettings
 
 NOT_CALIBRATED = 1
 UNUSABLE_INPUT = 2
 INTERRUPTED = 130
+
+UNKNOWN_CLOCK_S = 1.0
+"""Standard deviation of the offset between clocks of which nothing is known but that people set them."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -42,9 +48,9 @@ def cli() -> None:
     """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Asked:
-    """What every calibrating command is asked, whatever the sensor."""
+    """What every calibrating command is asked, whatever the sensor; ``workers`` only where there are frames."""
 
     out: Path
     overwrite: bool
@@ -53,9 +59,11 @@ class Asked:
     cam_reference: str
     crs: str | None
     height: float | None
-    method: str
+    method: Method
+    clock: str
+    clock_sigma: float | None
     name: str | None
-    workers: int
+    workers: int = 0
     quiet: bool
     verbose: bool
 
@@ -74,7 +82,7 @@ class Asked:
             crs=self.crs,
             name=self.name,
             background=background,
-            core=Settings(ground=ground_near(self.height)),
+            core=core_settings(self.method, self.height, clock_sigma(self.clock, self.clock_sigma)),
         )
 
 
@@ -97,39 +105,70 @@ _ASKED = (
     ),
     click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
     click.option("--height", type=float, metavar="M", help="About how high the sensor hangs [default: found]."),
-    click.option("--method", type=click.Choice(["paper"]), default="paper", show_default=True, help="Estimator."),
-    click.option("--name", help="What you call the sensor [default: the folder around the recording]."),
     click.option(
-        "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
+        "--method",
+        type=click.Choice(["joint", "paper"]),
+        default="joint",
+        show_default=True,
+        help="Estimator: the outline in all frames at once, or the paper's; the result shows both.",
     ),
+    click.option(
+        "--clock",
+        type=click.Choice(["known", "unknown"]),
+        default="known",
+        show_default=True,
+        help="Whether sensor and sender follow one clock, to some 10 ms, or may be a second apart.",
+    ),
+    click.option(
+        "--clock-sigma", type=float, metavar="S", help="How far apart their clocks are, one standard deviation, s."
+    ),
+    click.option("--name", help="What you call the sensor [default: the folder around the recording]."),
+)
+
+
+_WORKERS = click.option(
+    "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
+)
+
+_SAID = (
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
     click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
 )
 
 
-def calibrating(command: Callable[..., Job]) -> Callable[..., None]:
-    """Make a command of a function that prepares a job: add the common options, run the job, save and print."""
+def calibrating(command: Callable[..., Task]) -> Callable[..., None]:
+    """Make a command of a function that prepares the task of a sensor whose frames are read."""
+    return _asking(command, (*_ASKED, _WORKERS, *_SAID))
+
+
+def matching(command: Callable[..., Task]) -> Callable[..., None]:
+    """Make a command of a function that prepares a task without frames."""
+    return _asking(command, (*_ASKED, *_SAID))
+
+
+def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]]) -> Callable[..., None]:
+    """Make a command of a function that prepares a task: add the common options, run the task, save and print."""
 
     @wraps(command)
     def run(**given: Any) -> None:
-        asked = Asked(**{field.name: given.pop(field.name) for field in fields(Asked)})
+        asked = Asked(**{field.name: given.pop(field.name) for field in fields(Asked) if field.name in given})
         _log_to_stderr(quiet=asked.quiet, verbose=asked.verbose)
         check_output(asked.out, overwrite=asked.overwrite)
         _carry_out(command(asked, **given), asked)
 
-    for option in reversed(_ASKED):
+    for option in reversed(options):
         run = option(run)
     return run
 
 
-def _carry_out(job: Job, asked: Asked) -> None:
+def _carry_out(job: Task, asked: Asked) -> None:
     if not asked.quiet:
         for note in job.provenance.notes:
             click.echo(f"note: {note}", err=True)
     result = job.run(lambda source: source if asked.quiet else WithProgress(source))
     result.save(asked.out, overwrite=asked.overwrite)
     if not asked.quiet:
-        for note in job.recording.skipped:
+        for note in job.skipped:
             click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
         click.echo(f"{'Written':<11}{asked.out}: {', '.join(sorted(path.name for path in asked.out.iterdir()))}")
@@ -170,6 +209,43 @@ def calibrate(
         camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=asked.workers),
     )
     return prepare(left, right, cam, options)
+
+
+@cli.command()
+@click.argument("detections", type=_PATH)
+@click.argument("cam", type=_PATH)
+@click.option(
+    "--axes",
+    default="x forward, z up",
+    show_default=True,
+    help="Which way the sensor's axes point, such as 'y forward' or 'z down'.",
+)
+@click.option(
+    "--box-origin",
+    type=click.Choice(["centre", "bottom"]),
+    default="centre",
+    show_default=True,
+    help="What of a box its position is.",
+)
+@click.option(
+    "--level",
+    type=float,
+    metavar="HEIGHT",
+    help="The sensor's up axis is vertical, HEIGHT m above the ground [default: found below the boxes].",
+)
+@matching
+def match(
+    asked: Asked, detections: Path, cam: Path, axes: str, box_origin: BoxOrigin, level: float | None
+) -> MatchTask:
+    """Calibrate a sensor from the boxes of your own detector, radar or camera or LiDAR.
+
+    DETECTIONS is a CSV file with the columns timestamp, x, y, z, yaw, length, width and height, optionally track_id
+    and radial_speed, in the sensor's frame, in metres and radians; with --level, timestamp, x and y suffice. CAM is a
+    CSV log of Cooperative Awareness Messages with the columns timestamp, station_id, latitude, longitude, heading,
+    speed, vehicle_length and vehicle_width.
+    """
+    options = MatchOptions(**vars(asked.drive(None)), axes=parse_axes(axes), box_origin=box_origin, level_m=level)
+    return prepare_match(detections, cam, options)
 
 
 class WithProgress:
@@ -291,6 +367,33 @@ def ground_near(height_m: float | None) -> GroundSettings:
     if not 0 < height_m < math.inf:
         raise SettingError(f"--height is {height_m} m; needed is a number above 0")
     return GroundSettings(min_height_m=height_m * 2 / 3, max_height_m=height_m * 4 / 3)
+
+
+def clock_sigma(clock: str, sigma_s: float | None) -> float:
+    """Return the standard deviation of the clocks' offset in seconds: as said, else by what is known of them.
+
+    Raises
+    ------
+    SettingError
+        If it is not a number above 0, or said twice.
+    """
+    if sigma_s is None:
+        return UNKNOWN_CLOCK_S if clock == "unknown" else JointSettings().clock_sigma_s
+    if clock == "unknown":
+        raise SettingError(f"--clock is unknown and --clock-sigma is {sigma_s} s; needed is one of them")
+    if not 0 < sigma_s < math.inf:
+        raise SettingError(f"--clock-sigma is {sigma_s} s; needed is a number above 0")
+    return sigma_s
+
+
+def core_settings(method: Method, height_m: float | None, clock_sigma_s: float) -> Settings:
+    """Put what was asked over the core's defaults."""
+    return Settings(
+        method=method,
+        ground=ground_near(height_m),
+        match=MatchSettings(clock_sigma_s=clock_sigma_s),
+        joint=JointSettings(clock_sigma_s=clock_sigma_s),
+    )
 
 
 def _log_to_stderr(*, quiet: bool, verbose: bool) -> None:

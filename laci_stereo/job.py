@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -60,7 +61,6 @@ class DriveOptions:
         """Return every effective setting; paths stand among the inputs."""
         background = self.background
         return {
-            "method": "paper",
             "background_frames": str(background) if isinstance(background, Path) else background,
             "station": self.station,
             "reference": asdict(self.reference),
@@ -129,13 +129,16 @@ Drawing = Callable[[Calibration], Iterator[tuple[str, Raster]]]
 """Draws pictures that only one kind of sensor has, each with its file name."""
 
 
-@dataclass(frozen=True)
-class Job:
+Watch = Callable[[PointCloudSource], PointCloudSource]
+"""Wraps a recording, for example to show progress while its frames are consumed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
     """Inputs that were read and hold together, before the long work.
 
     Attributes
     ----------
-    recording : Recording
     drive : Drive
     options : DriveOptions
     provenance : Provenance
@@ -145,32 +148,65 @@ class Job:
         The sensor's own pictures.
     """
 
-    recording: Recording
     drive: Drive
     options: DriveOptions
     provenance: Provenance
     inputs: str
     draw: Drawing
 
-    def run(self, watch: Callable[[PointCloudSource], PointCloudSource] = lambda source: source) -> Result:
-        """Calibrate.
-
-        Parameters
-        ----------
-        watch : callable
-            Wraps the recording, for example to show progress while its frames are consumed.
+    @abstractmethod
+    def calibrate(self, watch: Watch) -> Calibration:
+        """Do the long work.
 
         Raises
         ------
         LaciError
             If the recording cannot be read or does not determine a transform.
         """
-        options = self.options
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """What turned out to be unreadable on the way, one line each."""
+        return ()
+
+    def run(self, watch: Watch = lambda source: source) -> Result:
+        """Calibrate.
+
+        Parameters
+        ----------
+        watch : callable
+
+        Raises
+        ------
+        LaciError
+            If the recording cannot be read or does not determine a transform.
+        """
         with _naming(self.drive.cam):
-            calibration = calibrate(
-                watch(self.recording), self.drive.messages, options.core, reference=options.reference, crs=options.crs
-            )
-        return Result(calibration, self)
+            return Result(self.calibrate(watch), self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(Task):
+    """A task whose sensor's frames are point clouds.
+
+    Attributes
+    ----------
+    recording : Recording
+    """
+
+    recording: Recording
+
+    def calibrate(self, watch: Watch) -> Calibration:
+        """Find ground, background and vehicle in the frames, and match its tracks."""
+        options = self.options
+        return calibrate(
+            watch(self.recording), self.drive.messages, options.core, reference=options.reference, crs=options.crs
+        )
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Why each frame that could not be used was left out."""
+        return self.recording.skipped
 
 
 @dataclass(frozen=True)
@@ -180,17 +216,17 @@ class Result:
     Attributes
     ----------
     calibration : Calibration
-    job : Job
+    job : Task
     """
 
     calibration: Calibration
-    job: Job
+    job: Task
 
     @property
     def summary(self) -> str:
         """Ten lines that a person understands."""
         provenance = self.job.provenance
-        inputs = f"{self.job.inputs}, {len(self.job.recording.skipped)} unreadable"
+        inputs = f"{self.job.inputs}, {len(self.job.skipped)} unreadable"
         return summarise(self.calibration, f"{provenance.name} ({provenance.frame})", inputs)
 
     def save(self, out: Path | str = "calibration", *, overwrite: bool = False) -> Path:
@@ -207,7 +243,7 @@ class Result:
             If the folder exists (and is no result, or ``overwrite`` is False), or cannot be written.
         """
         out = Path(out)
-        provenance = replace(self.job.provenance, notes=self.job.provenance.notes + self.job.recording.skipped)
+        provenance = replace(self.job.provenance, notes=self.job.provenance.notes + self.job.skipped)
         text = to_text(to_document(self.calibration, provenance))
         with result_folder(out, overwrite=overwrite) as folder:
             (folder / RESULT_FILE).write_text(text, encoding="utf-8")

@@ -15,7 +15,7 @@ from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.settings import GroundSettings
-from tests.scenes import GroundScene, ground_scene, with_shared_error
+from tests.scenes import GroundScene, ground_scene, uneven_road, with_shared_error
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def print_errors(outcomes: dict[str, list[Outcome]]) -> None:
 
 
 def print_claims(outcomes: dict[str, list[Outcome]], seeds: range, rays: int) -> None:
-    """Print the table of claims: as scenes are, without pavements, and with an error that all points share as well."""
+    """Print the table of claims: as scenes are, without pavements, and these with a shared error or an uneven road."""
     share = GroundSettings().shared_noise_share
     columns = f"{'true':>8} {'claimed':>8}"
     print(f"\n{'':<35} |{'angle [deg]':^17} |{'height [cm]':^17} | error^2 / covariance")
@@ -130,6 +130,8 @@ def print_claims(outcomes: dict[str, list[Outcome]], seeds: range, rays: int) ->
         shared = share * np.random.default_rng(0).normal(size=len(clean))
         biased = [with_shared_error(scene, float(b)) for scene, b in zip(clean, shared, strict=True)]
         print(claims("  no pavements, shared error", [outcome(scene) for scene in biased]))
+        uneven = [ground_scene(seed, kind, rays=rays, pavements=False, road=uneven_road(seed)) for seed in seeds]
+        print(claims("  no pavements, uneven road", [outcome(scene) for scene in uneven]))
 
 
 def main() -> None:

@@ -7,15 +7,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from laci_stereo.core.association import choose_track
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
-from laci_stereo.core.errors import CamError, TrackError
+from laci_stereo.core.errors import CamError, MatchError, TrackError
 from laci_stereo.core.frames import planar
-from laci_stereo.core.matching import choose_track, match_track
 from laci_stereo.core.observe import Observation, observe
-from laci_stereo.core.quality import covariance_of, doubt_of, judge
+from laci_stereo.core.placement import place_by_paper, place_jointly
+from laci_stereo.core.quality import Placement, covariance_of, judge
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
 log = logging.getLogger(__name__)
@@ -29,7 +31,7 @@ def calibrate(
     reference: ReferencePoint = FRONT,
     crs: str | None = None,
 ) -> Calibration:
-    """Find the transform from a sensor into the world, by the paper's method.
+    """Find the transform from a sensor into the world.
 
     Parameters
     ----------
@@ -85,31 +87,41 @@ def locate(
     choice = choose_track(seen.tracks, vehicles, settings.match)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
-    xy_world, _, known = vehicle.at(choice.track.stamps_s)
-    xy_level, xy_world = choice.track.centres[known], xy_world[known]
-    match = match_track(xy_level, xy_world, settings.match)
-
-    T_level_sensor = seen.T_level_sensor
+    paper = _paper(choice.track, vehicle, settings)
+    if settings.method == "joint" or paper is None:
+        placement = place_jointly(choice, vehicle, seen.ground.height_m, settings)
+    else:
+        placement = paper
+    match, middle = placement.match, placement.middle_level
     ground_covariance = seen.ground.covariance_level(seen.axes)
-    doubt = doubt_of(match, choice.track, vehicle, settings.match)
-    residual_rms_m = float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean()))
     return Calibration(
         world=world,
-        T_world_sensor=planar(match.yaw_rad, match.shift) @ T_level_sensor,
-        T_level_sensor=T_level_sensor,
-        covariance=covariance_of(doubt, ground_covariance, match, xy_level.mean(axis=0)),
-        centre_world=np.append(match(xy_level.mean(axis=0)), 0.0),
-        time_offset_s=0.0,
+        T_world_sensor=planar(match.yaw_rad, match.shift) @ seen.T_level_sensor,
+        T_level_sensor=seen.T_level_sensor,
+        covariance=covariance_of(placement.doubt, ground_covariance, match, middle),
+        centre_world=np.append(match(middle), 0.0),
+        time_offset_s=placement.time_offset_s,
+        time_sigma_s=placement.time_sigma_s,
         station_id=choice.station,
         ground=seen.ground,
         background=seen.background,
         track=choice.track,
         vehicle=vehicle,
         match=match,
+        paper=None if paper is None else paper.match,
         axes=seen.axes,
-        quality=judge(doubt, ground_covariance, residual_rms_m, choice.track, known, settings.quality),
-        method="paper",
+        quality=judge(placement, ground_covariance, choice.track, settings.quality),
+        method=settings.method,
     )
+
+
+def _paper(track: Track, vehicle: VehicleTrack, settings: Settings) -> Placement | None:
+    try:
+        return place_by_paper(track, vehicle, settings.match)
+    except MatchError:
+        if settings.method == "paper":
+            raise
+        return None
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -13,6 +14,9 @@ from laci_stereo.core.world import World
 
 MAX_GAP_S = 1.5
 """A gap between messages that is longer than this is not interpolated across (ETSI's slowest rate is 1 Hz)."""
+
+ELLIPSE_SIGMAS = 2.4477
+"""A two-dimensional normal distribution has 95 % within so many standard deviations: sqrt(-2 ln 0.05)."""
 
 STANDING_MPS = 0.5
 """Below this speed the heading, which is the direction of motion, says nothing about the vehicle's body."""
@@ -107,6 +111,10 @@ class VehicleTrack:
     yaw_rad : ndarray, shape (n,)
         Of the vehicle's body, unwrapped.
     length_m, width_m : float
+    reference : tuple of float
+        The point that the messages' positions are of, vehicle frame.
+    position_sigma_m : float
+        Of these positions, one standard deviation along each axis; NaN where no message tells.
     """
 
     stamps_s: FloatArray
@@ -115,6 +123,8 @@ class VehicleTrack:
     yaw_rad: FloatArray
     length_m: float
     width_m: float
+    reference: tuple[float, float] = (0.0, 0.0)
+    position_sigma_m: float = float("nan")
 
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
@@ -144,7 +154,11 @@ class VehicleTrack:
             share = (stamps_s - self.stamps_s[0]) / (self.stamps_s[1] - self.stamps_s[0])
             straight: FloatArray = self.xy[0] + share[:, None] * (self.xy[1] - self.xy[0])
             return straight
-        return np.asarray(Akima1DInterpolator(self.stamps_s, self.xy, method="makima")(stamps_s))
+        return np.asarray(self._spline(stamps_s))
+
+    @cached_property
+    def _spline(self) -> Akima1DInterpolator:
+        return Akima1DInterpolator(self.stamps_s, self.xy, method="makima")
 
 
 def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:
@@ -176,8 +190,18 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     xy_reference = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
-    xy = xy_reference - rotate_xy(yaw, np.tile(reference.offset(length), (len(log), 1)))
-    return VehicleTrack(stamps_s, epoch_ns, xy, yaw, length, width)
+    offset = reference.offset(length)
+    xy = xy_reference - rotate_xy(yaw, np.tile(offset, (len(log), 1)))
+    return VehicleTrack(
+        stamps_s, epoch_ns, xy, yaw, length, width, (float(offset[0]), float(offset[1])), _position_sigma(log)
+    )
+
+
+def _position_sigma(log: CamLog) -> float:
+    """Return the standard deviation of the positions along each axis, from their 95 % ellipses; NaN without one."""
+    area = log.semi_major_95_m * log.semi_minor_95_m
+    known = area[np.isfinite(area)]
+    return float(np.sqrt(np.median(known))) / ELLIPSE_SIGMAS if len(known) else float("nan")
 
 
 def _dimension(values_m: FloatArray, what: str) -> float:

@@ -15,7 +15,8 @@ LaciError
     ├── BackgroundError   no frame shows the scene at rest
     ├── BoxError          points that span no box
     ├── TrackError        no vehicle, or one that stands still
-    └── MatchError        the two tracks do not fit on each other
+    ├── MatchError        the two tracks do not fit on each other
+    └── OpenError         the drive leaves a direction open
 
 A message is one line: the file, the quantity, the value found and the value needed.
 """
@@ -81,3 +82,7 @@ class TrackError(CalibrationError):
 
 class MatchError(CalibrationError):
     """The vehicle's track in the sensor does not fit its track in the world."""
+
+
+class OpenError(CalibrationError):
+    """The drive leaves a direction open, so there is no number to give."""

@@ -63,11 +63,11 @@ def _score(rays: Rays, planes: FloatArray, settings: GroundSettings) -> FloatArr
     so that a wall, blurred by depth noise into a slab of several metres, is none for the planes that cut through it.
     """
     heights, variance = rays.heights_above(planes)
-    sigma = np.sqrt(variance + settings.unevenness_m**2)
-    standardised = heights / sigma
-    evidence = np.maximum(np.log(_SCENE_HEIGHT_M / (np.sqrt(2.0 * np.pi) * sigma)), 0.0)
-    on = np.where(standardised > GATE, 0.0, np.maximum(evidence - 0.5 * standardised**2, 0.0))
-    score: FloatArray = np.where(standardised < -GATE, -evidence, on).sum(axis=1)
+    variance += settings.unevenness_m**2
+    squared = heights**2 / variance
+    evidence = np.maximum(np.log(_SCENE_HEIGHT_M / np.sqrt(2.0 * np.pi)) - 0.5 * np.log(variance), 0.0)
+    on = np.maximum(evidence - 0.5 * squared, 0.0)
+    score: FloatArray = np.where(squared > GATE**2, np.where(heights < 0.0, -evidence, 0.0), on).sum(axis=1)
     return score
 
 

@@ -1,14 +1,15 @@
-"""How far the paper's estimate can be trusted: its covariance and a verdict."""
+"""How far an estimate can be trusted: its covariance, in which direction it is weak, and a verdict."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
+from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.result import Quality, Verdict
 from laci_stereo.core.settings import MatchSettings, QualitySettings
@@ -17,25 +18,77 @@ from laci_stereo.core.tracking import Track
 
 @dataclass(frozen=True)
 class Doubt:
-    """One standard deviation of each thing that the paper's method estimates.
+    """What is not known of a transform in the plane.
 
     Attributes
     ----------
-    position_m : float
-        Of the track as a whole, along each axis of the plane.
-    yaw_rad : float
-    spread_m : float
-        Root of the mean squared distance of the track from its middle.
+    covariance : ndarray, shape (3, 3)
+        Of (yaw [rad], x, y [m]) in the world, about the track's middle.
+    arms : ndarray, shape (n, 2)
+        From there to the points of the track, world, metres.
     """
 
-    position_m: float
-    yaw_rad: float
-    spread_m: float
+    covariance: FloatArray
+    arms: FloatArray
+
+    @property
+    def yaw_rad(self) -> float:
+        """One standard deviation of the yaw."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @cached_property
+    def along_track(self) -> FloatArray:
+        """Covariance of an object's position in the world, averaged over the track, shape (2, 2)."""
+        by = np.zeros((len(self.arms), 2, 3))
+        by[:, 0, 0], by[:, 1, 0] = -self.arms[:, 1], self.arms[:, 0]
+        by[:, 0, 1] = by[:, 1, 2] = 1.0
+        mean: FloatArray = (by @ self.covariance @ by.transpose(0, 2, 1)).mean(axis=0)
+        return mean
 
     @property
     def track_xy_m(self) -> float:
         """Root of the mean squared error in the plane along the track."""
-        return float(np.sqrt(2 * self.position_m**2 + (self.yaw_rad * self.spread_m) ** 2))
+        return float(np.sqrt(np.trace(self.along_track)))
+
+    @property
+    def weakest(self) -> tuple[float, float]:
+        """The direction in which an object's position is least known: its sigma in metres, and its yaw, rad."""
+        values, vectors = np.linalg.eigh(self.along_track)
+        return float(np.sqrt(values[-1])), float(np.arctan2(vectors[1, -1], vectors[0, -1]))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """One estimate of where the level frame is in the world.
+
+    Attributes
+    ----------
+    match : PlanarMatch
+    middle_level : ndarray, shape (2,)
+        The track's middle, about which the doubt is.
+    doubt : Doubt
+    residual_rms_m : float
+    frames_used : int
+    left_out : dict of str to int
+        Frames that were not, by reason.
+    time_offset_s, time_sigma_s : float
+        To be added to the sensor's stamps to get the CAMs' time; 0 where it is taken as known.
+    advice : str
+        Which drive would help where it is weakest.
+    contradictions : tuple of str
+        What of the messages the points contradict, so that the messages, or what was said of them, may be wrong.
+    """
+
+    match: PlanarMatch
+    middle_level: FloatArray
+    doubt: Doubt
+    residual_rms_m: float
+    frames_used: int
+    left_out: dict[str, int] = field(default_factory=dict)
+    time_offset_s: float = 0.0
+    time_sigma_s: float = 0.0
+    advice: str = ""
+    contradictions: tuple[str, ...] = ()
 
 
 def doubt_of(match: PlanarMatch, track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Doubt:
@@ -61,14 +114,9 @@ def doubt_of(match: PlanarMatch, track: Track, vehicle: VehicleTrack, settings: 
     shifted = (match(grown) - regrown(grown)).mean(axis=0)
     remains = float(np.sqrt(((regrown(grown) - xy_world) ** 2).mean()))
     lengths = np.linalg.norm(xy_world[:-1] - xy_world[-1], axis=1)
-    spread = float(np.sqrt(((xy_world - xy_world.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    return Doubt(
-        position_m=float(np.hypot(remains, np.sqrt((shifted**2).mean()))),
-        yaw_rad=float(
-            np.hypot(wrap(regrown.yaw_rad - match.yaw_rad), np.sqrt(2) * remains / np.sqrt((lengths**2).mean()))
-        ),
-        spread_m=spread,
-    )
+    position = float(np.hypot(remains, np.sqrt((shifted**2).mean())))
+    yaw = float(np.hypot(wrap(regrown.yaw_rad - match.yaw_rad), np.sqrt(2) * remains / np.sqrt((lengths**2).mean())))
+    return Doubt(np.diag([yaw, position, position]) ** 2, xy_world - xy_world.mean(axis=0))
 
 
 def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> FloatArray:
@@ -107,32 +155,21 @@ def covariance_of(
     to_world[:2, :2] = rotate_xy(match.yaw_rad, np.eye(2)).T
     to_world[5] = [middle_level[1], -middle_level[0], 1.0]
     covariance: FloatArray = to_world @ ground_covariance @ to_world.T
-    covariance[2, 2] += doubt.yaw_rad**2
-    covariance[3, 3] += doubt.position_m**2
-    covariance[4, 4] += doubt.position_m**2
+    covariance[2:5, 2:5] += doubt.covariance
     return covariance
 
 
-def judge(
-    doubt: Doubt,
-    ground_covariance: FloatArray,
-    residual_rms_m: float,
-    track: Track,
-    known: BoolArray,
-    settings: QualitySettings,
-) -> Quality:
+def judge(placement: Placement, ground_covariance: FloatArray, track: Track, settings: QualitySettings) -> Quality:
     """Hold the doubt against the thresholds.
 
     Parameters
     ----------
-    doubt : Doubt
+    placement : Placement
     ground_covariance : ndarray, shape (3, 3)
-    residual_rms_m : float
     track : Track
-    known : ndarray of bool, shape (n,)
-        Of the track's usable sightings: the sender's position at that time is known.
     settings : QualitySettings
     """
+    doubt = placement.doubt
     yaw_deg = float(np.degrees(doubt.yaw_rad))
     tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(ground_covariance[:2, :2])[-1])))
     height = float(np.sqrt(ground_covariance[2, 2]))
@@ -147,19 +184,21 @@ def judge(
         if value > limit
     )
     worst = max(value / limit for _, value, _, limit in checks)
-    verdict: Verdict = "pass" if worst <= 1 else "warn" if worst <= settings.fail_factor else "fail"
-    left_out = dict(track.flaws())
-    if not known.all():
-        left_out["unknown"] = int((~known).sum())
+    reasons += placement.contradictions
+    verdict: Verdict = "pass" if worst <= 1 and not reasons else "warn" if worst <= settings.fail_factor else "fail"
+    weakest_m, weakest_rad = doubt.weakest
     return Quality(
         verdict=verdict,
         reasons=reasons,
         track_xy_sigma_m=doubt.track_xy_m,
+        weakest_sigma_m=weakest_m,
+        weakest_yaw_deg=float(np.degrees(weakest_rad)) % 180.0,
+        advice=placement.advice,
         yaw_sigma_deg=yaw_deg,
         tilt_sigma_deg=tilt_deg,
         height_sigma_m=height,
-        residual_rms_m=residual_rms_m,
-        frames_used=int(known.sum()),
+        residual_rms_m=placement.residual_rms_m,
+        frames_used=placement.frames_used,
         frames_seen=len(track.sightings),
-        left_out=left_out,
+        left_out=placement.left_out,
     )

@@ -9,9 +9,10 @@ import numpy as np
 
 from laci_stereo.core.background import Background
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import Axes, FloatArray, invert, transform
+from laci_stereo.core.frames import Axes, FloatArray, invert, transform, wrap
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.settings import Method
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
@@ -30,18 +31,27 @@ class Quality:
     track_xy_sigma_m : float
         By how much an object on the vehicle's track would be misplaced in the plane: the root of the mean square of
         the two-dimensional error, one sigma.
+    weakest_sigma_m, weakest_yaw_deg : float
+        The direction in which objects on the track are least well placed, counter-clockwise from grid east, and the
+        standard deviation there.
+    advice : str
+        Why that is, and which drive would mend it.
     yaw_sigma_deg, tilt_sigma_deg, height_sigma_m : float
     residual_rms_m : float
-        Distance between the two tracks after the match.
+        By the paper's method the distance between the two tracks, by the joint one that of the points from the outline.
     frames_used, frames_seen : int
         Frames of the vehicle in the match, and frames in which it was seen at all.
     left_out : dict of str to int
-        Frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time).
+        Frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time), bare (no point of the
+        outline).
     """
 
     verdict: Verdict
     reasons: tuple[str, ...]
     track_xy_sigma_m: float
+    weakest_sigma_m: float
+    weakest_yaw_deg: float
+    advice: str
     yaw_sigma_deg: float
     tilt_sigma_deg: float
     height_sigma_m: float
@@ -64,8 +74,8 @@ class Calibration:
         Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``.
     centre_world : ndarray, shape (3,)
         The middle of the vehicle's track.
-    time_offset_s : float
-        To be added to the sensor's stamps to get the CAMs' time.
+    time_offset_s, time_sigma_s : float
+        To be added to the sensor's stamps to get the CAMs' time, and its standard deviation.
     station_id : int
     ground : GroundPlane
     background : Background
@@ -74,10 +84,12 @@ class Calibration:
     vehicle : VehicleTrack
         In the world.
     match : PlanarMatch
+    paper : PlanarMatch or None
+        What the paper's method says; None where it says nothing.
     axes : Axes
         Of the sensor.
     quality : Quality
-    method : str
+    method : {"joint", "paper"}
     """
 
     world: World
@@ -86,21 +98,32 @@ class Calibration:
     covariance: FloatArray
     centre_world: FloatArray
     time_offset_s: float
+    time_sigma_s: float
     station_id: int
     ground: GroundPlane
     background: Background
     track: Track
     vehicle: VehicleTrack
     match: PlanarMatch
+    paper: PlanarMatch | None
     axes: Axes
     quality: Quality
-    method: str
+    method: Method
 
     @property
     def T_utm_sensor(self) -> FloatArray:
         """The best rigid transform into UTM around the track, shape (4, 4)."""
         centre_sensor = transform(invert(self.T_world_sensor), self.centre_world[None])[0]
         return self.world.utm_from_sensor(self.T_world_sensor, centre_sensor)
+
+    @property
+    def paper_differs(self) -> tuple[float, float] | None:
+        """By how much the paper's method differs: of objects on the track, metres (RMS), and in angle, degrees."""
+        if self.paper is None:
+            return None
+        seen = np.array([sighting.middle for sighting in self.track.sightings])
+        shift = np.sqrt(((self.paper(seen) - self.match(seen)) ** 2).sum(axis=1).mean())
+        return float(shift), float(np.degrees(abs(wrap(self.paper.yaw_rad - self.match.yaw_rad))))
 
     @property
     def height_m(self) -> float:

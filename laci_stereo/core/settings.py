@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -168,13 +170,13 @@ class TrackSettings:
     jitter_m : float
         By how much the middle of what is visible of a vehicle jumps from frame to frame.
     max_lost_s : float
-        A track that was not seen for longer is over.
+        A track that was not seen for longer is over: what hides a car at 8 m/s is a lorry of 16 m.
     """
 
     max_speed_mps: float = 40.0
     max_acceleration_mps2: float = 9.0
     jitter_m: float = 1.0
-    max_lost_s: float = 1.0
+    max_lost_s: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -193,15 +195,66 @@ class MatchSettings:
     min_explained : float
         Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
         where the tracks happen to cross.
-    clear_share : float
-        A second candidate that explains more than this share of what the best one explains is a tie.
+    clear_log_odds : float
+        By less than this a second hypothesis is a tie: of a hundred that are chosen, at most one may be wrong.
+    clock_sigma_s : float
+        Standard deviation of the offset between the sensor's clock and the CAMs': 10 ms where both are synchronised
+        (by NTP or GNSS), 1 s where nothing is known. Searched is up to three times that.
+    position_sigma_m : float
+        Of a position relative to those around it: GNSS wanders by 0.2 to 0.3 m during a passage, and a complete box is
+        known as well.
+    stretch_m : float
+        A vehicle must drive so far until its sightings err independently: at 20 m from the sensor it has then turned by
+        30 deg, and shows another side.
     """
 
     min_vector_m: float = 10.0
     min_frames: int = 10
     min_path_m: float = 10.0
     min_explained: float = 0.5
-    clear_share: float = 0.8
+    clear_log_odds: float = math.log(100.0)
+    clock_sigma_s: float = 0.010
+    position_sigma_m: float = 0.3
+    stretch_m: float = 10.0
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """What the joint estimate takes as known beforehand, each as one standard deviation.
+
+    Attributes
+    ----------
+    clock_sigma_s : float
+        Of the offset between the sensor's clock and the messages': both follow a GNSS or NTP.
+    heading_sigma_deg : float
+        Of the messages' heading against the vehicle's body, constant over a drive: how a receiver is fitted into a car.
+    heading_lever_sigma_m : float
+        The heading is the direction in which some point of the vehicle moves; that point is ahead of the one whose
+        motion is along the body, the rear axle, by anything up to the wheelbase.
+    lever_sigma_m : float
+        Of the reference point's place on the vehicle: it was measured by hand, to 5 cm.
+    size_sigma_m : float
+        Of length and width: messages round to 0.1 m, some senders upwards, and some count the mirrors.
+    position_sigma_m : float
+        Of positions whose accuracy the messages do not tell: that of a receiver with carrier-phase corrections, the
+        only kind that a calibration is worth being made with.
+    bias_time_s : float
+        Time over which a receiver's error decays: multipath at the speed of a car.
+    shared_noise_share : float
+        Of the variance of points, what those on one side in one frame have in common; see `GroundSettings`.
+    block_s : float
+        What so many seconds of frames say is one statement when the scatter of the residuals is weighed.
+    """
+
+    clock_sigma_s: float = 0.010
+    heading_sigma_deg: float = 0.3
+    heading_lever_sigma_m: float = 1.5
+    lever_sigma_m: float = 0.05
+    size_sigma_m: float = 0.05
+    position_sigma_m: float = 0.02
+    bias_time_s: float = 10.0
+    shared_noise_share: float = 0.25
+    block_s: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -217,17 +270,25 @@ class QualitySettings:
         The same for angles: three sigma shift an object 60 m away by half a lane.
     fail_factor : float
         Beyond this multiple of a limit the verdict is a fail, in between a warning.
+    open_m : float
+        A direction that is known no better than this is open, and no result is given: one side of a car could be taken
+        for the other.
     """
 
     max_sigma_m: float = 0.5
     max_sigma_deg: float = 0.5
     fail_factor: float = 3.0
+    open_m: float = 1.0
+
+
+Method = Literal["joint", "paper"]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings of the core."""
+    """All settings of the core; ``method`` is the estimator: the joint one, or the paper's."""
 
+    method: Method = "joint"
     ground: GroundSettings = field(default_factory=GroundSettings)
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
@@ -235,4 +296,5 @@ class Settings:
     vehicle: VehicleSettings = field(default_factory=VehicleSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
+    joint: JointSettings = field(default_factory=JointSettings)
     quality: QualitySettings = field(default_factory=QualitySettings)

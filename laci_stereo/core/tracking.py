@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,12 @@ from laci_stereo.core.sighting import Sighting
 
 UNLINKED = 1.5
 """Cost of leaving a track without a sighting, in gates: above one, so that what is where it should be is linked."""
+
+GATE = 3.0
+"""Standard deviations at which a gate closes."""
+
+FILTERED = 10
+"""So many sightings at the beginning of a track tell its velocity there."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,10 @@ class Track:
 def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | None = None) -> list[Track]:
     """Link sightings into tracks: nearest to where each track should be by now, over all pairs at once.
 
+    Each track carries a position and a velocity (a Kalman filter with white acceleration). While it is out of sight its
+    place soon becomes too vague to tell who appears there; longer gaps are closed afterwards, where the velocities
+    before and after agree with the way in between.
+
     Parameters
     ----------
     frames : iterable of sequence of Sighting
@@ -79,54 +89,150 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
         The one with most sightings first.
     """
     settings = settings or TrackSettings()
-    finished: list[list[Sighting]] = []
-    active: list[list[Sighting]] = []
+    finished: list[_Moving] = []
+    active: list[_Moving] = []
+    interval_s, before_s = 0.0, None
     for sightings in frames:
         if not sightings:
             continue
-        now = sightings[0].frame_s
-        finished += [track for track in active if now - track[-1].frame_s > settings.max_lost_s]
-        active = [track for track in active if now - track[-1].frame_s <= settings.max_lost_s]
+        now_s = sightings[0].frame_s
+        interval_s = now_s - before_s if before_s is not None else 0.0
+        before_s = now_s
+        # At least one missing frame is bridged, however seldom they come.
+        limit_s = min(max(_blind_s(settings), 2.5 * interval_s), settings.max_lost_s)
+        finished += [track for track in active if now_s - track.last.frame_s > limit_s]
+        active = [track for track in active if now_s - track.last.frame_s <= limit_s]
         taken = _assign(active, sightings, settings)
         for index, sighting in enumerate(sightings):
             if index in taken:
-                active[taken[index]].append(sighting)
+                active[taken[index]].add(sighting, settings)
             else:
-                active.append([sighting])
-    tracks = [Track(tuple(track)) for track in finished + active]
+                active.append(_Moving(sighting, settings))
+    tracks = _stitched(finished + active, settings)
     return sorted(tracks, key=lambda track: len(track.sightings), reverse=True)
 
 
-def _assign(
-    tracks: Sequence[Sequence[Sighting]], sightings: Sequence[Sighting], settings: TrackSettings
-) -> dict[int, int]:
+def _blind_s(settings: TrackSettings) -> float:
+    """Return after what time out of sight a track's place is as vague as what is visible of a vehicle jumps."""
+    return float((3 * settings.jitter_m**2 / _agility(settings)) ** (1 / 3))
+
+
+def _agility(settings: TrackSettings) -> float:
+    """Return the spectral density of accelerations, m^2/s^3: the largest is three sigma and lasts a second."""
+    return (settings.max_acceleration_mps2 / GATE) ** 2
+
+
+def _noise(settings: TrackSettings) -> float:
+    """Return the variance of a position, m^2: what it jumps by at most is twice its standard deviation."""
+    return (settings.jitter_m / 2) ** 2
+
+
+class _Moving:
+    """A track that grows: its sightings, and where it is and how fast, with the covariance of each axis."""
+
+    def __init__(self, first: Sighting, settings: TrackSettings) -> None:
+        self.sightings = [first]
+        self.state = np.array([first.middle, np.zeros(2)])
+        self.covariance = np.diag([_noise(settings), (settings.max_speed_mps / GATE) ** 2])
+
+    @property
+    def last(self) -> Sighting:
+        return self.sightings[-1]
+
+    def ahead(self, stamp_s: float, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
+        """Predict the state, shape (2, 2): position and velocity, and its covariance."""
+        dt = max(stamp_s - self.last.stamp_s, 0.0)
+        step = np.array([[1.0, dt], [0.0, 1.0]])
+        grown = _agility(settings) * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        return step @ self.state, step @ self.covariance @ step.T + grown
+
+    def add(self, sighting: Sighting, settings: TrackSettings) -> None:
+        """Take a sighting up."""
+        state, covariance = self.ahead(sighting.stamp_s, settings)
+        gain = covariance[:, 0] / (covariance[0, 0] + _noise(settings))
+        self.state = state + np.outer(gain, sighting.middle - state[0])
+        self.covariance = covariance - np.outer(gain, covariance[0])
+        self.sightings.append(sighting)
+
+
+def _assign(tracks: Sequence[_Moving], sightings: Sequence[Sighting], settings: TrackSettings) -> dict[int, int]:
     """Return the track of each sighting that has one."""
     if not tracks:
         return {}
+    # Within a frame the stamps differ by milliseconds; the vehicles' places are needed at each.
+    now_s = float(np.mean([sighting.stamp_s for sighting in sightings]))
+    ahead = [track.ahead(now_s, settings) for track in tracks]
+    places = np.array([state[0] for state, _ in ahead])
+    speeds = np.array([state[1] for state, _ in ahead])
+    sigma = np.sqrt(np.array([covariance[0, 0] for _, covariance in ahead]) + _noise(settings))
+    late_s = np.array([sighting.stamp_s for sighting in sightings]) - now_s
     here = np.array([sighting.middle for sighting in sightings])
-    stamps_s = np.array([sighting.stamp_s for sighting in sightings])
-    expected = [_expect(track, stamps_s, settings) for track in tracks]
-    distance = np.linalg.norm(np.array([xy for xy, _ in expected]) - here, axis=2)
-    gate = np.array([reach for _, reach in expected])
-    sizes = np.log10([sighting.count for sighting in sightings])
-    size_before = np.log10([float(np.median([sighting.count for sighting in track[-5:]])) for track in tracks])
+    expected = places[:, None] + late_s[None, :, None] * speeds[:, None]
+    distance = np.linalg.norm(expected - here, axis=2) / sigma[:, None] / GATE
+    sizes = np.log10([max(sighting.count, 1) for sighting in sightings])
+    size_before = np.log10([float(np.median([max(s.count, 1) for s in track.sightings[-5:]])) for track in tracks])
     # Debris that breaks off a vehicle is near to it but small: a factor of ten counts as much as the whole gate.
-    cost = np.hypot(distance / gate, size_before[:, None] - sizes[None])
-    cost[distance >= gate] = UNLINKED
+    cost = np.hypot(distance, size_before[:, None] - sizes[None])
+    cost[distance >= 1.0] = UNLINKED
+    return _pairs(cost)
+
+
+def _pairs(cost: FloatArray) -> dict[int, int]:
+    """Return the row of each column that has one, at the least cost in all."""
     rows, columns = linear_sum_assignment(np.minimum(cost, UNLINKED))
     return {int(c): int(r) for r, c in zip(rows, columns, strict=True) if cost[r, c] < UNLINKED}
 
 
-def _expect(track: Sequence[Sighting], stamps_s: FloatArray, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
-    """Return where a track should be at some times, shape (n, 2), and by how much that may be wrong, shape (n,)."""
-    last = track[-1]
-    ahead_s = (stamps_s - last.stamp_s).clip(0.0)
-    recent = [sighting for sighting in track[-6:] if last.stamp_s - sighting.stamp_s <= settings.max_lost_s]
-    if len(recent) < 3:
-        return np.tile(last.middle, (len(stamps_s), 1)), settings.jitter_m + settings.max_speed_mps * ahead_s
-    span_s = last.stamp_s - recent[0].stamp_s
-    velocity = (last.middle - recent[0].middle) / span_s
-    # The mean velocity of the span is that of its middle.
-    gained_mps = settings.max_acceleration_mps2 * (ahead_s + span_s) / 2
-    slip = settings.jitter_m * (1 + ahead_s / span_s) + gained_mps * ahead_s
-    return last.middle + velocity * ahead_s[:, None], slip
+def _stitched(parts: Sequence[_Moving], settings: TrackSettings) -> list[Track]:
+    """Close the gaps between what ends and what begins, over all pairs at once."""
+    first = [_backwards(part, settings) for part in parts]
+    begins_s = np.array([part.last.stamp_s for part in first])
+    ends_s = np.array([part.last.stamp_s for part in parts])
+    gap_s = begins_s - ends_s[:, None]
+    strains = {
+        (int(i), int(j)): strain
+        for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s))
+        if (strain := _strain(parts[i], first[j], float(gap_s[i, j]), settings)) < 1.0
+    }
+    rows, columns = (sorted({pair[axis] for pair in strains}) for axis in (0, 1))
+    cost = np.full((len(rows), len(columns)), UNLINKED)
+    for (i, j), strain in strains.items():
+        cost[rows.index(i), columns.index(j)] = strain
+    after_of = {rows[before]: columns[after] for after, before in _pairs(cost).items()}
+    tracks = []
+    for index in range(len(parts)):
+        if index in after_of.values():
+            continue
+        sightings = list(parts[index].sightings)
+        while index in after_of:
+            index = after_of[index]
+            sightings += parts[index].sightings
+        tracks.append(Track(tuple(sightings)))
+    return tracks
+
+
+def _backwards(part: _Moving, settings: TrackSettings) -> _Moving:
+    """Filter a track's beginning against time, so that its last sighting is the first one."""
+    few = part.sightings[:FILTERED][::-1]
+    turned = [replace(one, stamp_s=-one.stamp_s) for one in few]
+    moving = _Moving(turned[0], settings)
+    for one in turned[1:]:
+        moving.add(one, settings)
+    moving.state[1] = -moving.state[1]
+    moving.sightings = few
+    return moving
+
+
+def _strain(before: _Moving, after: _Moving, gap_s: float, settings: TrackSettings) -> float:
+    """Return the cost of a gap, in gates: of the way at the mean velocity, and of the change of velocity."""
+    agility = _agility(settings)
+    way = after.state[0] - before.state[0] - gap_s * (before.state[1] + after.state[1]) / 2
+    positions = before.covariance[0, 0] + after.covariance[0, 0]
+    speeds = before.covariance[1, 1] + after.covariance[1, 1]
+    # What a random walk of the velocity adds between two known ends, and between two unknown ones.
+    way_sigma = np.sqrt(positions + speeds * gap_s**2 / 4 + agility * gap_s**3 / 12 + _noise(settings))
+    change = np.linalg.norm(after.state[1] - before.state[1]) / np.sqrt(speeds + agility * gap_s)
+    strain = max(float(np.linalg.norm(way) / way_sigma), float(change)) / GATE
+    # One or two sightings tell no velocity, and could be anyone's.
+    vague = np.sqrt(speeds) > settings.max_speed_mps / (2 * GATE)
+    return np.inf if vague else strain

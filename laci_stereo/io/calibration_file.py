@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from jsonschema import Draft202012Validator
 
 from laci_stereo.core.errors import CalibrationFileError
-from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.frames import FloatArray, planar, rotate_xy
 from laci_stereo.core.result import Calibration
 
 Document: TypeAlias = dict[str, Any]
@@ -91,6 +91,7 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
         "height_m": calibration.height_m,
         "euler_deg": {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg},
         "time_offset_s": calibration.time_offset_s,
+        "time_sigma_s": calibration.time_sigma_s,
         "station_id": calibration.station_id,
         "vehicle": {"length_m": calibration.vehicle.length_m, "width_m": calibration.vehicle.width_m},
         "covariance": calibration.covariance.tolist(),
@@ -99,6 +100,9 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
             "verdict": quality.verdict,
             "reasons": list(quality.reasons),
             "track_xy_sigma_m": quality.track_xy_sigma_m,
+            "weakest_sigma_m": quality.weakest_sigma_m,
+            "weakest_yaw_deg": quality.weakest_yaw_deg,
+            "advice": quality.advice,
             "yaw_sigma_deg": quality.yaw_sigma_deg,
             "tilt_sigma_deg": quality.tilt_sigma_deg,
             "height_sigma_m": quality.height_sigma_m,
@@ -107,6 +111,7 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
             "frames_seen": quality.frames_seen,
             "left_out": dict(quality.left_out),
         },
+        "paper": _paper(calibration),
         "background_boxes": _boxes_in_world(calibration),
         "inputs": dict(provenance.inputs),
         "notes": list(provenance.notes),
@@ -116,6 +121,19 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
         document["T_world_rectified"] = (calibration.T_world_sensor @ provenance.T_sensor_rectified).tolist()
     validate(document)
     return document
+
+
+def _paper(calibration: Calibration) -> Document | None:
+    """Return what the paper's method says, beside the result."""
+    differs = calibration.paper_differs
+    if calibration.paper is None or differs is None:
+        return None
+    T_world_level = planar(calibration.paper.yaw_rad, calibration.paper.shift)
+    return {
+        "T_world_sensor": (T_world_level @ calibration.T_level_sensor).tolist(),
+        "objects_differ_m": differs[0],
+        "angle_differs_deg": differs[1],
+    }
 
 
 def _boxes_in_world(calibration: Calibration) -> list[list[float]]:

@@ -9,6 +9,7 @@ LEFT_OUT = {
     "far": "too far away",
     "thin": "too thin",
     "unknown": "without a CAM",
+    "bare": "without a point of the outline",
 }
 
 
@@ -46,12 +47,22 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
         ("Looks", looks),
         ("Vehicle", f"station {calibration.station_id}, {size}, {_frames(quality)}"),
         ("Background", f"{len(static.boxes)} boxes, from {static.quiet_frames} frames at rest"),
-        ("Fit", f"the vehicle's tracks in sensor and world are {quality.residual_rms_m:.2f} m apart (RMS)"),
-        ("Doubt", doubt),
+        ("Fit", _fit(calibration)),
+        ("Doubt", "; ".join(filter(None, [doubt, quality.advice]))),
         ("Input", inputs),
         ("Verdict", ": ".join([quality.verdict.upper(), "; ".join(quality.reasons)]).rstrip(": ")),
     ]
     return "\n".join(f"{name:<11}{text}" for name, text in lines)
+
+
+def _fit(calibration: Calibration) -> str:
+    rms_m = calibration.quality.residual_rms_m
+    if calibration.method == "paper":
+        return f"paper's method; the vehicle's tracks in sensor and world are {rms_m:.2f} m apart (RMS)"
+    clock = f"clock offset {1e3 * calibration.time_offset_s:.1f} +- {1e3 * calibration.time_sigma_s:.1f} ms"
+    differs = calibration.paper_differs
+    beside = "has no answer" if differs is None else f"would place objects {differs[0]:.2f} m, {differs[1]:.2f} deg off"
+    return f"points are {rms_m:.2f} m from the vehicle's outline (RMS); {clock}; the paper's method {beside}"
 
 
 def _frames(quality: Quality) -> str:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch, match_track
-from laci_stereo.core.quality import Doubt, covariance_of, doubt_of, judge
+from laci_stereo.core.quality import Doubt, Placement, covariance_of, doubt_of, judge
 from laci_stereo.core.result import Quality
 from laci_stereo.core.settings import MatchSettings, QualitySettings
 from laci_stereo.core.tracking import Track
@@ -42,6 +42,15 @@ def seen(
     )
 
 
+def of(position_m: float, yaw_rad: float, spread_m: float) -> Doubt:
+    """A doubt that is alike in all directions, over a track that reaches so far from its middle."""
+    return Doubt(np.diag([yaw_rad, position_m, position_m]) ** 2, np.array([[spread_m, 0.0], [-spread_m, 0.0]]))
+
+
+def position_m(doubt: Doubt) -> float:
+    return float(np.sqrt(doubt.covariance[1, 1]))
+
+
 def doubt(track: Track, drive: Drive = DRIVE) -> Doubt:
     told = vehicle(drive)
     match = match_track(track.centres, told.at(track.stamps_s)[0])
@@ -50,20 +59,20 @@ def doubt(track: Track, drive: Drive = DRIVE) -> Doubt:
 
 def verdict(value: Doubt, ground: FloatArray = SURE, track: Track | None = None) -> Quality:
     track = track or seen()
-    return judge(value, ground, 0.1, track, np.ones(len(track.usable), dtype=bool), QualitySettings())
+    return judge(Placement(TRUTH, np.zeros(2), value, 0.1, 31), ground, track, QualitySettings())
 
 
 def test_exact_boxes_leave_no_doubt() -> None:
     sure = doubt(seen())
-    assert sure.position_m < 0.01
+    assert position_m(sure) < 0.01
     assert np.degrees(sure.yaw_rad) < 0.05
 
 
 def test_doubt_grows_with_noise() -> None:
     found = [doubt(seen(noise)) for noise in (0.0, 0.05, 0.2, 0.8)]
-    assert np.diff([one.position_m for one in found]).min() > 0.02
+    assert np.diff([position_m(one) for one in found]).min() > 0.02
     assert np.diff([one.yaw_rad for one in found]).min() > 0.0
-    assert found[2].position_m == pytest.approx(0.2, rel=0.4)
+    assert position_m(found[2]) == pytest.approx(0.2, rel=0.4)
 
 
 def test_doubt_grows_with_what_the_boxes_lack() -> None:
@@ -95,8 +104,8 @@ def test_a_short_drive_leaves_the_yaw_in_doubt() -> None:
 
 
 def test_track_xy_joins_position_and_yaw() -> None:
-    assert Doubt(0.3, 0.0, 10.0).track_xy_m == pytest.approx(0.3 * np.sqrt(2))
-    assert Doubt(0.0, 0.02, 10.0).track_xy_m == pytest.approx(0.2)
+    assert of(0.3, 0.0, 10.0).track_xy_m == pytest.approx(0.3 * np.sqrt(2))
+    assert of(0.0, 0.02, 10.0).track_xy_m == pytest.approx(0.2)
 
 
 # covariance
@@ -118,7 +127,7 @@ def covariances(draw: st.DrawFn) -> FloatArray:
 def test_the_covariance_is_symmetric_and_positive_semidefinite(
     ground: FloatArray, position: float, yaw: float, turn: float, middle: tuple[float, float]
 ) -> None:
-    found = covariance_of(Doubt(position, yaw, 10.0), ground, PlanarMatch(turn, np.zeros(2)), np.array(middle))
+    found = covariance_of(of(position, yaw, 10.0), ground, PlanarMatch(turn, np.zeros(2)), np.array(middle))
     assert found.shape == (6, 6)
     assert found == pytest.approx(found.T, abs=1e-12)
     values = np.linalg.eigvalsh(found)
@@ -132,7 +141,7 @@ def test_the_covariance_is_symmetric_and_positive_semidefinite(
 def test_the_covariance_is_that_of_drawn_errors(ground: FloatArray, turn: float, middle: tuple[float, float]) -> None:
     ground = ground * 1e-4
     match = PlanarMatch(turn, np.array([5.0, 6.0]))
-    found = covariance_of(Doubt(0.0, 0.0, 10.0), ground, match, np.array(middle))
+    found = covariance_of(of(0.0, 0.0, 10.0), ground, match, np.array(middle))
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(3), ground, 4000)
     # Apply each error in the level frame, and see by how much it moves the ground at the track's middle.
     point = np.array([*middle, 0.0])
@@ -146,8 +155,8 @@ def test_the_covariance_is_that_of_drawn_errors(ground: FloatArray, turn: float,
 
 def test_a_turned_world_turns_the_covariance() -> None:
     ground = np.diag([1e-3, 3e-3, 0.01]) ** 2
-    one = covariance_of(Doubt(0.2, 0.01, 10.0), ground, PlanarMatch(0.3, np.zeros(2)), np.array([20.0, 4.0]))
-    other = covariance_of(Doubt(0.2, 0.01, 10.0), ground, PlanarMatch(0.3 + 1.1, np.zeros(2)), np.array([20.0, 4.0]))
+    one = covariance_of(of(0.2, 0.01, 10.0), ground, PlanarMatch(0.3, np.zeros(2)), np.array([20.0, 4.0]))
+    other = covariance_of(of(0.2, 0.01, 10.0), ground, PlanarMatch(0.3 + 1.1, np.zeros(2)), np.array([20.0, 4.0]))
     R = np.eye(6)
     R[:3, :3] = R[3:, 3:] = Rotation.from_rotvec([0.0, 0.0, 1.1]).as_matrix()
     assert R @ one @ R.T == pytest.approx(other)
@@ -170,7 +179,7 @@ def test_a_turned_world_turns_the_covariance() -> None:
     ],
 )
 def test_verdict(position: float, yaw_deg: float, expected: str, reasons: int) -> None:
-    quality = verdict(Doubt(position, float(np.radians(yaw_deg)), 0.0))
+    quality = verdict(of(position, float(np.radians(yaw_deg)), 0.0))
     assert quality.verdict == expected
     assert len(quality.reasons) == reasons
     assert quality.track_xy_sigma_m == pytest.approx(position * np.sqrt(2))
@@ -178,22 +187,27 @@ def test_verdict(position: float, yaw_deg: float, expected: str, reasons: int) -
 
 
 def test_a_doubtful_tilt_is_named() -> None:
-    quality = verdict(Doubt(0.1, 0.0, 10.0), np.diag([*np.radians([0.6, 0.1]), 0.02]) ** 2)
+    quality = verdict(of(0.1, 0.0, 10.0), np.diag([*np.radians([0.6, 0.1]), 0.02]) ** 2)
     assert quality.verdict == "warn"
     assert quality.reasons == ("tilt is known to 0.6 deg; the limit is 0.5 deg",)
     assert quality.height_sigma_m == pytest.approx(0.02)
 
 
 def test_a_reason_shows_that_the_limit_is_exceeded() -> None:
-    (reason,) = verdict(Doubt(0.0, float(np.radians(0.503)), 0.0)).reasons
+    (reason,) = verdict(of(0.0, float(np.radians(0.503)), 0.0)).reasons
     assert reason == "yaw is known to 0.503 deg; the limit is 0.5 deg"
 
 
-def test_frames_are_counted() -> None:
-    whole = seen()
-    track = Track(tuple(replace(one, flaw="cut") if i < 7 else one for i, one in enumerate(whole.sightings)))
-    known = np.arange(len(track.usable)) >= 3
-    quality = judge(Doubt(0.1, 0.0, 1.0), SURE, 0.1, track, known, QualitySettings())
-    assert quality.frames_seen == 50
-    assert quality.frames_used == 40
-    assert quality.left_out == {"cut": 7, "unknown": 3}
+def test_the_weakest_direction_is_that_of_the_least_known_axis() -> None:
+    turn = rotate_xy(0.4, np.eye(2)).T
+    covariance = np.zeros((3, 3))
+    covariance[1:, 1:] = turn @ np.diag([0.25, 0.01]) @ turn.T
+    quality = verdict(Doubt(covariance, np.zeros((1, 2))))
+    assert quality.weakest_sigma_m == pytest.approx(0.5)
+    assert quality.weakest_yaw_deg == pytest.approx(np.degrees(0.4))
+
+
+def test_an_unsure_yaw_is_weakest_across_the_track() -> None:
+    quality = verdict(of(0.0, 0.02, 10.0))
+    assert quality.weakest_sigma_m == pytest.approx(0.2)
+    assert quality.weakest_yaw_deg == pytest.approx(90.0)

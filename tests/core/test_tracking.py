@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.sighting import Sighting
 from laci_stereo.core.tracking import Track, link_tracks
-from tests.core.tracks import DRIVE, sighting, track
+from tests.core.tracks import CROSSING, DRIVE, Traffic, sighting, track, traffic
 from tests.simulated import Drive
 
 RATES = pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0])
@@ -76,7 +78,7 @@ def test_an_occlusion_of_half_a_second_is_bridged(rate_hz: float) -> None:
 def test_what_was_lost_for_too_long_is_another_track() -> None:
     true = driven(DRIVE, 10.0)
     seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 3.5))
-    assert len(link_tracks(frames_of(seen))) == 2
+    assert len(link_tracks(frames_of(seen), TrackSettings(max_lost_s=1.0))) == 2
     assert len(link_tracks(frames_of(seen), TrackSettings(max_lost_s=2.0))) == 1
 
 
@@ -103,6 +105,53 @@ def test_what_stood_still_does_not_leap_onto_a_vehicle(away: tuple[float, float]
     found = link_tracks(frames_of(shrub, moved))
     assert len(found) == 2
     assert all(any(same(one, true) for one in found) for true in (shrub, moved))
+
+
+@RATES
+@pytest.mark.parametrize("lost_s", [1.0, 1.8])
+def test_a_long_occlusion_is_bridged(rate_hz: float, lost_s: float) -> None:
+    true = driven(DRIVE, rate_hz, jitter_m=0.3)
+    seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 2.0 + lost_s))
+    (found,) = link_tracks(frames_of(seen))
+    assert same(found, seen)
+
+
+def test_what_comes_the_other_way_does_not_take_over_what_is_lost() -> None:
+    east = driven(Drive((-20.0, 0.0), 0.0, speeds=((0.0, 12.0),)), 10.0, last_s=2.0)
+    west = driven(Drive((33.0, 3.5), 180.0, speeds=((0.0, 12.0),)), 10.0)
+    late = Track(tuple(s for s in west.sightings if s.stamp_s > 2.3))
+    found = link_tracks(frames_of(east, late))
+    assert len(found) == 2
+    assert all(any(same(one, true) for one in found) for true in (east, late))
+
+
+def test_points_of_a_radar_without_size_are_linked() -> None:
+    ways = [Drive((-30.0, 5.0 * n), 0.0, speeds=((0.0, 8.0 + n),)) for n in range(6)]
+    cars = [driven(way, 10.0, jitter_m=0.4, count=1, size=(0.0, 0.0)) for way in ways]
+    cars = [replace_points(car) for car in cars]
+    found = link_tracks(frames_of(*cars))
+    assert len(found) == 6
+    assert all(any(same(one, true) for one in found) for true in cars)
+
+
+def replace_points(found: Track) -> Track:
+    nothing = np.zeros((0, 3))
+    return Track(tuple(replace(one, points=nothing) for one in found.sightings))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dense_traffic_with_missing_sightings(seed: int) -> None:
+    scene = traffic(seed, CROSSING)
+    found = link_tracks(scene.frames)
+    owners = [[scene.owner[id(one)] for one in part.sightings] for part in found]
+    pure = [max(map(of.count, set(of))) for of in owners]
+    assert sum(pure) >= 0.99 * sum(map(len, owners))
+    whole = [max(of.count(number) for of in owners) / n for number, n in seen_of(scene).items() if n >= 20]
+    assert np.mean(np.array(whole) > 0.9) > 0.8
+
+
+def seen_of(scene: Traffic) -> Counter[int]:
+    return Counter(scene.owner[id(one)] for frame in scene.frames for one in frame)
 
 
 def test_the_longest_comes_first() -> None:

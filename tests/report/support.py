@@ -54,14 +54,16 @@ def calibration(axes: Axes = OPENCV_AXES, far_box: bool = False) -> Calibration:
         covariance=covariance,
         centre_world=np.append(xy[10:41].mean(axis=0), 0.0),
         time_offset_s=0.0,
+        time_sigma_s=0.01,
         station_id=4711,
         ground=ground,
         background=Background(tuple(boxes), 5, 0.2),
         track=Track(sightings),
         vehicle=vehicle,
         match=PlanarMatch(float(YAW_RAD), SENSOR_XY),
+        paper=PlanarMatch(float(YAW_RAD) + 0.01, SENSOR_XY),
         axes=axes,
-        quality=Quality("pass", (), 0.36, 1.1, 0.01, 0.01, 0.05, 31, 31, {}),
+        quality=Quality("pass", (), 0.36, 0.3, 90.0, "", 1.1, 0.01, 0.01, 0.05, 31, 31, {}),
         method="paper",
     )
 

@@ -1,0 +1,198 @@
+"""Boxes of the user's own detector: what they say about the ground and the traffic."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from laci_stereo.core.background import Background
+from laci_stereo.core.box import Box
+from laci_stereo.core.box_ground import level_ground, plane_below
+from laci_stereo.core.errors import InputError
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform, wrap
+from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.observe import Observation
+from laci_stereo.core.settings import Settings, TrackSettings
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking import Track, link_tracks
+
+log = logging.getLogger(__name__)
+
+LOST_FRAMES = 5
+"""A detector slower than the linking's own patience may still miss an object in a few frames in a row."""
+
+
+class DetectionError(InputError):
+    """A log of detections is unusable."""
+
+
+@dataclass(frozen=True)
+class DetectionLog:
+    """Detections in the order of time. What is not known is NaN.
+
+    Attributes
+    ----------
+    stamps_ns : ndarray of int64, shape (n,)
+        Unix time, nanoseconds, ascending; at least one.
+    points_sensor : ndarray, shape (n, 3)
+        Where each object is, metres. The third coordinate is only needed to find the ground.
+    above_ground_m : ndarray, shape (n,)
+        How high that point of it is above the road: half of its height for the centre of its box.
+    yaw_rad : ndarray, shape (n,)
+        Where its box points to: right-handed about the sensor's axis that is nearest to vertical, from x (from y where
+        x is that axis).
+    length_m, width_m : ndarray, shape (n,)
+    track_id : ndarray of int64, shape (n,)
+        What the detector holds for one object; -1 where it does not say.
+    radial_mps : ndarray, shape (n,)
+        How fast it moves away from the sensor.
+    """
+
+    stamps_ns: IntArray
+    points_sensor: FloatArray
+    above_ground_m: FloatArray
+    yaw_rad: FloatArray
+    length_m: FloatArray
+    width_m: FloatArray
+    track_id: IntArray
+    radial_mps: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __getitem__(self, keep: BoolArray | IntArray) -> DetectionLog:
+        return DetectionLog(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp."""
+        return int(self.stamps_ns[0]), int(self.stamps_ns[-1])
+
+    def is_box(self) -> BoolArray:
+        """Tell which detections, shape (n,), have a size and a direction; the others are points."""
+        known: BoolArray = np.isfinite(self.yaw_rad) & np.isfinite(self.length_m) & np.isfinite(self.width_m)
+        return known
+
+
+def observe_detections(
+    detections: DetectionLog, axes: Axes, settings: Settings | None = None, level_m: float | None = None
+) -> Observation:
+    """Find the ground below the boxes of a detector, and lay them on it as tracks.
+
+    Parameters
+    ----------
+    detections : DetectionLog
+    axes : Axes
+        Of the sensor.
+    settings : Settings
+    level_m : float or None
+        How high the sensor stands above the ground, where its up axis is vertical; None finds the ground.
+
+    Raises
+    ------
+    GroundError
+        If the boxes do not tell where the ground is.
+    """
+    settings = settings or Settings()
+    if level_m is not None:
+        ground = level_ground(level_m, axes)
+        tracks = _tracks(detections, ground, axes, settings.track)
+    else:
+        ground, tracks = _ground_and_tracks(detections, axes, settings)
+    log.info("ground: %.3f m below the sensor; %d tracks", ground.height_m, len(tracks))
+    nothing = Background((), 0, settings.background.margin_m)
+    made = (Track(tuple(_sightings(detections[rows], detections, ground, axes))) for rows in tracks)
+    return Observation(axes, ground, nothing, tuple(made))
+
+
+def _ground_and_tracks(detections: DetectionLog, axes: Axes, settings: Settings) -> tuple[GroundPlane, list[IntArray]]:
+    """Find the ground, then what is one object on it, then the ground again, each object counted by what it drove."""
+    known = np.flatnonzero(np.isfinite(detections.points_sensor).all(axis=1) & np.isfinite(detections.above_ground_m))
+    points, above = detections.points_sensor[known], detections.above_ground_m[known]
+    alone = [np.array([row]) for row in range(len(known))]
+    start = plane_below(points, above, alone, axes, settings.ground)
+    tracks = _tracks(detections, start, axes, settings.track)
+    place = np.full(len(detections), -1)
+    place[known] = np.arange(len(known))
+    objects = [found for rows in tracks if len(found := place[rows][place[rows] >= 0])]
+    return plane_below(points, above, objects, axes, settings.ground), tracks
+
+
+def _tracks(detections: DetectionLog, ground: GroundPlane, axes: Axes, settings: TrackSettings) -> list[IntArray]:
+    """Return which detections are of one object, in the order of time, the object with most of them first."""
+    settings = replace(settings, max_lost_s=max(settings.max_lost_s, LOST_FRAMES * _interval_s(detections)))
+    sightings = _sightings(detections, detections, ground, axes)
+    by_number = np.argsort(detections.track_id, kind="stable")
+    ends = np.flatnonzero(np.diff(detections.track_id[by_number])) + 1
+    tracks: list[IntArray] = []
+    for rows in np.split(by_number, ends):
+        named = detections.track_id[rows[0]] >= 0
+        tracks += _unbroken(rows, sightings, settings) if named else _linked(rows, sightings, settings)
+    return sorted(tracks, key=len, reverse=True)
+
+
+def _interval_s(detections: DetectionLog) -> float:
+    """Return the usual time from one frame to the next."""
+    steps_s = np.diff(np.unique(detections.stamps_ns)) / 1e9
+    return float(np.median(steps_s)) if len(steps_s) else 0.0
+
+
+def _unbroken(rows: IntArray, sightings: Sequence[Sighting], settings: TrackSettings) -> list[IntArray]:
+    """Cut what has one number where it is lost for long or jumps: trackers give their numbers again."""
+    stamps_s = np.array([sightings[row].stamp_s for row in rows])
+    xy = np.array([sightings[row].middle for row in rows])
+    step_s, step_m = np.diff(stamps_s), np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    torn = (step_s > settings.max_lost_s) | (step_m > settings.jitter_m + settings.max_speed_mps * step_s)
+    return np.split(rows, np.flatnonzero(torn) + 1)
+
+
+def _linked(rows: IntArray, sightings: Sequence[Sighting], settings: TrackSettings) -> list[IntArray]:
+    """Link detections that have no number."""
+    row_of = {id(sightings[row]): row for row in rows}
+    stamps_s = np.array([sightings[row].frame_s for row in rows])
+    frames = np.split(rows, np.flatnonzero(np.diff(stamps_s)) + 1)
+    tracks = link_tracks(([sightings[row] for row in frame] for frame in frames), settings)
+    return [np.array([row_of[id(sighting)] for sighting in track.sightings]) for track in tracks]
+
+
+def _sightings(detections: DetectionLog, recording: DetectionLog, ground: GroundPlane, axes: Axes) -> list[Sighting]:
+    """Lay detections onto the ground plan; the recording that they are from tells second zero."""
+    T_level_sensor = ground.T_level_sensor(axes)
+    # A sensor without elevation measures in its own plane, which only passes for the ground's where it is level.
+    xy = transform(T_level_sensor, np.nan_to_num(detections.points_sensor))[:, :2]
+    is_box = detections.is_box()
+    length, width = (np.where(is_box, size, 0.0) for size in (detections.length_m, detections.width_m))
+    along = np.where(is_box, detections.yaw_rad, 0.0) + np.where(width > length, np.pi / 2, 0.0)
+    length, width = np.maximum(length, width), np.minimum(length, width)
+    heading = _headings(along, ground.normal, axes) @ T_level_sensor[:2, :3].T
+    yaw = wrap(2 * np.arctan2(heading[:, 1], heading[:, 0])) / 2
+    stamps_s = (detections.stamps_ns - recording.stamps_ns[0]) / 1e9
+    no_points, no_noise = np.zeros((0, 3)), np.zeros(0)
+    return [
+        Sighting(
+            stamp_s=float(stamps_s[i]),
+            frame_s=float(stamps_s[i]),
+            points=no_points,
+            sigma_along_m=no_noise,
+            sigma_across_m=no_noise,
+            count=1,
+            middle=xy[i],
+            box=Box(xy[i], float(length[i]), float(width[i]), float(yaw[i])),
+            flaw=None,
+            radial_mps=float(detections.radial_mps[i]) if np.isfinite(detections.radial_mps[i]) else None,
+        )
+        for i in range(len(detections))
+    ]
+
+
+def _headings(yaw_rad: FloatArray, normal: FloatArray, axes: Axes) -> FloatArray:
+    """Return vectors in the sensor frame, shape (n, 3), on the ground, with that yaw seen along the upright axis."""
+    upright = int(np.argmax(np.abs(axes.up)))
+    about = np.eye(3)[upright]
+    zero = np.eye(3)[1 if upright == 0 else 0]
+    flat = np.outer(np.cos(yaw_rad), zero) + np.outer(np.sin(yaw_rad), np.cross(about, zero))
+    along: FloatArray = flat - np.outer(flat @ normal / (about @ normal), about)
+    return along

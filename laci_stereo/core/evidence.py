@@ -1,0 +1,86 @@
+"""What one drive tells about where the sensor is: the vehicle's points in every frame, and its track in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.tracking import Track
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One drive.
+
+    Attributes
+    ----------
+    stamps_s : ndarray, shape (m,)
+        Of the frames.
+    middles : ndarray, shape (m, 2)
+        Of the vehicle in each frame, level: its median point, or the centre of the box that a detector gave.
+    points : ndarray, shape (n, 3)
+        Level frame, metres; none where a detector gave the boxes.
+    frame : ndarray of int, shape (n,)
+        Which frame each is of.
+    sigma_along_m, sigma_across_m, sigma_z_m : ndarray, shape (n,)
+        Their noise on the ground plan, along and across the line of sight, and upwards.
+    height_m : float
+        Of the sensor above the ground.
+    vehicle : VehicleTrack
+    """
+
+    stamps_s: FloatArray
+    middles: FloatArray
+    points: FloatArray
+    frame: IntArray
+    sigma_along_m: FloatArray
+    sigma_across_m: FloatArray
+    sigma_z_m: FloatArray
+    height_m: float
+    vehicle: VehicleTrack
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+    def thinned(self, rows: int) -> Evidence:
+        """Return about so many of the points, spread evenly over all frames."""
+        keep = np.arange(0, len(self.points), max(1, len(self.points) // max(1, rows)))
+        return replace(
+            self,
+            points=self.points[keep],
+            frame=self.frame[keep],
+            sigma_along_m=self.sigma_along_m[keep],
+            sigma_across_m=self.sigma_across_m[keep],
+            sigma_z_m=self.sigma_z_m[keep],
+        )
+
+
+def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidence:
+    """Collect what a track tells while its sender's position is known.
+
+    Sightings that a box cannot be trusted for are in it: a part of the outline is as good as its points.
+    """
+    stamps = np.array([sighting.stamp_s for sighting in track.sightings])
+    known = vehicle.at(stamps)[2]
+    seen = [sighting for sighting, is_known in zip(track.sightings, known, strict=True) if is_known]
+    counts = [len(sighting.points) for sighting in seen]
+    points = np.concatenate([np.zeros((0, 3)), *(sighting.points for sighting in seen)])
+    along = np.concatenate([np.zeros(0), *(sighting.sigma_along_m for sighting in seen)])
+    across = np.concatenate([np.zeros(0), *(sighting.sigma_across_m for sighting in seen)])
+    sight = points - np.array([0.0, 0.0, height_m])
+    down = sight[:, 2] / np.linalg.norm(sight, axis=1)
+    level = np.sqrt(1.0 - down**2)
+    return Evidence(
+        stamps_s=stamps[known],
+        middles=np.array([sighting.middle for sighting in seen]).reshape(-1, 2),
+        points=points,
+        frame=np.repeat(np.arange(len(seen)), counts),
+        sigma_along_m=np.hypot(level * along, down * across),
+        sigma_across_m=across,
+        sigma_z_m=np.hypot(down * along, level * across),
+        height_m=height_m,
+        vehicle=vehicle,
+    )

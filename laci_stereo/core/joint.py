@@ -1,0 +1,227 @@
+"""The default estimator: the visible outline, registered on the vehicle of the messages in all frames at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+
+from laci_stereo.core.drive_model import FIRST_OWN, Correction, DriveModel, Fitness
+from laci_stereo.core.errors import MatchError
+from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.settings import JointSettings
+
+SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
+"""Extra standard deviation in the first iterations: from beyond the error of a box's centre down to the noise."""
+
+MAX_ITERATIONS = 40
+CONVERGED = 1e-3
+"""Squared step, in standard deviations, at which the iteration ends: a thirtieth of the error that is claimed."""
+
+START_YAWS_DEG = (-4.0, 0.0, 4.0)
+START_SHIFT_M = 0.9
+"""Starts around the paper's match: its yaw leans on one box and is a few degrees off at most; its position is off by
+half of what of the vehicle is not seen, which is half a car's width across and somewhat more along it."""
+
+COARSE_ROWS = 1500
+"""Points that compare the starts; a few per frame and side say which is best."""
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """The outcome of the joint estimate.
+
+    Attributes
+    ----------
+    match : PlanarMatch
+        From the level into the world frame.
+    time_offsets_s : tuple of float
+        Of each drive: to be added to the sensor's stamps to get the messages' time.
+    covariance : ndarray, shape (3, 3)
+        Of (yaw [rad], x, y [m]) of the world, about ``centre_level``.
+    centre_level : ndarray, shape (2,)
+        The middle of the vehicle's points.
+    time_sigmas_s : tuple of float
+    corrections : tuple of tuple of Correction
+        Of each drive's messages.
+    residual_rms_m : float
+        Of the points that the outline explains.
+    frames : int
+        That have such points.
+    explained : float
+        Share of the points that the outline explains, at the surface or behind it.
+    """
+
+    match: PlanarMatch
+    time_offsets_s: tuple[float, ...]
+    covariance: FloatArray
+    centre_level: FloatArray
+    time_sigmas_s: tuple[float, ...]
+    corrections: tuple[tuple[Correction, ...], ...]
+    residual_rms_m: float
+    frames: int
+    explained: float
+
+
+def fit_jointly(
+    drives: Sequence[Evidence],
+    start: PlanarMatch,
+    time_offsets_s: Sequence[float] | None = None,
+    settings: JointSettings | None = None,
+) -> JointFit:
+    """Estimate yaw and position, and each drive's clock offset, shape, heading error and GNSS bias.
+
+    Parameters
+    ----------
+    drives : sequence of Evidence
+        Of one sensor, in its level frame.
+    start : PlanarMatch
+        Within some degrees and a vehicle's width.
+    time_offsets_s : sequence of float
+        Where the search for each drive's clock offset begins; None is 0.
+    settings : JointSettings
+
+    Raises
+    ------
+    MatchError
+        If no point of any drive can be used.
+    """
+    settings = settings or JointSettings()
+    offsets = [0.0] * len(drives) if time_offsets_s is None else list(time_offsets_s)
+    used = [drive for drive in drives if len(drive)]
+    if not used:
+        raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
+    centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
+    begin = _around(start, centre)
+    thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], centre, settings)
+    _, best = max((thinned.descend(x) for x in _starts(thinned, begin, offsets)), key=lambda found: found[0])
+    problem = _Problem(drives, centre, settings)
+    return _fit(problem, problem.solve(best), centre)
+
+
+def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
+    return np.array([start.yaw_rad, *start(centre[None])[0], 0.0])
+
+
+def _starts(problem: _Problem, begin: FloatArray, offsets: Sequence[float]) -> list[FloatArray]:
+    """Return starts around the first one: turned and shifted along and across the mean direction of view."""
+    shifts = [(0.0, 0.0), *product((-START_SHIFT_M, START_SHIFT_M), repeat=2)]
+    found = []
+    for turn_deg, shift in product(START_YAWS_DEG, shifts):
+        x = problem.at_rest(begin, offsets)
+        x[0] += np.radians(turn_deg)
+        x[1:3] += shift
+        found.append(x)
+    return found
+
+
+@dataclass(frozen=True)
+class _Solved:
+    x: FloatArray
+    covariance: FloatArray
+    fitness: tuple[Fitness, ...]
+    own: tuple[slice, ...]
+
+
+class _Problem:
+    """All drives' models over one vector: yaw, x, y and range bias of the sensor, then what is each drive's own."""
+
+    def __init__(self, drives: Sequence[Evidence], centre: FloatArray, settings: JointSettings) -> None:
+        self.models = [DriveModel(drive, centre, settings) for drive in drives]
+        ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
+        self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self.size = int(ends[-1])
+        # Yaw and position are free; the range bias is what all points' noise has in common.
+        self.precision = np.zeros((self.size, self.size))
+        self.precision[3, 3] = 1.0 / settings.shared_noise_share
+        self.mean = np.zeros(self.size)
+        for model, own in zip(self.models, self.own, strict=True):
+            self.precision[own, own], self.mean[own] = model.prior()
+
+    def at_rest(self, begin: FloatArray, offsets: Sequence[float]) -> FloatArray:
+        """Return the vector with every correction at its prior's mean, but for the clocks."""
+        x = self.mean.copy()
+        x[:FIRST_OWN] = begin
+        for own, offset in zip(self.own, offsets, strict=True):
+            x[own.start] = offset
+        return x
+
+    def descend(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Approach from a rough start, and tell how likely the place is that is reached."""
+        shares = [model.shares() for model in self.models]
+        for soft in SOFTENING_M:
+            information, gradient, fitness = self._sum(x, soft, shares)
+            x = x - np.linalg.solve(information, gradient)
+            shares = [each.shares for each in fitness]
+        _, _, fitness = self._sum(x, SOFTENING_M[-1], shares)
+        away = x - self.mean
+        return float(sum(each.log_likelihood for each in fitness) - away @ self.precision @ away / 2), x
+
+    def solve(self, x: FloatArray) -> _Solved:
+        """Descend to the end from a start nearby."""
+        shares = [model.shares() for model in self.models]
+        for _ in range(MAX_ITERATIONS):
+            information, gradient, fitness = self._sum(x, 0.0, shares)
+            step = np.linalg.solve(information, gradient)
+            x = x - step
+            shares = [each.shares for each in fitness]
+            if step @ information @ step < CONVERGED:
+                break
+        information, _, fitness = self._sum(x, 0.0, shares)
+        inverse: FloatArray = np.linalg.inv(information)
+        return _Solved(x, self._covariance(inverse, fitness), tuple(fitness), tuple(self.own))
+
+    def _sum(
+        self, x: FloatArray, soft: float, shares: Sequence[FloatArray]
+    ) -> tuple[FloatArray, FloatArray, list[Fitness]]:
+        information = self.precision.copy()
+        gradient = self.precision @ (x - self.mean)
+        fitness = []
+        for model, own, share in zip(self.models, self.own, shares, strict=True):
+            index = np.r_[:FIRST_OWN, own]
+            each = model.weigh(x[index], soft, share)
+            information[np.ix_(index, index)] += each.information
+            gradient[index] += each.gradient
+            fitness.append(each)
+        return information, gradient, fitness
+
+    def _covariance(self, inverse: FloatArray, fitness: Sequence[Fitness]) -> FloatArray:
+        """Return the covariance of all parameters, no smaller than the residuals' scatter says.
+
+        The scores of a second of frames each are summed as they are (cluster-robust, Huber 1967): where residuals of
+        successive frames agree more than the model has it, the covariance grows in that direction.
+        """
+        scatter = self.precision.copy()
+        for each, own in zip(fitness, self.own, strict=True):
+            index = np.r_[:FIRST_OWN, own]
+            scatter[np.ix_(index, index)] += each.block_scores.T @ each.block_scores
+        robust = inverse @ scatter @ inverse
+        root = np.linalg.cholesky(inverse)
+        whitened = np.linalg.solve(root, np.linalg.solve(root, robust).T)
+        values, vectors = np.linalg.eigh((whitened + whitened.T) / 2)
+        grown: FloatArray = root @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ root.T
+        return grown
+
+
+def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:
+    yaw = float(wrap(solved.x[0]))
+    weights = sum(each.weight for each in solved.fitness)
+    squares = sum(each.squares for each in solved.fitness)
+    sigma = np.sqrt(np.diag(solved.covariance))
+    return JointFit(
+        match=PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre)),
+        time_offsets_s=tuple(float(solved.x[own.start]) for own in solved.own),
+        covariance=solved.covariance[:3, :3],
+        centre_level=centre,
+        time_sigmas_s=tuple(float(sigma[own.start]) for own in solved.own),
+        corrections=tuple(
+            model.corrections(solved.x[own]) for model, own in zip(problem.models, solved.own, strict=True)
+        ),
+        residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
+        frames=sum(each.frames for each in solved.fitness),
+        explained=sum(each.explained for each in solved.fitness) / max(1, sum(each.rows for each in solved.fitness)),
+    )

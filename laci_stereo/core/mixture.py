@@ -1,0 +1,96 @@
+"""What a distance from the outline can come from: the surface, something behind it, or anything else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from laci_stereo.core.frames import FloatArray, IntArray
+
+ELSEWHERE_M = 5.0
+"""What belongs to neither lies anywhere within a cluster, which spans about the length of a car."""
+
+MIN_DEPTH_M, MAX_DEPTH_M = 0.05, 3.0
+TRUST = 20.0
+"""The shares of a side in one frame are held at the whole drive's as if by so many points."""
+
+_LOG_ROOT_TAU = 0.5 * np.log(2.0 * np.pi)
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """The weighed distances.
+
+    Attributes
+    ----------
+    surface, behind : ndarray, shape (n,)
+        Probability of each that it is of the surface, or of something behind it.
+    slope : ndarray, shape (n,)
+        Derivative of the negative log-likelihood by the distance [1/m].
+    log_likelihood : ndarray, shape (n,)
+        Beyond that of what lies elsewhere.
+    shares : ndarray, shape (groups + 1, 2)
+        Of points behind and elsewhere in each group, for the next iteration; the last row holds the mean depth behind.
+    """
+
+    surface: FloatArray
+    behind: FloatArray
+    slope: FloatArray
+    log_likelihood: FloatArray
+    shares: FloatArray
+
+
+def first_shares(groups: int) -> FloatArray:
+    """Return the shares to begin with."""
+    shares = np.tile([0.2, 0.05], (groups + 1, 1))
+    shares[-1] = 0.5
+    return shares
+
+
+def weigh(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray) -> Mixture:
+    """Weigh distances by what they can come from, one step of expectation maximisation.
+
+    A point of the surface is off by Gaussian noise. A line of sight that meets a window, a gap or a recess, or a match
+    that bleeds to the road behind, ends an exponentially distributed depth behind the surface, with the same noise.
+    Taking that for symmetric noise would pull the outline away from the sensor; trimming it, towards it.
+
+    Parameters
+    ----------
+    distance, sigma : ndarray, shape (n,)
+        Positive outside, metres.
+    group : ndarray of int, shape (n,)
+        Points that share their shares: one side in one frame.
+    shares : ndarray, shape (groups + 1, 2)
+        See `Mixture`.
+    """
+    depth = float(shares[-1, 0])
+    behind, elsewhere = shares[group].T
+    z = distance / sigma
+    argument = -(z + sigma / depth)
+    tail = log_ndtr(argument)
+    log_surface = -0.5 * z**2 - np.log(sigma) - _LOG_ROOT_TAU
+    log_behind = distance / depth + 0.5 * (sigma / depth) ** 2 - np.log(depth) + tail
+    logs = np.stack(
+        [
+            np.log(np.maximum(1.0 - behind - elsewhere, 1e-6)) + log_surface,
+            np.log(behind) + log_behind,
+            np.log(elsewhere) - np.log(ELSEWHERE_M),
+        ]
+    )
+    highest = logs.max(axis=0)
+    total = highest + np.log(np.exp(logs - highest).sum(axis=0))
+    of_surface, of_behind, of_elsewhere = np.exp(logs - total)
+    hazard = np.exp(-0.5 * argument**2 - _LOG_ROOT_TAU - tail)
+    slope = of_surface * z / sigma + of_behind * (hazard / sigma - 1.0 / depth)
+    depths = sigma * hazard - distance - sigma**2 / depth
+    groups = len(shares) - 1
+    count = np.bincount(group, minlength=groups) + TRUST
+    update = np.empty_like(shares)
+    for column, (each, most) in enumerate(((of_behind, 0.9), (of_elsewhere, 0.5))):
+        pooled = np.bincount(group, each, groups) + TRUST * (each.mean() if len(each) else 0.1)
+        update[:-1, column] = np.clip(pooled / count, 1e-3, most)
+    mean_depth = (of_behind * depths).sum() / max(float(of_behind.sum()), 1e-9)
+    update[-1] = np.clip(mean_depth, MIN_DEPTH_M, MAX_DEPTH_M)
+    return Mixture(of_surface, of_behind, slope, total + np.log(ELSEWHERE_M), update)

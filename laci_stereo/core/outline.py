@@ -1,0 +1,209 @@
+"""The visible outline of a vehicle on the ground plan: which side each line of sight meets, and how far off a point is.
+
+The outline is the rectangle that the messages tell, with what makes a real body differ from it: ends and sides that may
+stand a few centimetres in or out, ends that bend back towards the corners, sides that taper towards the ends. Only the
+lower part of a body, below the bonnet and the windows, is that wide and that long; `LOWEST_M` and `HIGHEST_M` bound it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+
+LOWEST_M = 0.25
+"""Bumpers and sills begin at about this height above the ground; the clearance of a car is 0.12 to 0.2 m."""
+
+HIGHEST_M = 0.65
+"""The bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front end leans back."""
+
+HEAVY_WIDTH_M = 2.2
+"""What is wider is a lorry or a bus (passenger cars end at 2.1 m without mirrors), whose walls are upright..."""
+
+HEAVY_HIGHEST_M = 3.0
+"""...up to their roofs, at 3 m and more."""
+
+END_POWER = 8
+SIDE_POWER = 4
+"""The ends bend as the eighth power of the distance from the middle, the sides as the fourth: corners have radii of
+0.1 to 0.4 m, a twentieth to a fifth of the width, while the sides taper over the length of a wing."""
+
+SHAPE = ("front", "rear", "side", "lever_y", "front_bend", "rear_bend", "side_taper")
+"""The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
+left, and how far the ends' corners and the sides' ends stand back."""
+
+SHAPE_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.10, 0.08, 0.04])
+SHAPE_SIGMA = np.array([0.03, 0.03, 0.03, 0.0, 0.08, 0.06, 0.04])
+"""What is known of the shape of any vehicle at this height. Plates, bumpers and door sills stand within 3 cm of the
+body's bounds; corners of 0.1 to 0.4 m radius stand back by up to that at the very edge, half of it a little inwards."""
+
+OUTLINE_SIGMA_M = 0.03
+"""Standard deviation of a body about such an outline: wheel arches, handles, bumper grooves."""
+
+CORNER_SIGMA_M = 0.08
+"""The same at the very corner, where radii differ most."""
+
+FACES = 5
+"""Rear, front, right, left, and the corner that a line of sight passes by."""
+
+_PASSED = 4
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where points lie about an outline.
+
+    Attributes
+    ----------
+    distance : ndarray, shape (n,)
+        Signed, along the normal of the side that the line of sight meets; positive outside, metres.
+    variance : ndarray, shape (n,)
+        Of the distance: noise of the point, and the outline's own.
+    normal : ndarray, shape (n, 2)
+        Outward, vehicle frame.
+    by_shape : ndarray, shape (n, 7)
+        Derivative of the distance by `SHAPE`.
+    face : ndarray of int, shape (n,)
+        0 rear, 1 front, 2 right, 3 left, 4 passed by.
+    reach : ndarray, shape (n,)
+        Distance from the sensor to the side, over the distance to the point.
+    """
+
+    distance: FloatArray
+    variance: FloatArray
+    normal: FloatArray
+    by_shape: FloatArray
+    face: IntArray
+    reach: FloatArray
+
+
+def meet(
+    xy: FloatArray,
+    origin: FloatArray,
+    sigma_along: FloatArray,
+    sigma_across: FloatArray,
+    size: tuple[float, float],
+    shape: FloatArray,
+) -> Hits:
+    """Find what each line of sight meets of an outline.
+
+    Bearings are much more exact than ranges in a camera, and as exact in a scanner; so the line of sight says which
+    side a point is from, even where noise has moved it nearer to another one.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (n, 2)
+        Points in the vehicle frame, metres.
+    origin : ndarray, shape (n, 2)
+        The sensor in the vehicle frame.
+    sigma_along, sigma_across : ndarray, shape (n,)
+        Noise on the ground plan, along and across the line of sight.
+    size : tuple of float
+        Length and width that the messages tell.
+    shape : ndarray, shape (7,)
+        See `SHAPE`.
+    """
+    front, rear, side, lever_y, front_bend, rear_bend, taper = shape
+    half = np.array([size[0] / 2, size[1] / 2])
+    ray = xy - origin
+    far = np.linalg.norm(ray, axis=1)
+    u = ray / far[:, None]
+    u = np.where(np.abs(u) < 1e-6, 1e-6, u)
+    ahead, left = origin[:, 0] > 0.0, origin[:, 1] > lever_y
+    sign_x, sign_y = np.where(ahead, 1.0, -1.0), np.where(left, 1.0, -1.0)
+    end_x = sign_x * (half[0] + np.where(ahead, front, rear))
+    side_y = sign_y * (half[1] + side)
+    bend = np.where(ahead, front_bend, rear_bend)
+    o_y = origin[:, 1] - lever_y
+
+    t_end = (end_x - origin[:, 0]) / u[:, 0]
+    t_side = (side_y - o_y) / u[:, 1]
+    for _ in range(2):  # the bend is centimetres, so this converges at once
+        eta = np.clip((o_y + t_end * u[:, 1]) / half[1], -1.0, 1.0)
+        t_end = (end_x - sign_x * bend * eta**END_POWER - origin[:, 0]) / u[:, 0]
+        xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
+        t_side = (side_y - sign_y * taper * xi**SIDE_POWER - o_y) / u[:, 1]
+    t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
+    t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
+    at_end = t_end >= t_side
+    enter = np.maximum(t_end, t_side)
+    hit = (enter > 0.0) & (enter < _leave(origin[:, 0], o_y, u, half + np.array([max(front, rear), side])))
+
+    eta_e, xi_e = np.where(at_end, eta, 0.0), np.where(at_end, 0.0, xi)
+    lean_end = END_POWER * bend * eta_e ** (END_POWER - 1) / half[1]
+    lean_side = SIDE_POWER * taper * xi_e ** (SIDE_POWER - 1) / half[0]
+    normal = np.column_stack([np.where(at_end, sign_x, lean_side), np.where(at_end, lean_end, sign_y)])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    cos = np.abs((normal * u).sum(axis=1))
+    own = OUTLINE_SIGMA_M**2 + (CORNER_SIGMA_M * np.maximum(np.abs(eta_e) ** END_POWER, xi_e**END_POWER)) ** 2
+    variance = (cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own
+    distance = (enter - far) * cos
+
+    corner = _corners(half, shape)
+    beside = np.column_stack([-u[:, 1], u[:, 0]])
+    aside = np.stack([((c - origin) * beside).sum(axis=1) for c in corner])
+    which = np.abs(aside).argmin(axis=0)
+    passing = -aside[which, np.arange(len(xy))]
+    normal = np.where(hit[:, None], normal, beside * np.sign(passing)[:, None])
+    distance = np.where(hit, distance, np.abs(passing))
+    variance = np.where(hit, variance, sigma_across**2 + OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2)
+
+    corner_front, corner_left = (corner[which] > np.array([0.0, lever_y])).T
+    of_front = np.where(hit, ahead, corner_front)
+    of_end, of_side = ~hit | at_end, ~hit | ~at_end
+    out_y = np.where(hit, sign_y, np.where(corner_left, 1.0, -1.0))
+    bent, tapered = np.where(hit, eta_e**END_POWER, 1.0), np.where(hit, xi_e**SIDE_POWER, 1.0)
+    front_x, rear_x = np.where(of_end & of_front, normal[:, 0], 0.0), np.where(of_end & ~of_front, normal[:, 0], 0.0)
+    side_out = np.where(of_side, normal[:, 1] * out_y, 0.0)
+    return Hits(
+        distance=distance,
+        variance=variance,
+        normal=normal,
+        by_shape=np.column_stack(
+            [-front_x, rear_x, -side_out, -normal[:, 1], front_x * bent, -rear_x * bent, side_out * tapered]
+        ),
+        face=np.where(hit, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2)), _PASSED),
+        reach=np.where(hit, enter / far, 1.0),
+    )
+
+
+def _leave(o_x: FloatArray, o_y: FloatArray, u: FloatArray, half: FloatArray) -> FloatArray:
+    """Return how far along each ray the rectangle is left."""
+    t_x = (np.sign(u[:, 0]) * half[0] - o_x) / u[:, 0]
+    t_y = (np.sign(u[:, 1]) * half[1] - o_y) / u[:, 1]
+    nearer: FloatArray = np.minimum(t_x, t_y)
+    return nearer
+
+
+def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
+    """Return the four corners, shape (4, 2): front left, front right, rear left, rear right."""
+    front, rear, side, lever_y, front_bend, rear_bend, taper = shape
+    x = np.array([half[0] + front - front_bend, -half[0] - rear + rear_bend])
+    y = half[1] + side - taper
+    return np.array([[x[0], lever_y + y], [x[0], lever_y - y], [x[1], lever_y + y], [x[1], lever_y - y]])
+
+
+def on_the_wall(
+    height_m: float, z: FloatArray, reach: FloatArray, sigma_z: FloatArray, lowest_m: float, highest_m: float
+) -> BoolArray:
+    """Tell which lines of sight meet the outline at a height where it is upright.
+
+    The height is taken where the ray meets the outline, not where the noisy point lies: selecting by the point's own
+    height would keep those of the wall that were measured too near and those of the bonnet that were measured too far.
+
+    Parameters
+    ----------
+    height_m : float
+        Of the sensor above the ground.
+    z, sigma_z : ndarray, shape (n,)
+        Height of the points, and its noise. What lies within three sigma of the ground was taken for ground, so below
+        five sigma the near half of the noise would be missing.
+    reach : ndarray, shape (n,)
+        See `Hits`.
+    lowest_m, highest_m : float
+    """
+    met = height_m + (z - height_m) * reach
+    chosen: BoolArray = (met > np.maximum(lowest_m, 3.0 * sigma_z) + 2.0 * sigma_z) & (met < highest_m)
+    return chosen

@@ -1,0 +1,133 @@
+"""Both estimators, brought to one form: where the level frame is in the world, and how sure that is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from laci_stereo.core.association import Choice
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.drive_model import Correction
+from laci_stereo.core.errors import MatchError, OpenError
+from laci_stereo.core.evidence import Evidence, evidence_of
+from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.matching import match_track
+from laci_stereo.core.quality import Doubt, Placement, doubt_of
+from laci_stereo.core.settings import MatchSettings, Settings
+from laci_stereo.core.tracking import Track
+
+
+def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Placement:
+    """Match the boxes' centres with the positions of the messages (paper section III-D).
+
+    Raises
+    ------
+    MatchError
+        If the drive is too short to tell the yaw.
+    """
+    xy_world, _, known = vehicle.at(track.stamps_s)
+    xy_level, xy_world = track.centres[known], xy_world[known]
+    match = match_track(xy_level, xy_world, settings)
+    left_out = dict(track.flaws())
+    if not known.all():
+        left_out["unknown"] = int((~known).sum())
+    return Placement(
+        match=match,
+        middle_level=xy_level.mean(axis=0),
+        doubt=doubt_of(match, track, vehicle, settings),
+        residual_rms_m=float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean())),
+        frames_used=int(known.sum()),
+        left_out=left_out,
+    )
+
+
+def place_jointly(choice: Choice, vehicle: VehicleTrack, height_m: float, settings: Settings) -> Placement:
+    """Register the visible outline on the vehicle in all frames at once.
+
+    Raises
+    ------
+    MatchError
+        If too few frames show anything of the outline.
+    OpenError
+        If the drive leaves a direction open.
+    """
+    drive = evidence_of(choice.track, vehicle, height_m)
+    fit = fit_jointly([drive], choice.fit, [choice.time_offset_s], settings.joint)
+    if fit.frames < settings.match.min_frames:
+        raise MatchError(
+            f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
+            f"{settings.match.min_frames}"
+        )
+    doubt = Doubt(fit.covariance, rotate_xy(fit.match.yaw_rad, drive.middles - fit.centre_level))
+    advice = _advice(fit, doubt, drive)
+    weakest_m, _ = doubt.weakest
+    if weakest_m > max(settings.quality.open_m, 3.0 * _told(vehicle)):
+        raise OpenError(
+            f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are "
+            f"{settings.quality.open_m:.2f} m: {advice}"
+        )
+    left_out = {"unknown": len(choice.track.sightings) - len(drive), "bare": len(drive) - fit.frames}
+    return Placement(
+        match=fit.match,
+        middle_level=fit.centre_level,
+        doubt=doubt,
+        residual_rms_m=fit.residual_rms_m,
+        frames_used=fit.frames,
+        left_out={reason: count for reason, count in left_out.items() if count},
+        time_offset_s=fit.time_offsets_s[0],
+        time_sigma_s=fit.time_sigmas_s[0],
+        advice=advice,
+        contradictions=tuple(_contradiction(each) for each in fit.corrections[0] if abs(each.value) > 4.0 * each.sigma),
+    )
+
+
+def _contradiction(correction: Correction) -> str:
+    """Say what of the messages the points contradict."""
+    value, sigma = correction.value, correction.sigma
+    if correction.what == "clock":
+        return f"the clocks are {1e3 * value:.0f} ms apart, where {1e3 * sigma:.0f} ms were expected: --clock unknown"
+    if correction.what == "heading":
+        return f"the messages' heading is {np.degrees(value):.1f} deg off the vehicle's body, clockwise"
+    if correction.what == "ahead":
+        where = f"{abs(value):.2f} m {'behind' if value > 0 else 'ahead of'}"
+        return f"the messages' positions are {where} where on the vehicle --cam-reference puts them"
+    if correction.what == "left":
+        side = "right" if value > 0 else "left"
+        return f"the messages' positions are {abs(value):.2f} m to the {side} of where --cam-reference puts them"
+    return f"the vehicle's {correction.what} is {value:+.2f} m off what its messages tell"
+
+
+def _told(vehicle: VehicleTrack) -> float:
+    """Return the standard deviation of the positions that the messages tell, 0 where they do not."""
+    return vehicle.position_sigma_m if np.isfinite(vehicle.position_sigma_m) else 0.0
+
+
+def _advice(fit: JointFit, doubt: Doubt, drive: Evidence) -> str:
+    """Say in words where the result is weakest, why, and what would mend it."""
+    sigma_m, yaw = doubt.weakest
+    velocity = _velocity(drive, fit.time_offsets_s[0])
+    by_clock = float(np.hypot(*velocity)) * fit.time_sigmas_s[0]
+    by_yaw = doubt.yaw_rad * float(np.sqrt((doubt.arms**2).sum(axis=1).mean()))
+    along = abs(np.cos(yaw - np.arctan2(velocity[1], velocity[0]))) > np.sqrt(0.5)
+    direction = "along the drive" if along else "across the drive"
+    if along and by_clock > 0.7 * sigma_m:
+        why = (
+            f"the clocks' offset, known to {1e3 * fit.time_sigmas_s[0]:.0f} ms, looks like a shift; a drive with a "
+            "turn, or one that brakes while in view, tells them apart"
+        )
+    elif _told(drive.vehicle) > 0.7 * sigma_m:
+        why = f"the CAMs' own positions are known to {_told(drive.vehicle):.2f} m; drives at other times average that"
+    elif by_yaw > 0.7 * sigma_m:
+        why = "the drive is short, so its direction is not sharp; a longer one tells the yaw"
+    else:
+        why = "few sides of the vehicle are seen; a drive that turns, or comes back the other way, shows the others"
+    return f"weakest {direction} ({sigma_m:.2f} m): {why}"
+
+
+def _velocity(drive: Evidence, offset_s: float) -> FloatArray:
+    """Return the mean velocity in the world, shape (2,)."""
+    xy, _, known = drive.vehicle.at(drive.stamps_s + offset_s)
+    ends = np.flatnonzero(known)[[0, -1]]
+    passed = max(float(np.diff(drive.stamps_s[ends])[0]), 1e-3)
+    mean: FloatArray = (xy[ends[1]] - xy[ends[0]]) / passed
+    return mean

@@ -1,0 +1,285 @@
+"""Detections in CSV files, with the many ways in which people write them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.core.detections import DetectionError, DetectionLog
+from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.io.cam_columns import BAD_SHARE, TIMESTAMP, Column, plain_name
+from laci_stereo.io.cam_table import Parsed, Problems, Table, merged, stamps_ns
+from laci_stereo.io.stamps import iso_time, number
+from laci_stereo.io.text_file import listed, quoted, read_text
+
+
+@dataclass(frozen=True)
+class Measure(Column):
+    """A column of numbers.
+
+    Attributes
+    ----------
+    unit : str
+    above, highest : float
+        What it can be: more than the one, at most the other.
+    """
+
+    unit: str
+    above: float
+    highest: float
+
+
+_FAR_M = 1000.0
+"""No roadside sensor sees as far; coordinates of a map are larger."""
+
+X = Measure("x", ("xm", "posx", "positionx", "centerx", "centrex", "cx", "tx", "locationx"), "m", -_FAR_M, _FAR_M)
+Y = Measure("y", ("ym", "posy", "positiony", "centery", "centrey", "cy", "ty", "locationy"), "m", -_FAR_M, _FAR_M)
+Z = Measure("z", ("zm", "posz", "positionz", "centerz", "centrez", "cz", "tz", "locationz"), "m", -_FAR_M, _FAR_M)
+YAW = Measure(
+    "yaw",
+    (
+        *("yawrad", "yawdeg", "yawdegrees", "heading", "headingrad", "headingdeg", "orientation", "orientationdeg"),
+        *("rotationz", "rotz", "rotationy", "roty", "ry", "rotation", "theta", "angle"),
+    ),
+    *("rad", -math.inf, math.inf),
+)
+LENGTH = Measure("length", ("lengthm", "l", "sizex", "dx", "dimx", "dimensionx"), "m", 0.0, 60.0)
+WIDTH = Measure("width", ("widthm", "w", "sizey", "dy", "dimy", "dimensiony"), "m", 0.0, 6.1)
+HEIGHT = Measure("height", ("heightm", "h", "sizez", "dz", "dimz", "dimensionz"), "m", 0.0, 6.0)
+RADIAL_SPEED = Measure(
+    "radial_speed",
+    ("radialspeedmps", "radialvelocity", "radialvel", "doppler", "dopplermps", "rangerate", "vr", "vradial"),
+    *("m/s", -130.0, 130.0),
+)
+TRACK_ID = Column("track_id", ("trackid", "track", "id", "objectid", "objid", "object", "trackingid", "instanceid"))
+
+REQUIRED: tuple[Column, ...] = (TIMESTAMP, X, Y)
+MEASURES = (X, Y, Z, YAW, LENGTH, WIDTH, HEIGHT, RADIAL_SPEED)
+COLUMNS: tuple[Column, ...] = (TIMESTAMP, *MEASURES, TRACK_ID)
+POSITION = (X, Y, Z)
+
+_MISSING = frozenset({"", "-", "na", "n/a", "nan", "none", "null"})
+_DECIMAL_COMMA = re.compile(r"^([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)$")
+
+
+@dataclass(frozen=True)
+class DetectionRecording:
+    """A log of detections, and how its file was understood.
+
+    Attributes
+    ----------
+    log : DetectionLog
+        ``above_ground_m`` is that of the boxes' centres.
+    notes : tuple of str
+        One line for each interpretation, and for what was left out or put right.
+    """
+
+    log: DetectionLog
+    notes: tuple[str, ...]
+
+
+def read_detections(path: Path) -> DetectionRecording:
+    """Read a log of detections with a header row.
+
+    The columns are ``timestamp``, ``x`` and ``y``, optionally ``z``, ``yaw``, ``length``, ``width``, ``height``,
+    ``track_id`` and ``radial_speed``; common synonyms are known. Yaw in degrees is recognised for the whole file.
+
+    Raises
+    ------
+    DetectionError
+        If it cannot be read, lacks a column, more than a fifth of its rows are bad, or objects are at two places at
+        one time.
+    """
+    table = _read_table(path)
+    stamps = stamps_ns(table)
+    numbers = {measure: _numbers(table, measure) for measure in MEASURES}
+    values = {measure: parsed.values for measure, parsed in numbers.items()}
+    unread = merged(parsed.problems for parsed in numbers.values())
+    problems = merged([table.problems, stamps.problems, unread, _misplaced(table, values)])
+    skip_notes = _check_share(table, problems)
+    values, range_notes = _possible(table, values)
+    yaw, yaw_notes = _in_radians(table, values[YAW])
+    good = np.array([row not in problems for row in range(len(table.rows))])
+    found = DetectionLog(
+        stamps_ns=stamps.values,
+        points_sensor=np.column_stack([values[measure] for measure in POSITION]),
+        above_ground_m=values[HEIGHT] / 2,
+        yaw_rad=yaw,
+        length_m=values[LENGTH],
+        width_m=values[WIDTH],
+        track_id=_track_ids(table),
+        radial_mps=values[RADIAL_SPEED],
+    )[good]
+    log, order_notes = _in_order(path, found)
+    notes = (*_column_notes(table), *stamps.notes, *yaw_notes, *skip_notes, *range_notes, *order_notes)
+    return DetectionRecording(log, (*notes, *_content_notes(log)))
+
+
+def _read_table(path: Path) -> Table:
+    """Read a CSV file whose cells are separated by commas, semicolons or tabs; the latter may have decimal commas."""
+    text = read_text(path, DetectionError)
+    first_line = next(line for line in text.splitlines() if line.strip())
+    separator = max(",;\t", key=first_line.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    lines = []
+    try:
+        for row in reader:
+            cells = [_DECIMAL_COMMA.sub(r"\1.\2", cell.strip()) for cell in row]
+            if any(cells):
+                lines.append((reader.line_num, cells))
+    except csv.Error as problem:
+        raise DetectionError(f"{path}, row {reader.line_num}: {problem}; needed is a CSV file") from problem
+    if not lines:
+        raise DetectionError(f"{path} holds no header row; needed is one that names the columns")
+    (_, titles), *found = lines
+    header = [title.lstrip("# ") for title in titles]
+    _check_header(path, header)
+    if not found:
+        raise DetectionError(f"{path} holds a header but no rows; needed is at least one detection")
+    width = len(header)
+    too_long = {
+        i: f"it has {len(cells)} fields; needed are {width}" for i, (_, cells) in enumerate(found) if any(cells[width:])
+    }
+    rows = [(cells + [""] * width)[:width] for _, cells in found]
+    return Table(path, header, rows, [line_number for line_number, _ in found], too_long)
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    lacking = [column.name for column in REQUIRED if column.find(header) is None]
+    if not lacking:
+        return
+    if any(number(title) is not None or iso_time(title) is not None for title in header):
+        raise DetectionError(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
+    raise DetectionError(
+        f"{path} lacks the column {', '.join(lacking)}; needed are {', '.join(column.name for column in REQUIRED)}, "
+        f"it holds {listed(header)}"
+    )
+
+
+def _column_notes(table: Table) -> list[str]:
+    """Return which columns stand in for others, and which are not used."""
+    places = {column: column.find(table.header) for column in COLUMNS}
+    used = {place for place in places.values() if place is not None}
+    unused = [title for place, title in enumerate(table.header) if place not in used and title]
+    read = [
+        f"column {listed([table.header[place]])} read as {column.name}"
+        for column, place in places.items()
+        if place is not None and plain_name(table.header[place]) != plain_name(column.name)
+    ]
+    return [*read, f"columns not used: {listed(unused)}"] if unused else read
+
+
+def _numbers(table: Table, measure: Measure) -> Parsed[FloatArray]:
+    """Return a column's numbers; NaN where they are missing."""
+    values = np.full(len(table.rows), np.nan)
+    problems = {}
+    for row, text in enumerate(table.texts(measure) or []):
+        if text.lower() in _MISSING:
+            continue
+        if number(text) is None or not math.isfinite(float(text)):
+            problems[row] = f"{measure.name} is {quoted(text)}; needed is a number"
+        else:
+            values[row] = float(text)
+    return Parsed(values, problems)
+
+
+def _misplaced(table: Table, values: Mapping[Measure, FloatArray]) -> Problems:
+    """Return the rows without a position, or with one that no sensor sees."""
+    problems = {}
+    for measure in POSITION:
+        if measure.find(table.header) is None:
+            continue
+        for row in np.flatnonzero(~(np.abs(values[measure]) <= measure.highest)):
+            value = values[measure][row]
+            found = "missing" if np.isnan(value) else f"{value:.10g} m"
+            problems[int(row)] = (
+                f"{measure.name} is {found}; needed is {-measure.highest:g} to {measure.highest:g} m from the sensor"
+            )
+    return problems
+
+
+def _check_share(table: Table, problems: Problems) -> list[str]:
+    """Return a note on bad rows that are left out; raise if they are too many to be exceptions."""
+    if not problems:
+        return []
+    first, problem = next(iter(problems.items()))
+    row = f"row {table.line_numbers[first]}: {problem}"
+    if len(problems) > BAD_SHARE * len(table.rows):
+        raise DetectionError(
+            f"{table.path}, {row} ({len(problems)} of {len(table.rows)} rows are bad, at most a fifth may be)"
+        )
+    return [f"{len(problems)} bad rows skipped, the first of them {row}"]
+
+
+def _possible(table: Table, values: Mapping[Measure, FloatArray]) -> tuple[dict[Measure, FloatArray], list[str]]:
+    """Return only values that the measures can have, and notes on the others, such as the size 0 of what has none."""
+    kept, notes = dict(values), []
+    for measure in (LENGTH, WIDTH, HEIGHT, RADIAL_SPEED):
+        found = values[measure]
+        impossible = np.flatnonzero((found <= measure.above) | (found > measure.highest))
+        if len(impossible):
+            what = f"{measure.name} is {found[impossible[0]]:.10g} {measure.unit}"
+            needed = f"needed is more than {measure.above:g} and at most {measure.highest:g} {measure.unit}"
+            row = table.line_numbers[impossible[0]]
+            notes.append(f"{len(impossible)} values taken as missing: {what} in row {row}; {needed}")
+            kept[measure] = np.where((found > measure.above) & (found <= measure.highest), found, np.nan)
+    return kept, notes
+
+
+def _in_radians(table: Table, yaw: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Convert a column that is in degrees: its title says so, or it holds more than a full turn of radians."""
+    place = YAW.find(table.header)
+    if place is None or np.isnan(yaw).all():
+        return yaw, []
+    largest = float(np.nanmax(np.abs(yaw)))
+    if largest <= 2 * math.pi and not plain_name(table.header[place]).endswith(("deg", "degrees")):
+        return yaw, []
+    return np.radians(yaw), [f"yaw: degrees (up to {largest:.4g})"]
+
+
+def _track_ids(table: Table) -> IntArray:
+    """Return a number for each name that the detector gives to an object, -1 where it gives none."""
+    texts = np.array([text.lower() for text in table.texts(TRACK_ID) or [""] * len(table.rows)])
+    _, numbers = np.unique(texts, return_inverse=True)
+    return np.where(np.isin(texts, sorted(_MISSING)), -1, numbers.reshape(-1)).astype(np.int64)
+
+
+def _in_order(path: Path, log: DetectionLog) -> tuple[DetectionLog, list[str]]:
+    """Sort detections by time, and drop those that are there twice."""
+    late = int((log.stamps_ns < np.maximum.accumulate(log.stamps_ns)).sum())
+    log = log[np.argsort(log.stamps_ns, kind="stable")]
+    places = np.nan_to_num(log.points_sensor).view(np.int64)
+    once = log[_firsts(np.column_stack([log.stamps_ns, log.track_id, places]))]
+    # What has no number gets one of its own here.
+    own = np.where(once.track_id >= 0, once.track_id, -1 - np.arange(len(once)))
+    single = once[_firsts(np.column_stack([once.stamps_ns, own]))]
+    doubled, moved = len(log) - len(once), len(once) - len(single)
+    if moved > BAD_SHARE * len(log):
+        raise DetectionError(
+            f"{path}: timestamp and track_id are those of another row in {moved} of {len(log)} rows, but the position "
+            "is another; needed is one row for each object and time"
+        )
+    notes = [f"{late} rows out of order sorted"] if late else []
+    notes += [f"{doubled} doubled rows dropped"] if doubled else []
+    notes += [f"{moved} rows dropped whose object is elsewhere at the same time"] if moved else []
+    return single, notes
+
+
+def _firsts(keys: IntArray) -> IntArray:
+    """Return where each key, shape (n, k), is found first, in order."""
+    return np.sort(np.unique(keys, axis=0, return_index=True)[1])
+
+
+def _content_notes(log: DetectionLog) -> list[str]:
+    points = int((~log.is_box()).sum())
+    notes = [f"{points} of {len(log)} detections lack yaw, length or width; taken for points at the vehicle's centre"]
+    if (log.track_id < 0).all():
+        return [*(notes if points else []), "no track_id; detections are linked by their motion"]
+    return notes if points else []

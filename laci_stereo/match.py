@@ -1,0 +1,179 @@
+"""From a log of detections to a result: the run behind ``laci-stereo match``, for Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from laci_stereo.core.calibrate import _vehicles as vehicles_of
+from laci_stereo.core.calibrate import locate, world_around
+from laci_stereo.core.detections import DetectionError, DetectionLog, observe_detections
+from laci_stereo.core.errors import SettingError
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, Raster
+from laci_stereo.core.result import Calibration, Verdict
+from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.io.detections import read_detections
+from laci_stereo.io.lane_map import find_lane_map
+from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
+
+BoxOrigin = Literal["centre", "bottom"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchOptions(DriveOptions):
+    """What a user can say about the calibration from the boxes of a detector.
+
+    Attributes
+    ----------
+    axes : Axes
+        Of the sensor's frame.
+    box_origin : {"centre", "bottom"}
+        What of a box its position is.
+    level_m : float or None
+        How high the sensor stands above the ground, if its up axis is vertical; None finds the ground below the boxes.
+    """
+
+    axes: Axes = FORWARD_LEFT_UP_AXES
+    box_origin: BoxOrigin = "centre"
+    level_m: float | None = None
+
+    def config(self) -> dict[str, object]:
+        """Return every effective setting; paths stand among the inputs."""
+        own = {"axes": asdict(self.axes), "box_origin": self.box_origin, "level_m": self.level_m}
+        return {**super().config(), **own}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchTask(Task):
+    """Detections and messages that hold together.
+
+    Attributes
+    ----------
+    detections : DetectionLog
+    axes : Axes
+        Of the sensor.
+    level_m : float or None
+        See `MatchOptions`.
+    """
+
+    detections: DetectionLog
+    axes: Axes
+    level_m: float | None
+
+    def calibrate(self, watch: Watch) -> Calibration:  # noqa: ARG002, there are no frames to watch
+        """Lay the detections on the ground, and match the vehicle's tracks."""
+        options = self.options
+        first_ns, last_ns = self.detections.span_ns
+        messages = self.drive.messages.between(first_ns, last_ns)
+        world = world_around(messages, options.crs)
+        vehicles = vehicles_of(messages, world, first_ns, options.reference)
+        seen = observe_detections(self.detections, self.axes, options.core, self.level_m)
+        return _with_assumption(locate(seen, vehicles, world, options.core))
+
+
+def match(detections: Path | str, cam: Path | str, options: MatchOptions | None = None) -> Result:
+    """Calibrate a sensor from the boxes of a detector and a log of Cooperative Awareness Messages.
+
+    Parameters
+    ----------
+    detections, cam : path
+        The logs, as CSV.
+    options : MatchOptions
+
+    Raises
+    ------
+    InputError
+        If something cannot be read or makes no sense.
+    CalibrationError
+        If it was read but does not determine a transform.
+    """
+    return prepare(Path(detections), Path(cam), options).run()
+
+
+def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) -> MatchTask:
+    """Read everything, and check that it holds together.
+
+    Raises
+    ------
+    InputError
+    """
+    options = options or MatchOptions()
+    recorded = read_detections(detections)
+    log = recorded.log
+    if options.box_origin == "bottom":
+        log = replace(log, above_ground_m=np.zeros(len(log)))
+    _check_ground(detections, log, options)
+    drive = read_drive(cam, options.lane_map or find_lane_map(detections), log.span_ns, options)
+    return MatchTask(
+        drive=drive,
+        options=options,
+        provenance=Provenance(
+            name=options.name or detections.absolute().parent.name,
+            kind="detections",
+            frame=f"as in the detections: {_in_words(options.axes)}",
+            inputs={str(detections): sha256(detections), **drive.files},
+            config=options.config(),
+            notes=(*recorded.notes, _ground_note(log, options), *drive.notes),
+        ),
+        inputs=f"{len(log)} detections at {len(np.unique(log.stamps_ns))} times, {len(drive.messages)} CAMs",
+        draw=_no_pictures,
+        detections=log,
+        axes=options.axes,
+        level_m=options.level_m,
+    )
+
+
+def _with_assumption(calibration: Calibration) -> Calibration:
+    """Let the verdict say that nothing tells where on the vehicle detections without a size are."""
+    sized = np.array([sighting.box.length_m > 0.0 for sighting in calibration.track.sightings])
+    if 2 * sized.sum() >= len(sized):
+        return calibration
+    vehicle, quality = calibration.vehicle, calibration.quality
+    reason = (
+        "the detections have no size and are taken for the vehicle's centre; if they are on its near side, the "
+        f"position is off by up to {np.hypot(vehicle.length_m, vehicle.width_m) / 2:.1f} m"
+    )
+    verdict: Verdict = "warn" if quality.verdict == "pass" else quality.verdict
+    return replace(calibration, quality=replace(quality, verdict=verdict, reasons=(*quality.reasons, reason)))
+
+
+def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
+    """Raise if nothing tells where the ground is."""
+    no_z = bool(np.isnan(log.points_sensor[:, 2]).all())
+    if options.level_m is not None:
+        if not 0 < options.level_m < np.inf:
+            raise SettingError(f"--level is {options.level_m} m; needed is a number above 0")
+        if no_z and options.axes.up[2] == 0.0:
+            raise DetectionError(f"{path} lacks z, but {_in_words(options.axes)}; needed is z, or other --axes")
+        return
+    if no_z:
+        raise DetectionError(f"{path} lacks z; needed is z to find the ground below the boxes, or --level HEIGHT")
+    if np.isnan(log.above_ground_m).all():
+        raise DetectionError(
+            f"{path} lacks height; needed is height to find the ground below the boxes' centres, --box-origin bottom, "
+            "or --level HEIGHT"
+        )
+
+
+def _ground_note(log: DetectionLog, options: MatchOptions) -> str:
+    if options.level_m is None:
+        return f"x, y and z taken for the {options.box_origin} of the boxes (see --box-origin)"
+    if np.isnan(log.points_sensor[:, 2]).all():
+        return f"no z; x and y taken for distances along the ground, {options.level_m:g} m below the sensor"
+    return f"the sensor's axis is taken for vertical, and the ground for {options.level_m:g} m below it"
+
+
+def _in_words(axes: Axes) -> str:
+    return ", ".join(
+        f"{'-' if sum(axis) < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]} {way}"
+        for axis, way in ((axes.forward, "forward"), (axes.up, "up"))
+    )
+
+
+def _no_pictures(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
+    """Draw nothing: there is no image."""
+    yield from ()

@@ -1,0 +1,81 @@
+"""Drives made by hand: points on the outline of a vehicle, seen from a sensor at the origin of the level frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.matching import PlanarMatch
+from tests.simulated import Drive
+
+SIZE = (4.6, 1.8)
+HEIGHT_M = 6.0
+TRUTH = PlanarMatch(0.7, np.array([-30.0, 12.0]))
+TURN = Drive((-20.0, 30.0), -60.0, ((22.0, 0.0), (12.0, 80.0)), ((0.0, 8.0), (4.0, 5.0), (8.0, 9.0)))
+STRAIGHT = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 7.0),))
+BRAKING = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 9.0), (5.0, 5.0)))
+
+
+def rectangle_points(origin: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return points, shape (count, 2), where random lines of sight from ``origin`` meet the rectangle of `SIZE`."""
+    half = np.array(SIZE) / 2
+    target = rng.uniform(-half, half, (count, 2))
+    ray = target - origin
+    enter = np.max(np.minimum((-half - origin) / ray, (half - origin) / ray), axis=1)
+    points: FloatArray = origin + ray * enter[:, None]
+    return points
+
+
+def evidence(
+    drive: Drive = TURN,
+    seed: int = 0,
+    sigma_m: float = 0.02,
+    offset_s: float = 0.0,
+    per_frame: int = 40,
+    last_s: float = 6.0,
+    behind: float = 0.0,
+    bias_m: tuple[float, float] = (0.0, 0.0),
+    reference: tuple[float, float] = (0.0, 0.0),
+) -> Evidence:
+    """Return a drive whose sensor's stamps are ``offset_s`` early; a share ``behind`` of the points is not on the outline.
+
+    The vehicle's outline is the plain rectangle; the noise is along the line of sight.
+    """
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(0.5, last_s, 0.1)
+    xy, yaw = drive.at(stamps + offset_s)
+    middles, points = [], []
+    for at, angle in zip(xy, yaw, strict=True):
+        origin = rotate_xy(-angle, TRUTH.shift - at)
+        hit = rectangle_points(origin, per_frame, rng)
+        world = rotate_xy(angle, hit) + at
+        level = rotate_xy(-TRUTH.yaw_rad, world - TRUTH.shift)
+        far = np.linalg.norm(level, axis=1, keepdims=True)
+        deeper = np.where(rng.random((per_frame, 1)) < behind, rng.exponential(0.8, (per_frame, 1)), 0.0)
+        level = level * (1.0 + (sigma_m * rng.normal(size=(per_frame, 1)) + deeper) / far)
+        middles.append(np.median(level, axis=0))
+        points.append(np.column_stack([level, np.full(per_frame, 0.5)]))
+    return Evidence(
+        stamps_s=stamps,
+        middles=np.array(middles),
+        points=np.concatenate(points),
+        frame=np.repeat(np.arange(len(stamps)), per_frame),
+        sigma_along_m=np.full(len(stamps) * per_frame, sigma_m),
+        sigma_across_m=np.full(len(stamps) * per_frame, 0.003),
+        sigma_z_m=np.full(len(stamps) * per_frame, 0.005),
+        height_m=HEIGHT_M,
+        vehicle=told(drive, last_s, bias_m, reference),
+    )
+
+
+def told(
+    drive: Drive,
+    last_s: float,
+    bias_m: tuple[float, float] = (0.0, 0.0),
+    reference: tuple[float, float] = (0.0, 0.0),
+) -> VehicleTrack:
+    stamps = np.arange(-2.0, last_s + 2.0, 0.1)
+    xy, yaw = drive.at(stamps)
+    return VehicleTrack(stamps, 0, xy + np.array(bias_m), yaw, *SIZE, reference)

@@ -1,0 +1,356 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from laci_stereo.core.association import Choice, choose_track
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.errors import MatchError, TrackError
+from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.tracking import Track, link_tracks
+from tests.core.tracks import CROSSING, DRIVE, STRAIGHT_ROAD, TRUTH, Traffic, sighting, track, traffic, vehicle
+from tests.simulated import Drive
+
+STAMPS = np.arange(0.0, 6.0, 0.1)
+UNKNOWN_CLOCK = MatchSettings(clock_sigma_s=1.0)
+
+angles = st.floats(-np.pi, np.pi)
+shifts = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)).map(np.array)
+motions = st.builds(PlanarMatch, angles, shifts)
+
+
+def seen(
+    drive: Drive = DRIVE,
+    stamps: FloatArray = STAMPS,
+    noise_m: float = 0.1,
+    seed: int = 0,
+    sensor: PlanarMatch = TRUTH,
+    **of_each: object,
+) -> Track:
+    """What a sensor sees of a drive, as whole boxes."""
+    noise = np.random.default_rng(seed).normal(0.0, noise_m, (len(stamps), 2))
+    xy, yaw = drive.at(stamps)
+    level = rotate_xy(-sensor.yaw_rad, xy + noise - sensor.shift)
+    boxes = zip(stamps, level, yaw - sensor.yaw_rad, strict=True)
+    return Track(tuple(sighting(float(t), at, yaw_rad=float(turn), **of_each) for t, at, turn in boxes))  # type: ignore[arg-type]
+
+
+def shifted(drive: Drive, x: float, y: float, later_s: float = 0.0) -> Drive:
+    return replace(drive, start=(drive.start[0] + x, drive.start[1] + y), start_s=drive.start_s + later_s)
+
+
+def test_the_senders_track_is_found_among_others() -> None:
+    tracks = [
+        seen(replace(DRIVE, legs=((15.0, 0.0), (16.0, -90.0)))),
+        seen(shifted(DRIVE, 10.0, 3.0, later_s=1.5)),
+        seen(),
+        seen(Drive((0.0, 0.0), 10.0, speeds=((0.0, 1.4),))),
+        seen(Drive((5.0, 5.0), 0.0, speeds=((0.0, 0.0),))),
+    ]
+    choice = choose_track(tracks, {42: vehicle()})
+    assert choice.station == 42
+    assert choice.track is tracks[2]
+    assert 0.95 * len(STAMPS) < choice.explained <= len(STAMPS)
+    assert choice.second < 0.8 * choice.explained
+
+
+@given(motions, st.integers(0, 100))
+@settings(max_examples=20, deadline=None)
+def test_the_choice_does_not_depend_on_where_the_sensor_stands(motion: PlanarMatch, seed: int) -> None:
+    drives = (replace(DRIVE, legs=((15.0, 0.0), (16.0, -60.0))), DRIVE)
+    tracks = [seen(drive, seed=seed) for drive in drives]
+    moved = [seen(drive, seed=seed, sensor=motion) for drive in drives]
+    before, after = choose_track(tracks, {42: vehicle()}), choose_track(moved, {42: vehicle()})
+    assert before.track is tracks[1]
+    assert after.track is moved[1]
+    assert after.explained == pytest.approx(before.explained, abs=1e-6)
+
+
+def test_the_sender_is_found_among_the_stations() -> None:
+    vehicles = {
+        7: vehicle(replace(DRIVE, legs=((15.0, 0.0), (16.0, -90.0)))),
+        42: vehicle(),
+        9: vehicle(Drive((0.0, 0.0), 0.0, speeds=((0.0, 0.0),))),
+    }
+    assert choose_track([seen()], vehicles).station == 42
+
+
+def test_fragments_of_one_drive_are_joined() -> None:
+    whole = seen()
+    first, second = Track(whole.sightings[:25]), Track(whole.sightings[32:])
+    choice = choose_track([second, seen(Drive((5.0, 5.0), 0.0, speeds=((0.0, 0.0),))), first], {42: vehicle()})
+    assert choice.track == Track(first.sightings + second.sightings)
+
+
+def test_what_comes_from_another_object_is_not_joined() -> None:
+    whole = seen()
+    first = Track(whole.sightings[:40])
+    stranger = seen(Drive((-20.0, 10.0), -60.0, speeds=((0.0, 8.0),)), STAMPS[45:])
+    assert choose_track([first, stranger], {42: vehicle()}).track is first
+
+
+def test_another_part_of_the_same_vehicle_is_no_rival() -> None:
+    whole = seen()
+    part = track(STAMPS[5:], whole.centres[5:] + np.array([0.4, -0.6]))
+    choice = choose_track([part, whole], {42: vehicle()})
+    assert choice.track is whole
+    assert choice.second == 0.0
+
+
+def test_two_vehicles_that_drive_alike_are_a_tie() -> None:
+    straight = Drive((0.0, 0.0), 0.0, speeds=((0.0, 10.0),))
+    tracks = [seen(straight), seen(shifted(straight, -15.0, 0.0))]
+    with pytest.raises(MatchError, match="two moving objects, seen in 60 and 60 frames, fit equally well"):
+        choose_track(tracks, {42: vehicle(straight)})
+
+
+def test_two_stations_of_one_vehicle_are_a_tie() -> None:
+    with pytest.raises(MatchError, match=r"stations 7 and 8 fit equally well.*name the sender's station"):
+        choose_track([seen()], {7: vehicle(), 8: vehicle()})
+
+
+def test_two_senders_that_agree_are_no_tie() -> None:
+    behind = replace(DRIVE, start_s=2.0)
+    tracks = [seen(), seen(behind, seed=1)]
+    choice = choose_track(tracks, {7: vehicle(behind), 42: vehicle()})
+    assert choice.track is tracks[0 if choice.station == 42 else 1]
+
+
+def test_nothing_that_moves_fits() -> None:
+    turns_back = seen(replace(DRIVE, legs=((5.0, 0.0), (12.0, -180.0))))
+    with pytest.raises(MatchError, match=r"no moving object fits the CAMs: \d+% .* of the best of 1 explained"):
+        choose_track([turns_back], {42: vehicle()})
+
+
+def test_a_sender_that_stands_still() -> None:
+    parked = Drive((5.0, 5.0), 0.0, speeds=((0.0, 0.0),))
+    with pytest.raises(TrackError, match=r"the vehicle of station 42 stands still: it moves 0\.00 m"):
+        choose_track([seen()], {42: vehicle(parked)})
+
+
+def test_nothing_found_says_what_was_seen() -> None:
+    few = seen(stamps=STAMPS[:9])
+    cut = Track(tuple(replace(one, flaw="cut") for one in seen(stamps=STAMPS[10:25]).sightings))
+    message = r"2 moving objects, the longest seen in 9 frames, .* moving 6\.\d m \(left out: 15 cut\)"
+    with pytest.raises(TrackError, match=message):
+        choose_track([few, cut], {42: vehicle()})
+    with pytest.raises(TrackError, match=r"no vehicle was found: 0 moving objects.*left out: none"):
+        choose_track([], {42: vehicle()})
+
+
+def test_frames_at_which_the_sender_was_silent_do_not_count() -> None:
+    told = vehicle()
+    early = told.stamps_s < 2.0
+    brief = VehicleTrack(told.stamps_s[early], 0, told.xy[early], told.yaw_rad[early], 4.4, 1.8)
+    assert choose_track([seen()], {42: brief}).explained <= 21
+    with pytest.raises(TrackError, match="while its CAMs tell its position"):
+        choose_track([seen(stamps=STAMPS[30:])], {42: brief})
+
+
+def test_a_few_wrong_frames_do_not_matter() -> None:
+    right = seen()
+    wrong = Track(
+        tuple(
+            sighting(one.stamp_s, one.box.centre + np.array([6.0, 8.0])) if 20 <= i < 26 else one
+            for i, one in enumerate(right.sightings)
+        )
+    )
+    choice = choose_track([wrong], {42: vehicle()})
+    assert choice.explained == pytest.approx(len(STAMPS) - 6, abs=3.0)
+
+
+# the motion and the clock
+
+
+@pytest.mark.parametrize("offset_s", [-0.3, -0.02, 0.0, 0.15, 0.3])
+def test_the_motion_and_the_clock_are_recovered(offset_s: float) -> None:
+    told = vehicle()
+    late = replace(told, stamps_s=told.stamps_s + offset_s)
+    slows = replace(DRIVE, speeds=((0.0, 9.0), (2.0, 9.0), (4.0, 5.0)))
+    slow = vehicle(slows)
+    for drive, sent in ((DRIVE, late), (slows, replace(slow, stamps_s=slow.stamps_s + offset_s))):
+        choice = choose_track([seen(drive, noise_m=0.05)], {42: sent}, UNKNOWN_CLOCK)
+        assert choice.time_offset_s == pytest.approx(offset_s, abs=0.03)
+        assert abs(float(wrap(choice.fit.yaw_rad - TRUTH.yaw_rad))) < 0.01
+        assert choice.fit(choice.track.centres) == pytest.approx(TRUTH(choice.track.centres), abs=0.3)
+
+
+def test_a_clock_that_is_known_is_not_moved_to_fit() -> None:
+    told = vehicle()
+    late = replace(told, stamps_s=told.stamps_s + 0.3)
+    assert abs(choose_track([seen()], {42: late}).time_offset_s) <= 0.03
+
+
+def test_near_sides_alone_do_not_move_the_motion() -> None:
+    # Only the rear of the car is seen: half of its length is lacking, away from the sensor.
+    drive = Drive((10.0, 0.0), 0.0, ((20.0, 0.0), (10.0, 30.0)), speeds=((0.0, 8.0), (3.0, 5.0)))
+    xy, yaw = drive.at(STAMPS)
+    rear = xy - 2.0 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    boxes = [
+        sighting(float(t), at, size=(1.8, 0.4), yaw_rad=float(turn) + np.pi / 2)
+        for t, at, turn in zip(STAMPS, rear, yaw, strict=True)
+    ]
+    told = vehicle(drive)
+    choice = choose_track([Track(tuple(boxes))], {42: told})
+    assert np.median(np.linalg.norm(choice.fit(xy) - xy, axis=1)) < 0.4
+    assert np.linalg.norm(choice.fit(rear) - xy, axis=1).min() > 1.5
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_wrong_positions_of_the_sender(share: float) -> None:
+    told = vehicle()
+    rng = np.random.default_rng(3)
+    wrong = rng.random(len(told.stamps_s)) < share
+    xy = told.xy + np.where(wrong[:, None], rng.uniform(-15.0, 15.0, told.xy.shape), 0.0)
+    other = seen(replace(DRIVE, legs=((15.0, 0.0), (16.0, -60.0))))
+    right = seen()
+    choice = choose_track([other, right], {42: replace(told, xy=xy)})
+    assert choice.track is right
+    assert choice.fit(right.centres) == pytest.approx(TRUTH(right.centres), abs=0.6)
+
+
+# what tells one from another
+
+
+STEADY = Drive((0.0, 0.0), 0.0, speeds=((0.0, 10.0),))
+
+
+@pytest.mark.parametrize("settings", [MatchSettings(), UNKNOWN_CLOCK])
+@pytest.mark.parametrize("behind_m", [12.0, 25.0])
+def test_a_follower_at_constant_distance_is_a_tie(settings: MatchSettings, behind_m: float) -> None:
+    tracks = [seen(STEADY), seen(shifted(STEADY, -behind_m, 0.0), seed=1)]
+    with pytest.raises(MatchError, match=r"two moving objects, .* fit equally well"):
+        choose_track(tracks, {42: vehicle(STEADY)}, settings)
+
+
+def test_a_follower_that_sends_too_breaks_the_tie() -> None:
+    follower = shifted(STEADY, -12.0, 0.0)
+    tracks = [seen(STEADY), seen(follower, seed=1)]
+    with pytest.raises(MatchError, match="fit equally well"):
+        choose_track(tracks, {42: vehicle(STEADY)})
+    choice = choose_track(tracks, {42: vehicle(STEADY), 43: vehicle(follower)})
+    assert choice.track is tracks[0 if choice.station == 42 else 1]
+    assert choice.fit(tracks[0].centres) == pytest.approx(TRUTH(tracks[0].centres), abs=0.5)
+
+
+def test_a_piece_of_another_car_fits_but_does_not_rival() -> None:
+    # A second of anything fits; but then the sender would be in view before and after it, and is not.
+    drive = replace(DRIVE, speeds=((0.0, 10.0), (2.5, 8.0), (5.0, 10.0)))
+    whole = seen(drive)
+    piece = Track(seen(shifted(STEADY, 5.0, -20.0), seed=1).sightings[20:34])
+    choice = choose_track([piece, whole], {42: vehicle(drive)})
+    assert choice.track is whole
+    assert choice.log_likelihood_margin > math.log(100.0)
+
+
+def radar(drive: Drive, radial: bool, seed: int) -> Track:
+    """Points with a noise of 1 m and, if so, their radial speed; the radar stands at the origin."""
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(0.0, 2.0, 0.1)
+    xy = drive.at(stamps)[0]
+    distance = np.linalg.norm(np.stack([drive.at(stamps + step)[0] for step in (-0.05, 0.05)]), axis=2)
+    speeds = (distance[1] - distance[0]) / 0.1
+    noisy = xy + rng.normal(0.0, 1.0, xy.shape)
+    return Track(
+        tuple(
+            sighting(float(t), at, 1, size=(0.0, 0.0), sigma_m=1.0, radial_mps=float(speed) if radial else None)
+            for t, at, speed in zip(stamps, noisy, speeds, strict=True)
+        )
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_radial_speeds_decide(seed: int) -> None:
+    drive, other = (Drive((10.0, y), 0.0, speeds=((0.0, speed),)) for y, speed in ((4.0, 12.0), (8.0, 14.0)))
+    sent = {42: vehicle(drive, 4.0)}
+    with pytest.raises(MatchError, match="fit equally well"):
+        choose_track([radar(other, False, seed), radar(drive, False, seed + 10)], sent)
+    tracks = [radar(other, True, seed), radar(drive, True, seed + 10)]
+    assert choose_track(tracks, sent).track is tracks[1]
+
+
+def test_a_lorry_is_not_the_car() -> None:
+    lorry = seen(shifted(STEADY, -40.0, 4.0), size=(12.0, 2.5))
+    car = seen(STEADY, seed=1)
+    choice = choose_track([lorry, car], {42: vehicle(STEADY)})
+    assert choice.track is car
+
+
+def test_fragments_are_joined_under_an_unknown_clock() -> None:
+    told = vehicle()
+    late = replace(told, stamps_s=told.stamps_s + 0.25)
+    whole = seen()
+    parts = [Track(whole.sightings[first:last]) for first, last in ((0, 15), (22, 38), (40, 60))]
+    choice = choose_track(parts, {42: late}, UNKNOWN_CLOCK)
+    assert choice.track == parts[0].joined(parts[1]).joined(parts[2])
+
+
+def test_a_station_that_was_never_seen_is_named() -> None:
+    turns_back = seen(replace(DRIVE, legs=((5.0, 0.0), (12.0, -180.0))))
+    with pytest.raises(MatchError, match="not seen: station 42"):
+        choose_track([turns_back], {42: vehicle()})
+
+
+def test_the_second_best_is_said_in_words() -> None:
+    tracks = [seen(shifted(replace(DRIVE, legs=((15.0, 0.0), (16.0, 80.0))), -60.0, 0.0)), seen()]
+    assert choose_track([tracks[1]], {42: vehicle()}).second_is == "nothing else"
+    choice = choose_track(tracks, {42: vehicle()})
+    assert choice.second_is == "another moving object, seen in 60 frames"
+    assert math.isfinite(choice.log_likelihood_margin)
+
+
+# live traffic
+
+
+def chosen(scene: Traffic, senders: list[int], offset_s: float, settings: MatchSettings) -> Choice | None:
+    sent = {number: scene.cars[number].sends(offset_s, seed=number) for number in senders}
+    try:
+        return choose_track(link_tracks(scene.frames), sent, settings)
+    except MatchError:
+        return None
+
+
+def misplaced_m(choice: Choice) -> float:
+    """By how much the vehicle is misplaced where it was seen."""
+    return float(np.linalg.norm(choice.fit(choice.track.centres) - TRUTH(choice.track.centres), axis=1).mean())
+
+
+def passing(scene: Traffic, seed: int, count: int) -> list[int]:
+    """Some of the cars that pass the sensor in the middle of the recording."""
+    nearest = [car.stamps_s[np.argmin(np.linalg.norm(car.xy - [0.0, 18.0], axis=1))] for car in scene.cars]
+    inside = [number for number, stamp_s in enumerate(nearest) if 5.0 < stamp_s < scene.last_s - 5.0]
+    return np.random.default_rng(seed).choice(inside, count, replace=False).tolist()
+
+
+@pytest.mark.parametrize("settings", [MatchSettings(), UNKNOWN_CLOCK])
+@pytest.mark.parametrize("senders", [1, 3])
+def test_thirty_vehicles_at_a_crossing(senders: int, settings: MatchSettings) -> None:
+    right = 0
+    for seed in range(3):
+        scene = traffic(seed, CROSSING)
+        offset_s = settings.clock_sigma_s * np.random.default_rng(seed).uniform(-0.3, 0.3)
+        choice = chosen(scene, passing(scene, seed, senders), offset_s, settings)
+        if choice is not None:
+            assert misplaced_m(choice) < 2.0
+            right += 1
+    assert right >= 1
+
+
+@pytest.mark.parametrize(("senders", "needed"), [(1, 0), (3, 2)])
+def test_thirty_vehicles_on_a_straight_road(senders: int, needed: int) -> None:
+    # One sender among cars of nearly its speed is often undecided, but never wrong; three tell one another apart.
+    right = 0
+    for seed in range(3):
+        scene = traffic(seed, STRAIGHT_ROAD)
+        choice = chosen(scene, passing(scene, seed, senders), 0.0, MatchSettings())
+        if choice is not None:
+            assert misplaced_m(choice) < 1.0
+            right += 1
+    assert right >= needed

@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.drive_model import DriveModel
+from laci_stereo.core.errors import MatchError
+from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.settings import JointSettings
+from tests.core.outlines import BRAKING, STRAIGHT, TRUTH, TURN, evidence, told
+
+UNKNOWN_CLOCK = JointSettings(clock_sigma_s=1.0)
+
+
+def error(fit: JointFit) -> FloatArray:
+    """Return the error of yaw and of the track's middle."""
+    off = fit.match(fit.centre_level[None])[0] - TRUTH(fit.centre_level[None])[0]
+    return np.array([float(wrap(fit.match.yaw_rad - TRUTH.yaw_rad)), *off])
+
+
+def off_by(yaw_deg: float, x: float, y: float, about: Evidence) -> PlanarMatch:
+    """Return a start that is wrong by so much at the track's middle."""
+    middle = about.middles.mean(axis=0)
+    yaw = TRUTH.yaw_rad + float(np.radians(yaw_deg))
+    return PlanarMatch(yaw, TRUTH(middle[None])[0] + np.array([x, y]) - rotate_xy(yaw, middle))
+
+
+@pytest.mark.parametrize("behind", [0.0, 0.3])
+@pytest.mark.parametrize("sigma_m", [0.02, 0.15])
+def test_the_truth_is_found_to_centimetres(sigma_m: float, behind: float) -> None:
+    drive = evidence(sigma_m=sigma_m, behind=behind)
+    fit = fit_jointly([drive], off_by(2.0, 0.8, -0.6, drive))
+    yaw, x, y = error(fit)
+    assert np.hypot(x, y) < 0.03
+    assert abs(np.degrees(yaw)) < 0.05
+    assert fit.explained > 0.9
+    assert fit.frames == len(drive.stamps_s)
+
+
+@pytest.mark.parametrize(("yaw_deg", "x", "y"), [(5.0, 0.0, 0.0), (-5.0, 1.0, 1.0), (3.0, -1.2, 1.0), (0.0, 1.5, 0.0)])
+def test_a_poor_start_ends_in_the_same_place(yaw_deg: float, x: float, y: float) -> None:
+    drive = evidence(sigma_m=0.05, behind=0.2)
+    good, poor = (fit_jointly([drive], start) for start in (TRUTH, off_by(yaw_deg, x, y, drive)))
+    assert poor.match.yaw_rad == pytest.approx(good.match.yaw_rad, abs=1e-4)
+    assert poor.match(poor.centre_level[None]) == pytest.approx(good.match(good.centre_level[None]), abs=5e-3)
+
+
+def test_the_covariance_is_that_of_the_errors() -> None:
+    # The messages' bias and the sensor's noise are drawn anew each time, as the settings have them.
+    settings = JointSettings(position_sigma_m=0.05)
+    squared = []
+    for seed in range(40):
+        bias = np.random.default_rng([seed, 9]).normal(0.0, 0.05, 2)
+        drive = evidence(seed=seed, sigma_m=0.05, behind=0.1, bias_m=(bias[0], bias[1]), per_frame=20)
+        fit = fit_jointly([drive], TRUTH, settings=settings)
+        squared.append(error(fit)[1:] @ np.linalg.solve(fit.covariance[1:, 1:], error(fit)[1:]))
+    # Two degrees of freedom; shape, lever arm, heading and clock have no error here but are held possible.
+    assert 0.4 < np.mean(squared) < 2.5
+    assert np.max(squared) < 16.0
+
+
+@pytest.mark.parametrize("offset_s", [-0.3, 0.12, 0.3])
+@pytest.mark.parametrize("drive", [TURN, BRAKING], ids=["turn", "braking"])
+def test_an_unknown_clock_is_found_where_the_speed_changes(drive: object, offset_s: float) -> None:
+    seen = evidence(drive, offset_s=offset_s)  # type: ignore[arg-type]
+    fit = fit_jointly([seen], off_by(1.0, 0.5, 0.5, seen), settings=UNKNOWN_CLOCK)
+    assert fit.time_offsets_s[0] == pytest.approx(offset_s, abs=3 * fit.time_sigmas_s[0])
+    assert fit.time_sigmas_s[0] < 0.05
+    assert np.linalg.norm(error(fit)[1:]) < 3 * np.sqrt(np.trace(fit.covariance[1:, 1:]))
+
+
+def test_an_unknown_clock_stays_open_at_constant_speed() -> None:
+    fit = fit_jointly([evidence(STRAIGHT)], TRUTH, settings=UNKNOWN_CLOCK)
+    assert fit.time_sigmas_s[0] > 0.5
+    along = np.array([np.cos(np.radians(-60.0)), np.sin(np.radians(-60.0))])
+    assert np.sqrt(along @ fit.covariance[1:, 1:] @ along) > 0.5 * 7.0
+    across = np.array([-along[1], along[0]])
+    assert np.sqrt(across @ fit.covariance[1:, 1:] @ across) < 0.1
+
+
+def test_positions_of_the_messages_that_are_off_move_the_result_with_them() -> None:
+    plain, shifted = (fit_jointly([evidence(bias_m=bias)], TRUTH) for bias in ((0.0, 0.0), (0.3, -0.2)))
+    assert error(shifted)[1:] - error(plain)[1:] == pytest.approx([0.3, -0.2], abs=1e-3)
+
+
+def test_more_doubt_of_the_positions_is_more_doubt_of_the_result() -> None:
+    sure, unsure = (
+        fit_jointly([evidence()], TRUTH, settings=JointSettings(position_sigma_m=sigma)).covariance
+        for sigma in (0.02, 0.5)
+    )
+    assert np.sqrt(np.diag(sure)[1:]).max() < 0.06
+    assert np.sqrt(np.diag(unsure)[1:]) == pytest.approx(0.45, abs=0.1)
+
+
+def test_two_drives_know_more_than_either() -> None:
+    back = replace(STRAIGHT, start=(0.0, -4.0), yaw_deg=120.0)
+    one, other = evidence(STRAIGHT, seed=1), evidence(back, seed=2)
+    both = fit_jointly([one, other], TRUTH)
+    alone = fit_jointly([one], TRUTH)
+    assert np.trace(both.covariance[1:, 1:]) < 0.7 * np.trace(alone.covariance[1:, 1:])
+    assert np.linalg.norm(error(both)[1:]) < 0.03
+    assert len(both.time_offsets_s) == len(both.corrections) == 2
+
+
+def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
+    drive = evidence()
+    rng = np.random.default_rng(5)
+    xy, _ = TURN.at(drive.stamps_s)
+    centres = rotate_xy(-TRUTH.yaw_rad, xy - TRUTH.shift) + rng.normal(0.0, 0.1, xy.shape)
+    empty = replace(drive.thinned(1), middles=centres)
+    empty = replace(
+        empty,
+        **{
+            name: getattr(empty, name)[:0]
+            for name in ("points", "frame", "sigma_along_m", "sigma_across_m", "sigma_z_m")
+        },
+    )
+    fit = fit_jointly([empty], off_by(2.0, 0.5, 0.5, empty))
+    yaw, x, y = error(fit)
+    assert np.hypot(x, y) < min(0.15, 3 * np.sqrt(np.trace(fit.covariance[1:, 1:])))
+    assert abs(np.degrees(yaw)) < 0.3
+    assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.mark.parametrize("index", range(14))
+def test_the_derivatives_are_those_of_the_distances(index: int) -> None:
+    drive = replace(evidence(sigma_m=0.05, offset_s=0.01), vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
+    model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
+    x = np.zeros(4 + model.own)
+    x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
+    x[3:14] = np.random.default_rng(2).normal(0.0, 0.01, 11)
+    step = 1e-6 * np.eye(len(x))[index]
+    rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
+    assert len(rows.distance) == len(more.distance) == len(less.distance)
+    slope = (more.distance - less.distance) / 2e-6
+    # The sides' bends make normals lean by what this leaves; corners change sides.
+    off = np.abs(slope - rows.jacobian[:, index])
+    assert np.median(off) < 0.01 * max(1.0, float(np.abs(slope).max()))
+
+
+def test_no_points_are_refused_in_words() -> None:
+    drive = evidence()
+    unknown = replace(drive, stamps_s=drive.stamps_s[:0], middles=drive.middles[:0], points=drive.points[:0])
+    with pytest.raises(MatchError, match="0 points of the vehicle"):
+        fit_jointly([unknown], TRUTH)

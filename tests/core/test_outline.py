@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.outline import SHAPE, SHAPE_MEAN, meet, on_the_wall
+from tests.core.outlines import SIZE, rectangle_points
+
+FLAT = np.zeros(len(SHAPE))
+places = st.tuples(st.floats(6.0, 60.0), st.floats(-3.1, 3.1), st.integers(0, 1000))
+
+
+def sensor(distance: float, bearing: float) -> FloatArray:
+    return distance * np.array([np.cos(bearing), np.sin(bearing)])
+
+
+def met(xy: FloatArray, origin: FloatArray, shape: FloatArray = FLAT, sigma: float = 0.02):  # noqa: ANN201
+    n = len(xy)
+    return meet(xy, np.tile(origin, (n, 1)), np.full(n, sigma), np.full(n, 0.003), SIZE, shape)
+
+
+@given(places)
+def test_points_on_the_rectangle_are_on_it(place: tuple[float, float, int]) -> None:
+    origin = sensor(place[0], place[1])
+    hits = met(rectangle_points(origin, 50, np.random.default_rng(place[2])), origin)
+    assert hits.distance == pytest.approx(0.0, abs=1e-6)
+    assert hits.reach == pytest.approx(1.0, abs=1e-6)
+    assert (hits.face < 4).all()
+
+
+@given(places, st.floats(-0.3, 0.3))
+def test_the_distance_is_measured_along_the_normal_of_the_side_that_is_met(
+    place: tuple[float, float, int], off: float
+) -> None:
+    origin = sensor(place[0], place[1])
+    exact = rectangle_points(origin, 50, np.random.default_rng(place[2]))
+    sight = (exact - origin) / np.linalg.norm(exact - origin, axis=1, keepdims=True)
+    hits = met(exact + off * sight, origin)
+    cos = -(hits.normal * sight).sum(axis=1)
+    assert (cos > 0.0).all()  # what is met faces the sensor
+    assert hits.distance == pytest.approx(-off * cos, abs=1e-6)
+    assert set(hits.face) == set(met(exact, origin).face)
+
+
+def test_a_line_of_sight_that_passes_by_is_as_far_off_as_the_nearest_corner() -> None:
+    origin = np.array([-20.0, 0.9 + 0.25])
+    (hits,) = [met(np.array([[0.0, 1.15], [-2.0, 1.15]]), origin)]
+    assert (hits.face == 4).all()
+    assert hits.distance == pytest.approx(0.25, abs=1e-4)
+    assert hits.normal == pytest.approx(np.array([[0.0, 1.0], [0.0, 1.0]]), abs=1e-6)
+
+
+@settings(max_examples=30)
+@given(places)
+def test_the_derivatives_by_the_shape_are_those_of_the_distance(place: tuple[float, float, int]) -> None:
+    rng = np.random.default_rng(place[2])
+    origin = sensor(place[0], place[1])
+    xy = rectangle_points(origin, 60, rng) + rng.normal(0.0, 0.02, (60, 2))
+    shape = SHAPE_MEAN + rng.normal(0.0, 0.01, len(SHAPE))
+    at = met(xy, origin, shape)
+    # Away from the corners, where one side takes over from the other, and from the sharp bend before them.
+    plain = (at.face < 4) & ((np.abs(xy) < 0.6 * np.array(SIZE) / 2).sum(axis=1) == 1)
+    for index in range(len(SHAPE)):
+        step = 1e-5 * np.eye(len(SHAPE))[index]
+        more, less = met(xy, origin, shape + step), met(xy, origin, shape - step)
+        same = plain & (more.face == less.face)
+        slope = (more.distance - less.distance) / 2e-5
+        assert slope[same] == pytest.approx(at.by_shape[same, index], abs=0.03)
+
+
+@given(places)
+def test_bearing_decides_the_side_whatever_the_range(place: tuple[float, float, int]) -> None:
+    origin = sensor(place[0], place[1])
+    exact = rectangle_points(origin, 50, np.random.default_rng(place[2]))
+    ray = exact - origin
+    assert (met(origin + 1.02 * ray, origin).face == met(exact, origin).face).all()
+
+
+def test_noise_across_counts_where_a_side_is_grazed() -> None:
+    grazed = met(np.array([[0.0, 0.9]]), np.array([40.0, 1.5]), sigma=0.5)
+    faced = met(np.array([[0.0, 0.9]]), np.array([0.0, 20.0]), sigma=0.5)
+    assert faced.variance[0] > 0.25
+    assert grazed.variance[0] < 0.01
+
+
+@given(st.floats(-0.5, 0.5), st.floats(0.0, 0.2))
+def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_z: float) -> None:
+    # A ray that meets the outline 20 m away at 0.5 m: however far off the point was measured, the answer is the same.
+    height, far, z_met = 6.0, 20.0, 0.5
+    measured = far + off
+    z = height + (z_met - height) * measured / far
+    chosen = on_the_wall(height, np.array([z]), np.array([far / measured]), np.array([sigma_z]), 0.25, 0.65)
+    assert chosen[0] == (z_met > max(0.25, 3 * sigma_z) + 2 * sigma_z)
+
+
+def test_a_turned_vehicle_is_met_alike() -> None:
+    # The outline is symmetric: mirroring the sensor and the points mirrors the answer.
+    rng = np.random.default_rng(1)
+    origin = np.array([12.0, 9.0])
+    xy = rectangle_points(origin, 100, rng) + rng.normal(0.0, 0.05, (100, 2))
+    mirror = np.array([1.0, -1.0])
+    one, other = met(xy, origin, SHAPE_MEAN), met(xy * mirror, origin * mirror, SHAPE_MEAN)
+    assert one.distance == pytest.approx(other.distance)
+    assert one.normal == pytest.approx(other.normal * mirror)

@@ -1,0 +1,305 @@
+"""Boxes of a detector and messages of a vehicle, through Python and through the installed command."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from laci_stereo.core.errors import GroundError, InputError
+from laci_stereo.io.calibration_file import schema
+from laci_stereo.job import Result
+from laci_stereo.match import MatchOptions, match
+from tests.cli_support import refusal, run, snapshot
+from tests.detections import EXACT, Noise, Passing, Rows, Traffic, cam_rows, detection_rows, errors, is_senders, traffic
+from tests.simulated import Drive
+
+NOT_CALIBRATED, UNUSABLE = 1, 2
+SEEDS = range(100, 110)
+
+
+@dataclass(frozen=True)
+class Site:
+    """A folder with the two logs of some traffic."""
+
+    root: Path
+    made: Traffic
+
+    @property
+    def detections(self) -> Path:
+        return self.root / "detections.csv"
+
+    @property
+    def cam(self) -> Path:
+        return self.root / "cam.csv"
+
+    @property
+    def out(self) -> Path:
+        return self.root / "result"
+
+    def arguments(self, *options: str) -> list[str]:
+        return ["match", str(self.detections), str(self.cam), "--out", str(self.out), *options]
+
+    def refused(self, code: int, *words: str, options: tuple[str, ...] = ()) -> None:
+        """Run the command, which must refuse with one line that holds these words and leave everything as it was."""
+        before = snapshot(self.root)
+        refusal(run(self.arguments(*options), self.root), code, *words)
+        assert snapshot(self.root) == before
+
+
+def lay(folder: Path, made: Traffic, track_ids: bool = True) -> Site:
+    site = Site(folder, made)
+    detection_rows(made, track_ids).write(site.detections)
+    cam_rows(made.messages).write(site.cam)
+    return site
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    return lay(tmp_path, traffic(SEEDS[0]))
+
+
+def matched(folder: Path, made: Traffic, options: MatchOptions | None = None, track_ids: bool = True) -> Result:
+    site = lay(folder, made, track_ids)
+    return match(site.detections, site.cam, options)
+
+
+# ------------------------------------------------------------------------------------- how well it does
+
+
+@pytest.mark.parametrize("track_ids", [True, False])
+def test_one_vehicle_among_thirty_tells_where_the_sensor_is(tmp_path: Path, track_ids: bool) -> None:
+    found = []
+    for seed in SEEDS:
+        made = traffic(seed)
+        calibration = matched(tmp_path, made, track_ids=track_ids).calibration
+        assert is_senders(made, calibration)
+        error = errors(made, calibration)
+        assert error.track_xy_m < 3 * calibration.quality.track_xy_sigma_m
+        assert abs(error.yaw_deg) < 3 * calibration.quality.yaw_sigma_deg
+        assert calibration.height_m == pytest.approx(made.T_world_sensor[2, 3], abs=0.05)
+        found.append((error.track_xy_m, error.rotation_deg))
+    position_m, angle_deg = np.median(found, axis=0)
+    assert position_m < 0.15
+    assert angle_deg < 0.3
+
+
+def test_exact_boxes_give_the_exact_transform(tmp_path: Path) -> None:
+    """Up to the messages' resolution (1 cm, 0.1 deg) and the spline between them; and what was claimed covers it."""
+    for seed in (1, 2, 3):
+        made = traffic(seed, 5, EXACT)
+        calibration = matched(tmp_path, made).calibration
+        error = errors(made, calibration)
+        assert error.track_xy_m < 0.03
+        assert error.rotation_deg < 0.1
+        assert calibration.quality.verdict == "pass"
+
+
+def test_another_yaw_of_the_sensor_is_another_yaw_of_the_result(tmp_path: Path) -> None:
+    made = traffic(3, 8)
+    turned_rad = 0.7
+    c, s = np.cos(turned_rad), np.sin(turned_rad)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    log = made.detections
+    other = replace(
+        made, detections=replace(log, points_sensor=log.points_sensor @ R.T, yaw_rad=log.yaw_rad + turned_rad)
+    )
+    level = MatchOptions(level_m=6.0)
+    here, there = (matched(tmp_path, one, level).calibration.T_world_sensor for one in (made, other))
+    # The files hold tenths of millimetres.
+    assert there[:3, :3] @ R == pytest.approx(here[:3, :3], abs=1e-5)
+    assert there[:3, 3] == pytest.approx(here[:3, 3], abs=1e-3)
+
+
+def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
+    made = traffic(5, 8)
+    log, up = made.detections, made.T_world_sensor[2, :3]
+    bottom = replace(made, detections=replace(log, points_sensor=log.points_sensor - log.above_ground_m[:, None] * up))
+    by_centre = matched(tmp_path, made).calibration
+    by_bottom = matched(tmp_path, bottom, MatchOptions(box_origin="bottom")).calibration
+    wrong = matched(tmp_path, bottom).calibration
+    assert by_bottom.T_world_sensor == pytest.approx(by_centre.T_world_sensor, abs=2e-3)
+    assert wrong.height_m - by_bottom.height_m == pytest.approx(log.above_ground_m.mean(), abs=0.1)
+
+
+def test_a_radar_with_neither_size_nor_height(tmp_path: Path) -> None:
+    """Level, 5 m high, and what it detects is the vehicle's middle; that this cannot be known is said."""
+    made = traffic(6, 10, Noise(position_m=0.3))
+    level = np.eye(4)
+    level[:2, :2] = made.T_world_sensor[:2, :2] / np.linalg.norm(made.T_world_sensor[:2, 0])
+    level[:2, 1] = [-level[1, 0], level[0, 0]]
+    level[2, 3] = 5.0
+    world = made.detections.points_sensor @ made.T_world_sensor[:3, :3].T + made.T_world_sensor[:3, 3]
+    points = (world - level[:3, 3]) @ level[:3, :3]
+    radar = replace(made, T_world_sensor=level, detections=replace(made.detections, points_sensor=points))
+    site = lay(tmp_path, radar)
+    rows = detection_rows(radar).without("z", "yaw", "length", "width", "height", "track_id")
+    rows.write(site.detections)
+    result = match(site.detections, site.cam, MatchOptions(level_m=5.0))
+    error, quality = errors(radar, result.calibration), result.calibration.quality
+    assert is_senders(radar, result.calibration)
+    assert error.track_xy_m < 0.3
+    assert error.rotation_deg < 1.0
+    assert quality.verdict == "warn"
+    assert any("taken for the vehicle's centre" in reason and "off by up to 2." in reason for reason in quality.reasons)
+    assert result.calibration.height_m == 5.0
+    assert any("taken for points at the vehicle's centre" in note for note in result.job.provenance.notes)
+
+
+# ------------------------------------------------------------------------------------- the installed command
+
+
+def test_the_command_writes_a_whole_result(site: Site) -> None:
+    ran = run(site.arguments("--name", "radar 3"), site.root)
+    assert ran.code == 0, ran
+    assert "note: x, y and z taken for the centre of the boxes (see --box-origin)" in ran.err.splitlines()
+    assert sorted(path.name for path in site.out.iterdir()) == ["calibration.json", "topdown.png"]
+    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    Draft202012Validator(schema()).validate(document)
+    assert document["sensor"] == {
+        "name": "radar 3",
+        "kind": "detections",
+        "frame": "as in the detections: x forward, z up",
+    }
+    hashes = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in (site.detections, site.cam)}
+    assert document["inputs"] == hashes
+    assert document["config"]["box_origin"] == "centre"
+    assert document["background_boxes"] == []
+    here = match(site.detections, site.cam)
+    assert np.array(document["T_world_sensor"]) == pytest.approx(here.calibration.T_world_sensor)
+    assert f"{'Height':<11}{here.calibration.height_m:.2f} m above the ground" in ran.out
+    refusal(run(site.arguments(), site.root), UNUSABLE, "holds a result already", "--overwrite")
+
+
+def test_what_makes_no_sense_for_detections_is_no_option(site: Site) -> None:
+    offered = run(["match", "--help"], site.root).out
+    for option in ("--box-origin", "--level", "--axes", "--station", "--cam-reference", "--crs", "--out", "--map"):
+        assert option in offered
+    for option in ("--workers", "--background", "--stereo", "--disparities"):
+        assert option not in offered
+    assert "--workers" in run(["calibrate", "--help"], site.root).out
+
+
+def test_yaw_in_degrees_and_doubled_rows_are_put_right_and_said(site: Site) -> None:
+    rows = detection_rows(site.made)
+    rows.column("yaw", [f"{v:.3f}" for v in np.degrees(site.made.detections.yaw_rad)])
+    doubled = Rows(rows.header, [*rows.rows, *rows.rows[100:150]])
+    plain = match(site.detections, site.cam).calibration.T_world_sensor
+    doubled.write(site.detections)
+    ran = run(site.arguments(), site.root)
+    assert ran.code == 0, ran
+    assert "note: yaw: degrees (up to " in ran.err
+    assert "note: 50 doubled rows dropped" in ran.err.splitlines()
+    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    assert np.array(document["T_world_sensor"]) == pytest.approx(plain, abs=1e-6)
+
+
+Damage = Callable[[Site], None]
+
+
+def lacks_y(site: Site) -> None:
+    detection_rows(site.made).without("y").write(site.detections)
+
+
+def lacks_z(site: Site) -> None:
+    detection_rows(site.made).without("z").write(site.detections)
+
+
+def lacks_height(site: Site) -> None:
+    detection_rows(site.made).without("height").write(site.detections)
+
+
+def is_empty(site: Site) -> None:
+    site.detections.write_bytes(b"")
+
+
+def has_words(site: Site) -> None:
+    rows = detection_rows(site.made)
+    rows.column("x", ["far away" for _ in rows.rows])
+    rows.write(site.detections)
+
+
+def is_of_another_hour(site: Site) -> None:
+    log = replace(site.made.detections, stamps_ns=site.made.detections.stamps_ns - 3600 * 10**9)
+    detection_rows(replace(site.made, detections=log)).write(site.detections)
+
+
+def is_on_the_map(site: Site) -> None:
+    rows = detection_rows(site.made)
+    rows.column("x", [f"{569805.5 + i:.1f}" for i in range(len(rows.rows))])
+    rows.write(site.detections)
+
+
+def tells_two_places(site: Site) -> None:
+    rows = detection_rows(site.made)
+    rows.column("track_id", ["1" for _ in rows.rows])
+    rows.column("timestamp", [rows.rows[i - i % 2][0] for i in range(len(rows.rows))])
+    rows.write(site.detections)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lacks_y, ("detections.csv lacks the column y", "needed are timestamp, x, y")),
+        (lacks_z, ("detections.csv lacks z", "--level HEIGHT")),
+        (lacks_height, ("detections.csv lacks height", "--box-origin bottom", "--level HEIGHT")),
+        (is_empty, ("detections.csv is empty (0 bytes)",)),
+        (has_words, ("detections.csv, row 2: x is 'far away'; needed is a number", "rows are bad")),
+        (is_on_the_map, ("row 2: x is 569805.5 m; needed is -1000 to 1000 m from the sensor",)),
+        (is_of_another_hour, ("cam.csv", "do not overlap", "time zone of 1 h")),
+        (tells_two_places, ("timestamp and track_id are those of another row", "one row for each object and time")),
+        (lambda site: site.detections.unlink(), ("detections.csv does not exist",)),
+        (lambda site: site.cam.unlink(), ("cam.csv does not exist",)),
+    ],
+)
+def test_input_that_makes_no_sense_is_refused(site: Site, damage: Damage, words: tuple[str, ...]) -> None:
+    damage(site)
+    site.refused(UNUSABLE, *words)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--level", "0"), ("--level is 0.0 m; needed is a number above 0",)),
+        (("--level", "nan"), ("--level is nan m; needed is a number above 0",)),
+        (("--axes", "x forward, x up"), ("the axes 'x forward, x up' make forward and up parallel",)),
+        (("--axes", "sideways"), ("the axes are 'sideways'",)),
+        (("--box-origin", "top"), ("--box-origin", "'top'")),
+        (("--station", "7"), ("station 7 is not in the log; needed is one of 42",)),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(site: Site, options: tuple[str, ...], words: tuple[str, ...]) -> None:
+    site.refused(UNUSABLE, *words, options=options)
+
+
+def queue(n: int = 8) -> list[Passing]:
+    lane = Drive((28.0, -30.0), 90.0, speeds=((0.0, 8.0), (3.0, 8.0), (5.0, 3.0), (8.0, 9.0)))
+    return [Passing(lane, 20.0 + 10.0 * i, (4.4, 1.8, 1.5)) for i in range(n)]
+
+
+def test_boxes_on_one_line_do_not_tell_the_ground(tmp_path: Path) -> None:
+    site = lay(tmp_path, traffic(3, vehicles=queue()))
+    words = ("not calibrated: the boxes lie on one line", "at least 0.9 m needed", "--level HEIGHT")
+    site.refused(NOT_CALIBRATED, *words, options=("-q",))
+    with pytest.raises(GroundError):
+        match(site.detections, site.cam)
+
+
+def test_a_sender_that_stands_still_tells_nothing(tmp_path: Path) -> None:
+    standing = Passing(Drive((30.0, 5.0), 90.0, speeds=((0.0, 0.0),)), 30.0, (4.4, 1.8, 1.5))
+    made = traffic(3)
+    site = lay(tmp_path, traffic(3, vehicles=[standing, *made.vehicles[1:12]]))
+    site.refused(NOT_CALIBRATED, "not calibrated: ", "stands still", "needed are", options=("-q",))
+
+
+def test_without_axes_that_tell_the_plane_z_is_needed(site: Site) -> None:
+    lacks_z(site)
+    site.refused(UNUSABLE, "lacks z", "y up", options=("--level", "5", "--axes", "z forward, y up"))
+    with pytest.raises(InputError, match="lacks z"):
+        match(site.detections, site.cam)

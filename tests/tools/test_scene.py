@@ -1,0 +1,282 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex")
+
+from laci_lidar.settings import LidarSettings
+
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.frames import invert, transform
+from tools.scenes.disparity import StereoFlaws, match_frame, reproject, stereo_camera
+from tools.scenes.geometry import Body, Material, Mesh, RayCaster
+from tools.scenes.scene import SENSORS, Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
+from tools.scenes.sensors import LIDARS, LidarFlaws, lidar, sweep
+from tools.scenes.world import LAYOUTS, draw_road, still
+from tools.scenes.write import pcd, write_scene
+
+WALL = Mesh(
+    np.array([[10.0, -50.0, -50.0], [10.0, 50.0, -50.0], [10.0, -50.0, 50.0], [10.0, 50.0, 50.0]]),
+    np.array([[0, 1, 2], [1, 3, 2]]),
+    np.full(2, Material.WALL, dtype=np.int64),
+)
+WAYS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+QUIET = {"vehicles": 0, "walkers": 0, "cyclists": 0, "stations": 0}
+
+
+def finer(mesh: Mesh) -> Mesh:
+    """Cut each triangle into sixteen."""
+    for _ in range(2):
+        a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+        d, e, f = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        corners = np.concatenate([np.stack(three, axis=1) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+        triangles = np.arange(3 * len(corners)).reshape(-1, 3)
+        mesh = Mesh(corners.reshape(-1, 3), triangles, np.full(len(corners), Material.WALL, dtype=np.int64))
+    return mesh
+
+
+def facing_a_wall(name, flaws, frames=3):
+    caster = RayCaster([Body("wall", WALL, still(np.eye(4)), True)])
+    return np.concatenate([sweep(lidar(name), flaws, caster, np.eye(4), index, 5).points for index in range(frames)])
+
+
+@pytest.mark.parametrize("name", LIDARS)
+def test_ranges_scatter_as_the_data_sheet_says(name):
+    scanner = replace(lidar(name), pointing_rad=(0.0, 0.0))
+    caster = RayCaster([Body("wall", WALL, still(np.eye(4)), True)])
+    points = np.concatenate([sweep(scanner, LidarFlaws(), caster, np.eye(4), index, 5).points for index in range(3)])
+    near = points[(np.abs(points[:, 1]) < 5.0) & (np.abs(points[:, 2]) < 3.0)]
+    ranges = np.linalg.norm(near, axis=1)
+    true = 10.0 / (near[:, 0] / ranges)
+    error = ranges - true
+    n = len(error)
+    assert n > 300
+    assert error.std() == pytest.approx(lidar(name).range_sigma_m, rel=5 / np.sqrt(2 * n))
+    assert abs(error.mean()) < 5 * lidar(name).range_sigma_m / np.sqrt(n)
+
+
+def test_far_and_dark_things_return_less():
+    near = len(facing_a_wall("lidar_32", LidarFlaws(), 1))
+    scanner = lidar("lidar_32")
+    far_wall = Mesh(WALL.vertices * [15.0, 15.0, 15.0], WALL.triangles, WALL.material)
+    black = Mesh(WALL.vertices, WALL.triangles, np.full(2, Material.GLASS, dtype=np.int64))
+    counts = []
+    for mesh in (far_wall, black):
+        caster = RayCaster([Body("wall", mesh, still(np.eye(4)), True)])
+        counts.append(len(sweep(scanner, LidarFlaws(), caster, np.eye(4), 0, 5).points))
+    # At 150 m a wall's power is 0.35 / 0.1 * (60 / 150)^2 = 0.56 of the threshold: 15 % return at best.
+    assert counts[0] < 0.2 * near
+    assert counts[1] < near
+
+
+def test_rain_is_near_and_as_frequent_as_stated():
+    dry, wet = facing_a_wall("lidar_16", LidarFlaws(), 5), facing_a_wall("lidar_16", LidarFlaws(rain=0.02), 5)
+    beams = 5 * len(lidar("lidar_16").offset_s)
+    drops = np.linalg.norm(wet, axis=1) < 9.0
+    assert (np.linalg.norm(dry, axis=1) < 9.0).sum() == 0
+    # Of drops at 1 / u, u uniform in 0.05 to 1, 94 % are within 9 m; 5 standard deviations.
+    expected = 0.02 * beams * (1 - 1 / 9) / 0.95
+    assert drops.sum() == pytest.approx(expected, abs=5 * np.sqrt(expected))
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_scenes_follow_their_seed_and_show_the_sender(sensor):
+    one, two, other = draw_scene(2, sensor), draw_scene(2, sensor), draw_scene(3, sensor)
+    np.testing.assert_array_equal(one.T_utm_sensor, two.T_utm_sensor)
+    np.testing.assert_array_equal(one.messages.latitude_deg, two.messages.latitude_deg)
+    assert not np.allclose(one.T_utm_sensor, other.T_utm_sensor)
+    assert one.seen >= 40
+    clouds = [recorded for scene in (one, two) for recorded in _some_points(scene)]
+    np.testing.assert_array_equal(*clouds)
+
+
+def _some_points(scene):
+    recorded = Recorded(scene)
+    if recorded.kind == "lidar":
+        return [recorded.scan(50).points]
+    return [recorded._cloud(50, whole=True).points]
+
+
+def test_one_factor_changes_no_other():
+    base, changed = draw_scene(4, "lidar_16", min_seen=0), draw_scene(4, "lidar_16", min_seen=0, receiver="dgnss")
+    np.testing.assert_array_equal(base.T_world_sensor, changed.T_world_sensor)
+    np.testing.assert_array_equal(base.messages.stamps_ns, changed.messages.stamps_ns)
+    assert base.vehicle.length_m == changed.vehicle.length_m
+    assert not np.array_equal(base.messages.latitude_deg, changed.messages.latitude_deg)
+
+
+def test_what_is_set_is_so():
+    scene = draw_scene(
+        1, "lidar_32", height_m=5.0, tilt_deg=10.0, roll_deg=0.0, hanging="upside down", drive="left_turn", frames=95,
+        vehicle="van", place="Sydney", left_hand=True,
+    )  # fmt: skip
+    assert scene.T_world_sensor[2, 3] == 5.0
+    assert scene.vehicle.kind == "van"
+    assert (scene.place.epsg, len(scene.times_s), scene.drive_kind) == (32756, 95, "left_turn")
+    forward = scene.T_world_sensor[:3, :3] @ np.array(scene.axes.forward)
+    up = scene.T_world_sensor[:3, :3] @ np.array(scene.axes.up)
+    assert np.degrees(np.arcsin(-forward[2])) == pytest.approx(10.0)
+    assert up[2] == pytest.approx(np.cos(np.radians(10.0)))
+    # Hung upside down, the sensor's own z points down.
+    assert scene.T_world_sensor[2, 2] < 0.0
+
+
+def test_an_impossible_scene_is_refused():
+    with pytest.raises(SceneError, match="does not fit"):
+        draw_scene(0, "lidar_16", drive="roundabout", layout="cross")
+    with pytest.raises(SceneError, match="in view"):
+        draw_scene(0, "lidar_16", frames=5, min_seen=6)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_best_plane_of_the_carriageway_is_zero(layout):
+    road = draw_road(np.random.default_rng(3), layout)
+    grid = np.random.default_rng(1).uniform(-35.0, 35.0, (40_000, 2))
+    on = grid[(np.linalg.norm(grid, axis=1) < 35.0) & road.on_carriageway(grid)]
+    slope_x, slope_y, height = np.linalg.lstsq(np.column_stack([on, np.ones(len(on))]), road.height(on), rcond=None)[0]
+    assert abs(height) < 2e-3
+    assert max(abs(slope_x), abs(slope_y)) < 2e-4
+    assert np.ptp(road.height(on)) > 0.005
+
+
+@pytest.mark.parametrize("hanging", ["x forward", "upside down", "y forward", "-x forward"])
+def test_a_lidars_points_lie_on_what_they_hit(hanging):
+    scene = draw_scene(6, "lidar_32", hanging=hanging, noise=0.0, systematic=0.0, rain=0.0)
+    swept = swept_frame(scene, 50)
+    points = transform(scene.T_world_sensor @ own_axes(scene), swept.points)
+    np.testing.assert_allclose(points, transform(scene.T_world_sensor, Recorded(scene).scan(50).points), atol=1e-9)
+    on_ground = points[(swept.body == 0) & (np.linalg.norm(points[:, :2] - scene.T_world_sensor[:2, 3], axis=1) < 15.0)]
+    # Away from kerbs, whose steps a beam's width blurs.
+    away = [scene.site.road.on_carriageway(on_ground[:, :2] + 0.2 * np.array(way)) for way in WAYS]
+    on_road = on_ground[np.all(away, axis=0)]
+    assert len(on_road) > 20
+    apart = on_road[:, 2] - scene.site.road.height(on_road[:, :2])
+    # A beam of 1.4 mrad is returned from within its width: 1 cm at 15 m; lines are 2 mm thick.
+    assert np.abs(apart).max() < 0.03
+    sender = points[swept.body == len(scene.bodies) - 1]
+    times = float(scene.times_s[50]) + swept.offset_s[swept.body == len(scene.bodies) - 1]
+    own = np.array([invert(scene.sender.pose(t)) @ np.append(p, 1.0) for t, p in zip(times, sender, strict=True)])
+    assert len(own) > 20
+    assert np.abs(own[:, 0]).max() < scene.vehicle.length_m / 2 + 0.15
+    assert np.abs(own[:, 1]).max() < scene.vehicle.mirror_width_m / 2 + 0.15
+
+
+def test_disparity_of_a_plane_is_exact_without_flaws_and_scatters_as_stated():
+    camera = stereo_camera("stereo_05", 1000.0)
+    facing = Mesh(WALL.vertices[:, [1, 2, 0]] * [1.0, 1.0, 2.0], WALL.triangles, WALL.material)
+    # Texture belongs to triangles: many small ones.
+    caster = RayCaster([Body("wall", finer(finer(finer(facing))), still(np.eye(4)), True)])
+    exact = match_frame(camera, StereoFlaws((0.0, 0.0), 0.0, 0.0, 0.0, 0.0), caster, np.eye(4), 0.0, (1, 2))
+    points = reproject(camera, exact, np.ones_like(exact.moving))[0]
+    np.testing.assert_allclose(points[:, 2], 20.0, atol=1e-9)
+    noisy = match_frame(camera, StereoFlaws((0.2, 0.2), 0.6, 0.0, 0.0, 0.0), caster, np.eye(4), 0.0, (1, 2))
+    known = np.isfinite(noisy.disparity_px)
+    error = noisy.disparity_px - 1000.0 * 0.5 / 20.0
+    # Some 10,000 independent windows of 11 px.
+    assert error[known].std() == pytest.approx(0.2, rel=0.05)
+    assert (noisy.sigma_px[known] == 0.2).all()
+    beside = known[:, 1:] & known[:, :-1]
+    shared = (error[:, 1:] * error[:, :-1])[beside].mean() / 0.04
+    assert 0.4 < shared < 0.6
+    # Untextured: the share stated for a wall, and none is lost at the right border.
+    assert 1 - known[:, 40:].mean() == pytest.approx(0.3, abs=0.04)
+
+
+def test_what_a_near_thing_hides_from_the_right_camera_is_not_matched():
+    camera = stereo_camera("stereo_10", 1000.0)
+    quad = WALL.vertices[:, [1, 2, 0]]
+    back = Mesh(quad * [2.0, 2.0, 4.0], WALL.triangles, np.full(2, Material.FOLIAGE, dtype=np.int64))
+    post = Mesh(quad * [0.01, 1.0, 1.0], WALL.triangles, np.full(2, Material.FOLIAGE, dtype=np.int64))
+    caster = RayCaster([Body(name, mesh, still(np.eye(4)), True) for name, mesh in (("back", back), ("post", post))])
+    flaws = StereoFlaws((0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+    matched = match_frame(camera, flaws, caster, np.eye(4), 0.0, (1, 2))
+    open_share = np.isnan(matched.disparity_px).mean(axis=0)
+    u = camera.pixels[0][0]
+    # The post spans u from -50 to 50 at 100 px; the wall has 25 px: it is hidden for 75 px to the left of the post.
+    assert (open_share[(u > -120.0) & (u < -55.0)] == 1.0).all()
+    assert (open_share[(u > 60.0) & (u < 300.0)] < 0.2).all()
+    assert (open_share[(u > -300.0) & (u < -135.0)] < 0.2).all()
+
+
+def test_bleeding_makes_near_things_grow():
+    camera = stereo_camera("stereo_05", 1000.0)
+    quad = WALL.vertices[:, [1, 2, 0]]
+    back = Mesh(quad * [2.0, 2.0, 4.0], WALL.triangles, np.full(2, Material.FOLIAGE, dtype=np.int64))
+    post = Mesh(quad * [0.01, 1.0, 1.0], WALL.triangles, np.full(2, Material.FOLIAGE, dtype=np.int64))
+    caster = RayCaster([Body(name, mesh, still(np.eye(4)), True) for name, mesh in (("back", back), ("post", post))])
+    widths = []
+    for bleed in (0.0, 3.0):
+        flaws = StereoFlaws((0.0, 0.0), 0.0, 0.0, bleed, 0.0)
+        matched = match_frame(camera, flaws, caster, np.eye(4), 0.0, (1, 2))
+        widths.append((matched.disparity_px > 40.0).sum() / len(matched.disparity_px) * camera.stride)
+    # By the bleeding on either side.
+    assert widths[1] - widths[0] == pytest.approx(6.0, abs=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["lidar_64", "stereo_10"])
+def test_an_easy_scene_is_calibrated_to_a_part_of_a_car(sensor):
+    easy = {"uneven": 0.0, "land": 0.0, "receiver": "exact", "lever_sigma_m": 0.0, "height_m": 6.0, "density": 0.3}
+    scene = draw_scene(11, sensor, drive="left_turn", vehicle="saloon", speed_mps=6.0, **easy, **QUIET)
+    errors = errors_of(calibrate(Recorded(scene), scene.messages, crs=scene.crs), scene)
+    # Centres of what is visible of a car are off by half its width at most, in the middle of a drive by less.
+    assert errors.track_xy_cm < 100.0
+    assert errors.rotation_deg < 3.0
+
+
+def test_errors_of_the_truth_are_nothing():
+    class Exact:
+        world = type("World", (), {"crs": ""})()
+        quality = type("Quality", (), {"track_xy_sigma_m": 0.1})()
+
+    scene = draw_scene(7, "lidar_16")
+    exact = Exact()
+    exact.world.crs, exact.T_utm_sensor = scene.crs, scene.T_utm_sensor
+    errors = errors_of(exact, scene)
+    assert errors.track_xy_cm == pytest.approx(0.0, abs=1e-4)
+    assert errors.rotation_deg == pytest.approx(0.0, abs=1e-6)
+    turned = scene.T_utm_sensor.copy()
+    turned[0, 3] += 0.05
+    exact.T_utm_sensor = turned
+    assert errors_of(exact, scene).track_xy_cm == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_data_set_is_what_was_simulated(tmp_path: Path):
+    from laci_lidar.folder import ScanFolder
+    from laci_lidar.recording import LidarRecording
+
+    from laci_stereo.core.calibrate import world_around
+    from laci_stereo.io.cam_csv import read_cam_csv
+    from laci_stereo.io.lane_map import read_lane_map
+
+    scene = draw_scene(8, "lidar_16", frames=60, point_times=True, **QUIET)
+    write_scene(scene, tmp_path)
+    scans = ScanFolder.open(tmp_path / "lidar_16")
+    np.testing.assert_array_equal(scans.stamps_ns, scene.stamps_ns)
+    read = next(LidarRecording(scans, LidarSettings(axes=scene.axes)).__iter__())
+    own = Recorded(scene).scan(0)
+    own_points = own.points[np.linalg.norm(own.points, axis=1) >= 1.0]
+    np.testing.assert_allclose(read.points, own_points, atol=2e-5)
+    assert read.offset_s is not None
+    log = read_cam_csv(tmp_path / "cam.csv").log
+    np.testing.assert_allclose(log.latitude_deg, scene.messages.latitude_deg, atol=1e-9)
+    np.testing.assert_array_equal(log.stamps_ns, scene.messages.stamps_ns)
+    world = world_around(log, scene.crs)
+    assert len(read_lane_map(tmp_path / "map.osm", world).lines) == len(scene.site.lines)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    np.testing.assert_allclose(truth["lidar"]["lidar_16"]["T_world_lidar_utm"], scene.T_utm_sensor)
+
+
+def test_pcd_holds_single_precision():
+    content = pcd(np.arange(8.0).reshape(2, 4))
+    assert b"FIELDS x y z t" in content
+    np.testing.assert_array_equal(np.frombuffer(content[-32:], "<f4"), np.arange(8.0))
+
+
+def test_every_factor_is_described():
+    words = Factors.__doc__ or ""
+    for name in Factors.__dataclass_fields__:
+        assert name in words, name

@@ -1,0 +1,1 @@
+"""Scene generator and benchmarks, for maintainers."""

@@ -1,0 +1,268 @@
+"""Triangles that stand or move, and what rays hit of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh  # type: ignore[import-untyped]
+from embreex.rtcore_scene import EmbreeScene  # type: ignore[import-untyped]
+
+from laci_stereo.core.frames import FloatArray, IntArray, transform
+
+TICK_S = 2e-4
+"""Times within a sweep are rounded to this: 2 mm of a car at 20 m/s at most."""
+
+
+class Material(IntEnum):
+    """What a triangle is made of."""
+
+    ROAD = 0
+    PAINT = 1
+    KERB = 2
+    GRASS = 3
+    WALL = 4
+    FOLIAGE = 5
+    METAL = 6
+    CAR_PAINT = 7
+    GLASS = 8
+    TYRE = 9
+    CLOTH = 10
+    LAMP = 11
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles in a body's frame.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (n, 3)
+        Metres.
+    triangles : ndarray of int64, shape (m, 3)
+        Indices of vertices.
+    material : ndarray of int64, shape (m,)
+        A `Material` per triangle.
+    """
+
+    vertices: FloatArray
+    triangles: IntArray
+    material: IntArray
+
+    def __post_init__(self) -> None:
+        assert self.vertices.shape == (len(self.vertices), 3), self.vertices.shape
+        assert self.triangles.shape == (len(self.material), 3), self.triangles.shape
+
+    def moved(self, T_a_b: FloatArray) -> Mesh:
+        """Return the mesh, given in frame b, in frame a."""
+        return Mesh(transform(T_a_b, self.vertices), self.triangles, self.material)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Unit normals by the right-hand rule, shape (m, 3); zero for a triangle without area."""
+        a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        unit: FloatArray = normal / np.where(length > 0.0, length, 1.0)
+        return unit
+
+
+def merged(meshes: Sequence[Mesh]) -> Mesh:
+    """Put meshes of the same frame together."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)]),
+        np.concatenate(
+            [
+                np.zeros((0, 3), dtype=np.int64),
+                *(mesh.triangles + start for mesh, start in zip(meshes, starts[:-1], strict=True)),
+            ]
+        ),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(mesh.material for mesh in meshes)]),
+    )
+
+
+@dataclass(frozen=True)
+class Body:
+    """Something rigid in the world.
+
+    Attributes
+    ----------
+    name : str
+    mesh : Mesh
+    pose : callable
+        Time in seconds to ``T_world_body``, shape (4, 4).
+    static : bool
+        It stays where it is at time zero.
+    """
+
+    name: str
+    mesh: Mesh
+    pose: Callable[[float], FloatArray]
+    static: bool
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The first thing that each of n rays meets.
+
+    Attributes
+    ----------
+    distance_m : ndarray, shape (n,)
+        Infinite where nothing is met.
+    body, triangle : ndarray of int64, shape (n,)
+        Indices of the body and of the triangle in its mesh; -1 where nothing is met.
+    normal : ndarray, shape (n, 3)
+        Of the triangle, unit, in the world, towards the ray's origin; zero where nothing is met.
+    """
+
+    distance_m: FloatArray
+    body: IntArray
+    triangle: IntArray
+    normal: FloatArray
+
+
+class RayCaster:
+    """Casts rays at bodies.
+
+    Those that stand are one scene of Embree; each that moves is a scene in its own frame, into which rays are brought.
+    Embree works in single precision and only tells the triangle; the distance is then computed in double precision.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+    """
+
+    def __init__(self, bodies: Sequence[Body]) -> None:
+        self.bodies = tuple(bodies)
+        still = [index for index, body in enumerate(bodies) if body.static]
+        meshes = [bodies[index].mesh.moved(bodies[index].pose(0.0)) for index in still]
+        counts = [len(mesh.material) for mesh in meshes]
+        self._still = _Target(merged(meshes))
+        self._still_body = np.repeat(np.array(still, dtype=np.int64), counts)
+        self._still_first = np.repeat(np.cumsum([0, *counts])[:-1].astype(np.int64), counts)
+        self._moving = [(index, _Target(body.mesh)) for index, body in enumerate(bodies) if not body.static]
+
+    def cast(self, origins: FloatArray, directions: FloatArray, time_s: float) -> Hits:
+        """Find what rays meet first.
+
+        Parameters
+        ----------
+        origins : ndarray, shape (n, 3) or (3,)
+            In the world, metres.
+        directions : ndarray, shape (n, 3)
+            Unit vectors in the world.
+        time_s : float
+            Of the moving bodies.
+        """
+        hits = self._first_of_still(origins, directions)
+        distance, body, triangle, normal = hits.distance_m, hits.body, hits.triangle, hits.normal
+        for index, target in self._moving:
+            T_world_body = self.bodies[index].pose(time_s)
+            near = target.near(T_world_body, origins, directions)
+            rotation = T_world_body[:3, :3]
+            starts = (origins if origins.ndim == 1 else origins[near]) - T_world_body[:3, 3]
+            own_distance, own_triangle, own_normal = target.cast(starts @ rotation, directions[near] @ rotation)
+            nearer = own_distance < distance[near]
+            rays = near[nearer]
+            distance[rays], triangle[rays] = own_distance[nearer], own_triangle[nearer]
+            body[rays] = index
+            normal[rays] = own_normal[nearer] @ rotation.T
+        return hits
+
+    def _first_of_still(self, origins: FloatArray, directions: FloatArray) -> Hits:
+        distance, triangle, normal = self._still.cast(origins, directions)
+        met = triangle >= 0
+        body = np.full(len(directions), -1, dtype=np.int64)
+        body[met] = self._still_body[triangle[met]]
+        triangle[met] -= self._still_first[triangle[met]]
+        return Hits(distance, body, triangle, normal)
+
+    def sweep(self, origin: FloatArray, directions: FloatArray, times_s: FloatArray) -> Hits:
+        """Find what rays of a sweep meet first, each at its own time.
+
+        Parameters
+        ----------
+        origin : ndarray, shape (3,)
+        directions : ndarray, shape (n, 3)
+        times_s : ndarray, shape (n,)
+        """
+        hits = self._first_of_still(origin, directions)
+        if len(times_s) == 0:
+            return hits
+        first_s, last_s = float(times_s.min()), float(times_s.max())
+        for index, target in self._moving:
+            pose = self.bodies[index].pose
+            poses = [pose(time_s) for time_s in ((first_s + last_s) / 2, first_s, last_s)]
+            drift_m = max(float(np.linalg.norm(other[:3, 3] - poses[0][:3, 3])) for other in poses)
+            near = target.near(poses[0], origin, directions, 2 * drift_m)
+            if len(near) == 0:
+                continue
+            ticks, which = np.unique(np.round(times_s[near] / TICK_S), return_inverse=True)
+            T = np.stack([pose(float(tick) * TICK_S) for tick in ticks])
+            rotation = T[which, :3, :3]
+            starts = np.einsum("nij,ni->nj", rotation, origin - T[which, :3, 3])
+            rays = np.einsum("nij,ni->nj", rotation, directions[near])
+            distance, triangle, normal = target.cast(starts, rays)
+            nearer = distance < hits.distance_m[near]
+            met = near[nearer]
+            hits.distance_m[met], hits.triangle[met], hits.body[met] = distance[nearer], triangle[nearer], index
+            hits.normal[met] = np.einsum("nij,nj->ni", rotation[nearer], normal[nearer])
+        return hits
+
+
+class _Target:
+    """A mesh in its own frame, ready for rays."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self._normals = mesh.normals
+        self._corner = mesh.vertices[mesh.triangles[:, 0]]
+        low, high = (
+            (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)) if len(mesh.vertices) else (np.zeros(3), np.zeros(3))
+        )
+        self._middle = (low + high) / 2
+        self._radius_m = float(np.linalg.norm(mesh.vertices - self._middle, axis=1).max(initial=0.0)) + 1e-3
+        self._scene = EmbreeScene()
+        if len(mesh.material):
+            TriangleMesh(self._scene, mesh.vertices.astype(np.float32), mesh.triangles.astype(np.int32))
+
+    def near(
+        self, T_world_body: FloatArray, origins: FloatArray, directions: FloatArray, margin_m: float = 0.0
+    ) -> IntArray:
+        """Return the rays, in the world, that pass through the mesh's bounding sphere, grown by a margin."""
+        radius = self._radius_m + margin_m
+        to_middle = T_world_body[:3, :3] @ self._middle + T_world_body[:3, 3] - origins
+        if origins.ndim == 1:
+            along = directions @ to_middle
+            square = float(to_middle @ to_middle)
+        else:
+            along = np.einsum("ij,ij->i", directions, to_middle)
+            square = np.einsum("ij,ij->i", to_middle, to_middle)
+        return np.flatnonzero((square - along**2 < radius**2) & (along > -radius))
+
+    def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Return distance, triangle and normal of the first hit of rays in the mesh's frame."""
+        count = len(directions)
+        distance = np.full(count, np.inf)
+        triangle = np.full(count, -1, dtype=np.int64)
+        normal = np.zeros((count, 3))
+        if count == 0 or len(self.mesh.material) == 0:
+            return distance, triangle, normal
+        starts = np.ascontiguousarray(np.broadcast_to(origins, directions.shape), dtype=np.float32)
+        found = self._scene.run(starts, np.ascontiguousarray(directions, dtype=np.float32))
+        met = np.flatnonzero(found >= 0)
+        which = found[met].astype(np.int64)
+        facing = self._normals[which]
+        steepness = np.einsum("ij,ij->i", facing, directions[met])
+        to_corner = self._corner[which] - (origins if origins.ndim == 1 else origins[met])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = np.einsum("ij,ij->i", facing, to_corner) / steepness
+        sound = np.isfinite(reach) & (reach > 0.0)
+        met, which, facing, steepness = met[sound], which[sound], facing[sound], steepness[sound]
+        distance[met], triangle[met] = reach[sound], which
+        normal[met] = np.where(steepness[:, None] > 0.0, -facing, facing)
+        return distance, triangle, normal

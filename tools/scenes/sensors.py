@@ -1,0 +1,276 @@
+"""LiDARs: where their beams go and when, and what becomes of a beam that meets something."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from tools.scenes.geometry import Body, Hits, Material, RayCaster
+
+LidarName = Literal["lidar_8", "lidar_16", "lidar_32", "lidar_64", "lidar_128", "lidar_rosette"]
+LIDARS: tuple[LidarName, ...] = get_args(LidarName)
+
+REFLECTIVITY = {
+    Material.ROAD: 0.12,
+    Material.PAINT: 0.5,
+    Material.KERB: 0.3,
+    Material.GRASS: 0.4,
+    Material.WALL: 0.35,
+    Material.FOLIAGE: 0.4,
+    Material.METAL: 0.3,
+    Material.CAR_PAINT: 0.3,
+    Material.GLASS: 0.01,
+    Material.TYRE: 0.05,
+    Material.CLOTH: 0.3,
+    Material.LAMP: 0.5,
+}
+"""Diffuse, at 905 nm (asphalt, concrete, grass, leaves: ECOSTRESS spectral library; tyres and glass: almost none)."""
+
+PAINT_REFLECTIVITY = (0.05, 0.7)
+"""Car paint: from black to white (Pandey et al., and the makers' colour panels)."""
+
+
+ROUGH = (Material.ROAD, Material.KERB, Material.GRASS, Material.WALL, Material.FOLIAGE, Material.TYRE, Material.CLOTH)
+"""These throw back more at a grazing angle than cos(angle): Oren and Nayar 1994."""
+
+ROUGH_COS, ROUGH_SIN2 = 0.784, 0.33
+"""Their A and B for a roughness of 0.5 rad, seen from where the light comes: A cos + B sin^2."""
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A scanner; its own axes are x forward, y left, z up.
+
+    Attributes
+    ----------
+    name : LidarName
+    azimuth_rad, elevation_rad : ndarray, shape (n,)
+        Of each beam of a frame; of one that does not repeat, of the first frame.
+    offset_s : ndarray, shape (n,)
+        When each beam is fired, after the frame's stamp.
+    layer : ndarray of int64, shape (n,)
+        Which laser fires it.
+    period_s : float
+        Between frames.
+    range_sigma_m : float
+        Noise of a range.
+    pointing_rad : tuple of float
+        Standard deviation of where in its width a beam is returned, horizontally and vertically.
+    reach_m : float
+        Half of the beams that meet a surface of 10 % reflectivity squarely at this distance come back.
+    repeats : bool
+    """
+
+    name: LidarName
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+    offset_s: FloatArray
+    layer: IntArray
+    period_s: float
+    range_sigma_m: float
+    pointing_rad: tuple[float, float]
+    reach_m: float
+    repeats: bool = True
+
+    @cached_property
+    def field_rad(self) -> tuple[float, float, float]:
+        """Half the width of the field, and its lowest and highest elevation."""
+        return (
+            float(np.abs(self.azimuth_rad).max()),
+            float(self.elevation_rad.min()),
+            float(self.elevation_rad.max()),
+        )
+
+    def sees(self, points: FloatArray) -> BoolArray:
+        """Tell which points, shape (n, 3), in the sensor's own axes, are in the field of view."""
+        half, low, high = self.field_rad
+        azimuth = np.arctan2(points[:, 1], points[:, 0])
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        seen: BoolArray = (np.abs(azimuth) <= half) & (elevation >= low) & (elevation <= high)
+        return seen
+
+    def beams(self, index: int) -> tuple[FloatArray, FloatArray]:
+        """Return azimuth and elevation of the beams of frame ``index``."""
+        if self.repeats:
+            return self.azimuth_rad, self.elevation_rad
+        return _rosette(self.offset_s + index * self.period_s)
+
+
+def lidar(name: LidarName) -> Lidar:
+    """Return a scanner like one that is sold; figures are the data sheets'.
+
+    ============= ============================ ============================================================
+    lidar_8       SICK LD-MRS, 8 layers        6.4 deg, 0.25 deg, 12.5 Hz, 0.1 m (1 sigma, statistical),
+                                               30 m at 10 %, beam 0.08 x 0.8 deg
+    lidar_16      Velodyne VLP-16              +-15 deg, 0.2 deg at 10 Hz, 3 cm, 50 m at 10 %, 3 x 1.5 mrad
+    lidar_32      Velodyne HDL-32E             -30.7 to 10.7 deg, 0.16 deg, 2 cm, 60 m at 10 %, 2.8 x 1.4 mrad
+    lidar_64      Velodyne HDL-64E S3          -24.9 to 2 deg, 0.17 deg, 2 cm, 50 m at 10 %, 2 mrad
+    lidar_128     Ouster OS1-128               +-22.5 deg, 1024 columns, 1 to 2 cm, 90 m at 10 %, 3 mrad
+    lidar_rosette Livox Horizon                81.7 x 25.1 deg, 240,000 points/s, 2 cm, 90 m at 10 %,
+                                               0.03 x 0.28 deg
+    ============= ============================ ============================================================
+
+    Where in its width a beam is returned is uniform: width / sqrt(12). A tall beam of the LD-MRS is cut by the layers'
+    own width in the same way.
+    """
+    mrad = 1e-3
+    if name == "lidar_8":
+        beam = (float(np.radians(0.08)), float(np.radians(0.8)) / 4)
+        return _spinning(name, np.linspace(-2.8, 2.8, 8), 0.25, 100.0, 0.08, 0.1, beam, 30.0)
+    if name == "lidar_16":
+        return _spinning(name, np.linspace(-15, 15, 16), 0.2, 360.0, 0.1, 0.03, (3 * mrad, 1.5 * mrad), 50.0)
+    if name == "lidar_32":
+        return _spinning(name, np.linspace(-30.67, 10.67, 32), 0.16, 360.0, 0.1, 0.02, (2.8 * mrad, 1.4 * mrad), 60.0)
+    if name == "lidar_64":
+        return _spinning(name, np.linspace(-24.9, 2.0, 64), 0.17, 360.0, 0.1, 0.02, (2 * mrad, 2 * mrad), 50.0)
+    if name == "lidar_128":
+        return _spinning(name, np.linspace(-22.5, 22.5, 128), 360 / 1024, 360.0, 0.1, 0.015, (3 * mrad, 3 * mrad), 90.0)
+    offset = np.arange(24_000) / 240_000
+    azimuth, elevation = _rosette(offset)
+    spread = (float(np.radians(0.28)) / np.sqrt(12), float(np.radians(0.03)) / np.sqrt(12))
+    layer = np.zeros(len(offset), dtype=np.int64)
+    return Lidar(name, azimuth, elevation, offset, layer, 0.1, 0.02, spread, 90.0, repeats=False)
+
+
+def _spinning(
+    name: LidarName,
+    layers_deg: FloatArray,
+    step_deg: float,
+    width_deg: float,
+    period_s: float,
+    sigma_m: float,
+    beam_rad: tuple[float, float],
+    reach_m: float,
+) -> Lidar:
+    """Return a scanner that turns clockwise, seen from above, from the left border or from behind."""
+    azimuth = np.radians(np.arange(width_deg / 2 - step_deg / 2, -width_deg / 2, -step_deg))
+    fired = (azimuth[0] - azimuth) / (2 * np.pi) * period_s
+    a, e = np.meshgrid(azimuth, np.radians(layers_deg), indexing="ij")
+    layer = np.tile(np.arange(len(layers_deg)), len(azimuth))
+    spread = (beam_rad[0] / np.sqrt(12), beam_rad[1] / np.sqrt(12))
+    times = np.repeat(fired, len(layers_deg))
+    return Lidar(name, a.ravel(), e.ravel(), times, layer, period_s, sigma_m, spread, reach_m)
+
+
+def _rosette(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where two counter-rotating prisms send a beam (Risley): it fills an ellipse over time."""
+    one, two = 2 * np.pi * 116.7 * times_s, -2 * np.pi * 77.2 * times_s
+    across, up = np.radians(81.7) / 4, np.radians(25.1) / 4
+    azimuth: FloatArray = across * (np.cos(one) + np.cos(two))
+    return azimuth, up * (np.sin(one) + np.sin(two))
+
+
+@dataclass(frozen=True)
+class LidarFlaws:
+    """How scans differ from the truth.
+
+    Attributes
+    ----------
+    noise : float
+        Scales the noise of ranges.
+    rain : float
+        Share of the beams that a drop in front of the scanner returns.
+    point_times : bool
+        Scans tell each point's own time.
+    bias_m : float
+        Offset of all ranges; makers promise about their noise, a quarter of which is usual.
+    layer_sigma_m : float
+        Standard deviation of the lasers' own offsets (Glennie and Lichti 2010: 0.5 to 1.5 cm uncalibrated).
+    """
+
+    noise: float = 1.0
+    rain: float = 0.0
+    point_times: bool = True
+    bias_m: float = 0.0
+    layer_sigma_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Swept:
+    """One frame of a scanner.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3)
+        In the scanner's own axes, x forward, y left, z up.
+    offset_s : ndarray, shape (n,)
+    body : ndarray of int64, shape (n,)
+        What each point is on; -1 for rain.
+    """
+
+    points: FloatArray
+    offset_s: FloatArray
+    body: IntArray
+
+
+def unit(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
+    """Return unit vectors, shape (n, 3), x forward, y left, z up."""
+    flat = np.cos(elevation_rad)
+    return np.column_stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)])
+
+
+def sweep(
+    scanner: Lidar,
+    flaws: LidarFlaws,
+    caster: RayCaster,
+    T_world_scanner: FloatArray,
+    index: int,
+    seed: int,
+    first_s: float = 0.0,
+) -> Swept:
+    """Simulate frame ``index``.
+
+    Parameters
+    ----------
+    scanner : Lidar
+    flaws : LidarFlaws
+    caster : RayCaster
+    T_world_scanner : ndarray, shape (4, 4)
+        From the scanner's own axes.
+    index : int
+    seed : int
+    first_s : float
+        When the first frame begins.
+    """
+    rng = np.random.default_rng([seed, index])
+    azimuth, elevation = scanner.beams(index)
+    n = len(azimuth)
+    horizontal, vertical = (spread * np.sqrt(12) * rng.uniform(-0.5, 0.5, n) for spread in scanner.pointing_rad)
+    true = unit(azimuth + horizontal / np.cos(elevation), elevation + vertical) @ T_world_scanner[:3, :3].T
+    times = first_s + index * scanner.period_s + scanner.offset_s
+    hits = caster.sweep(T_world_scanner[:3, 3], true, times)
+    returned = rng.random(n) < _returned(scanner, caster.bodies, hits, true, seed)
+    lasers = np.random.default_rng([seed, 7]).normal(size=int(scanner.layer.max()) + 1)
+    range_m = hits.distance_m + flaws.noise * scanner.range_sigma_m * rng.normal(size=n)
+    range_m = range_m + flaws.bias_m + flaws.layer_sigma_m * lasers[scanner.layer]
+    drops = rng.random(n) < flaws.rain
+    # Back-scatter of drops falls with the square of the distance (Goodin et al. 2019): most are near.
+    range_m = np.where(drops, np.minimum(1.0 / rng.uniform(0.05, 1.0, n), range_m), range_m)
+    keep = (returned | drops) & (range_m > 0.5)
+    points = unit(azimuth[keep], elevation[keep]) * range_m[keep, None]
+    return Swept(points, scanner.offset_s[keep], np.where(drops[keep], -1, hits.body[keep]))
+
+
+def _returned(
+    scanner: Lidar, bodies: tuple[Body, ...], hits: Hits, directions: FloatArray, seed: int
+) -> FloatArray:  # fmt: skip
+    """Return the probability that a beam comes back: by the power that does, reflectivity * cos(angle) / distance^2."""
+    met = hits.body >= 0
+    power = np.zeros(len(hits.body))
+    table = np.array([REFLECTIVITY[material] for material in Material])
+    low, high = PAINT_REFLECTIVITY
+    colour = np.random.default_rng([seed, 11]).uniform(low, high, len(bodies))
+    for index in np.unique(hits.body[met]):
+        here = np.flatnonzero(hits.body == index)
+        material = bodies[index].mesh.material[hits.triangle[here]]
+        reflectivity = np.where(material == Material.CAR_PAINT, colour[index], table[material])
+        cosine = np.abs(np.einsum("ij,ij->i", hits.normal[here], directions[here]))
+        rough = np.isin(material, ROUGH)
+        cosine = np.where(rough, ROUGH_COS * cosine + ROUGH_SIN2 * (1 - cosine**2), cosine)
+        power[here] = reflectivity * cosine / 0.1 * (scanner.reach_m / hits.distance_m[here]) ** 2
+    # Half at the threshold; noise of the detector blurs it over a factor of two or so.
+    return power**3 / (1.0 + power**3)
