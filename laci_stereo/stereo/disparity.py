@@ -97,7 +97,7 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
         speckleWindowSize=settings.speckle_px,
         speckleRange=2,
     )
-    coarse = (matcher.compute(left, right).astype(np.float32) / 16)[:, region.reach :]
+    coarse = (matcher.compute(left, _exposed_like(left, right)).astype(np.float32) / 16)[:, region.reach :]
     own = np.ascontiguousarray(left[:, region.reach :])
     # The best at an end of the range is no minimum.
     found = (coarse > region.smallest) & (coarse < region.smallest + region.count - 1)
@@ -108,6 +108,14 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
     keep = found & (np.abs(refined.values - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
     values = np.where(keep, refined.values, np.nan)
     return Disparity(values.astype(np.float64), sigma.astype(np.float64))
+
+
+def _exposed_like(image: Raster, other: Raster) -> Raster:
+    """Bring another image to this one's mean and standard deviation: block matching takes exposure for structure."""
+    mean, deviation = (float(value.item()) for value in cv2.meanStdDev(image))
+    other_mean, other_deviation = (float(value.item()) for value in cv2.meanStdDev(other))
+    gain = deviation / max(other_deviation, 1.0)
+    return cv2.addWeighted(other, gain, other, 0.0, mean - gain * other_mean)
 
 
 def _refine_in_bands(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolArray, side: int) -> Refined:

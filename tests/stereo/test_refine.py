@@ -1,0 +1,125 @@
+"""The fraction of a pixel holds whatever the two cameras make of the same light: their gain, offset and vignetting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from laci_stereo.core.frames import BoolArray, FloatArray, Raster
+from laci_stereo.stereo.disparity import Disparity, Region, match
+from laci_stereo.stereo.refine import Refined, refine
+from laci_stereo.stereo.settings import StereoSettings
+from tests.stereo.render import ROAD, View, expose
+from tests.stereo.support import FAR, STATIC, truth, views
+
+WALL, CAR = 1, 3
+SIDE = 11
+NO_FLOOR = StereoSettings(disparity_floor_px=0.0)
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Grey value = gain (1 - lost r^2) light + offset, r = 1 in the corners."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+    lost: float = 0.0
+
+    def of(self, view: View, rng: np.random.Generator) -> Raster:
+        height, width = view.grey.shape
+        v, u = np.mgrid[:height, :width].astype(np.float64)
+        middle = np.array([height - 1, width - 1]) / 2
+        far = ((v - middle[0]) ** 2 + (u - middle[1]) ** 2) / (middle @ middle)
+        return expose(replace(view, grey=self.gain * (1 - self.lost * far) * view.grey + self.offset), rng)
+
+
+EXPOSURES = [
+    pytest.param(Exposure(gain=0.8), id="darker"),
+    pytest.param(Exposure(gain=0.95), id="a little darker"),
+    pytest.param(Exposure(gain=1.1), id="brighter"),
+    pytest.param(Exposure(gain=1.25), id="much brighter"),
+    pytest.param(Exposure(offset=10.0), id="lifted"),
+    pytest.param(Exposure(offset=-10.0), id="lowered"),
+    pytest.param(Exposure(lost=0.2), id="vignetting"),
+    pytest.param(Exposure(gain=1.25, offset=-10.0, lost=0.2), id="all, brighter"),
+    pytest.param(Exposure(gain=0.8, offset=10.0, lost=0.2), id="all, darker"),
+]
+
+
+@lru_cache(maxsize=16)
+def matched(right: Exposure) -> Disparity:
+    rng = np.random.default_rng(0)
+    images = [side.of(view, rng) for side, view in zip((Exposure(), right), views("ideal", FAR), strict=True)]
+    height, width = images[0].shape
+    region = Region(0, 0, width, height, 0, 31)
+    wide = [cv2.copyMakeBorder(image, 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
+    return match(wide[0], wide[1], region, NO_FLOOR)
+
+
+def seen(owner: int) -> BoolArray:
+    """Return where both cameras see a surface, away from its outline, where windows hold two surfaces."""
+    known = truth("ideal", (*STATIC, FAR))
+    mine = known.seen & (known.owner == owner)
+    inner: BoolArray = cv2.erode(mine.astype(np.uint8), np.ones((SIDE, SIDE), np.uint8)) > 0
+    return inner
+
+
+def robust_std(values: FloatArray) -> float:
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+@pytest.mark.parametrize("owner", [ROAD, WALL, CAR], ids=["road", "wall", "car"])
+@pytest.mark.parametrize("right", EXPOSURES)
+def test_a_difference_in_exposure_is_no_shift_and_no_noise(right: Exposure, owner: int) -> None:
+    there, known = seen(owner), truth("ideal", (*STATIC, FAR)).disparity
+    alike, apart = matched(Exposure()), matched(right)
+    gaps, gaps_alike = (1 - np.isfinite(found.values[there]).mean() for found in (apart, alike))
+    assert gaps < gaps_alike + 0.03
+    kept = there & np.isfinite(apart.values)
+    error = (apart.values - known)[kept]
+    assert np.median(np.abs(error)) < 0.1
+    # The car's sides are hardly wider than a window, whose error the floor stands for, which is left out here.
+    assert owner == CAR or 0.6 < robust_std(error / apart.sigma[kept]) < 1.5
+
+
+def textured(shift_px: float, offset: float, gain: float, noise: float) -> tuple[Raster, Raster]:
+    """Return images of random texture; a point at u in the left one is at u - shift in the right one."""
+    finer = 10
+    rng = np.random.default_rng(5)
+    fine = cv2.GaussianBlur(rng.normal(size=(120, 260 * finer)), (0, 0), sigmaX=1.5 * finer, sigmaY=1.5)
+    fine *= 20 / fine.std()
+    first = round(shift_px * finer)
+    left, right = fine[:, : 240 * finer : finer], fine[:, first : first + 240 * finer : finer]
+    images = (110 + left, gain * (110 + right) + offset)
+    one, two = (np.clip(np.rint(i + noise * rng.normal(size=i.shape)), 0, 255).astype(np.uint8) for i in images)
+    return one, two
+
+
+def refined(left: Raster, right: Raster, coarse_px: float) -> Refined:
+    coarse = np.full(left.shape, coarse_px, dtype=np.float32)
+    return refine(left, right, 0, coarse, np.ones(left.shape, dtype=bool), SIDE)
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.8, 0.0), (1.25, 0.0), (1.0, 10.0), (0.8, 10.0), (1.25, -10.0)])
+def test_the_variance_holds_the_noise_and_not_the_exposure(gain: float, offset: float) -> None:
+    inner = (slice(20, -20), slice(40, -20))
+    of = [refined(*textured(10.3, off, by, noise=2.0), coarse_px=10.0) for by, off in ((1.0, 0.0), (gain, offset))]
+    for found in of:
+        error = found.values[inner] - 10.3
+        assert abs(np.median(error)) < 0.01
+        assert 0.8 < robust_std(error / np.sqrt(found.variance[inner])) < 1.2
+    # Texture grows with the gain while the noise is the sensor's: one image of the two has its part of it.
+    alike, apart = (float(np.sqrt(np.median(found.variance[inner]))) for found in of)
+    assert apart / alike == pytest.approx(np.sqrt((1 + 1 / gain**2) / 2), rel=0.1)
+
+
+def test_an_exposure_that_changes_within_the_image_is_followed() -> None:
+    left, right = textured(10.3, 0.0, 1.0, noise=1.0)
+    ramp = np.linspace(0.8, 1.2, right.shape[1])
+    values = refined(left, np.rint(ramp * right).astype(np.uint8), coarse_px=10.0).values[20:-20, 40:-20]
+    assert abs(np.median(values) - 10.3) < 0.01
+    assert np.mean(np.abs(values - 10.3) > 0.1) < 0.01
