@@ -14,6 +14,7 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, Boo
 MAX_RANGE_M = 80.0
 ABOVE_GROUND_SHARE = 0.6
 MATCHING_WINDOW_PX = 11
+LONGEST_WAVE_M = 10.0
 # Camera axes in forward-left-up axes: x right, y down, z forward.
 R_FLU_OPENCV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -61,6 +62,43 @@ class Pattern:
     bearing_rad: float
 
 
+@dataclass(frozen=True)
+class Road:
+    """A plane wave and a crown about z = 0, both of mean zero.
+
+    ``wave_radpm`` is the wave's number as a vector. The road rises and falls by ``crown_m`` about its mean between each
+    crown and the gutters ``fall_m`` beside it; crowns run along x.
+    """
+
+    wave_m: float
+    wave_radpm: FloatArray
+    crown_m: float
+    fall_m: float
+    phase: FloatArray
+
+    def height(self, xy: FloatArray) -> FloatArray:
+        wave = self.wave_m * np.sin(xy @ self.wave_radpm + 2.0 * np.pi * self.phase[0])
+        to_gutter = np.abs((xy[:, 1] / self.fall_m + 2.0 * self.phase[1]) % 2.0 - 1.0)
+        height: FloatArray = wave + self.crown_m * (1.0 - 2.0 * to_gutter)
+        return height
+
+
+FLAT_ROAD = Road(0.0, np.zeros(2), 0.0, 1.0, np.zeros(2))
+
+
+def uneven_road(seed: int) -> Road:
+    """Draw a road with waves up to 1.5 cm high and 3 to 10 m long, and a crown of up to as much."""
+    rng = np.random.default_rng([seed, 1])
+    direction, length_m = rng.uniform(0.0, np.pi), rng.uniform(3.0, LONGEST_WAVE_M)
+    return Road(
+        wave_m=float(rng.uniform(0.0, 0.015)),
+        wave_radpm=2.0 * np.pi / length_m * np.array([np.cos(direction), np.sin(direction)]),
+        crown_m=float(rng.uniform(0.0, 0.015)),
+        fall_m=float(rng.uniform(3.5, 7.0)),
+        phase=rng.uniform(size=2),
+    )
+
+
 def ground_scene(
     seed: int,
     kind: str,
@@ -68,6 +106,7 @@ def ground_scene(
     height_m: float | None = None,
     rays: int = 20_000,
     pavements: bool = True,
+    road: Road = FLAT_ROAD,
 ) -> GroundScene:
     """Draw a scene; ``kind`` is ``stereo`` or ``lidar``; tilt and height are drawn too where they are not given."""
     rng = np.random.default_rng(seed)
@@ -78,7 +117,8 @@ def ground_scene(
     directions = pattern.directions @ R.T
     # Crowded streets, but a sensor hangs where it sees road: enough of it, and as deep a piece as the sensor is high.
     for attempt in range(40):
-        distance, ground = _cast(directions, height_m, _objects(rng, directions, height_m, 0.95**attempt, pavements))
+        objects = _objects(rng, directions, height_m, 0.95**attempt, pavements)
+        distance, ground = _cast(directions, height_m, objects, road)
         depth = np.quantile(distance[ground], [0.05, 0.95]) if ground.any() else np.zeros(2)
         enough = np.count_nonzero(ground) > (1 - ABOVE_GROUND_SHARE) * np.count_nonzero(np.isfinite(distance))
         if enough and depth[1] - depth[0] > height_m:
@@ -121,7 +161,7 @@ def walls_only(seed: int, kind: str) -> GroundScene:
         half=np.array([[0.2, 40.0], [25.0, 0.2]]),
         z=np.array([[0.0, 25.0], [0.0, 25.0]]),
     )
-    distance, ground = _cast(directions, height_m, walls)
+    distance, ground = _cast(directions, height_m, walls, FLAT_ROAD)
     return _measure(rng, pattern, np.isfinite(distance) & ~ground, distance, R, height_m, tilt_deg)
 
 
@@ -221,10 +261,9 @@ def _objects(rng: np.random.Generator, directions: FloatArray, height_m: float, 
     return Boxes(table[:, :2], table[:, 2], table[:, 3:5], table[:, 5:])
 
 
-def _cast(directions: FloatArray, height_m: float, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
+def _cast(directions: FloatArray, height_m: float, boxes: Boxes, road: Road) -> tuple[FloatArray, BoolArray]:
     """Return the distance to what each ray hits first (inf: nothing in range), and whether that is the ground."""
-    with np.errstate(divide="ignore"):
-        distance = np.where(directions[:, 2] < 0.0, -height_m / directions[:, 2], np.inf)
+    distance = _to_road(directions, height_m, road)
     ground = np.isfinite(distance)
     for xy, yaw, half, z in zip(boxes.xy, boxes.yaw, boxes.half, boxes.z, strict=True):
         c, s = np.cos(yaw), np.sin(yaw)
@@ -240,6 +279,18 @@ def _cast(directions: FloatArray, height_m: float, boxes: Boxes) -> tuple[FloatA
         ground &= ~hit
     reached = distance < MAX_RANGE_M
     return np.where(reached, distance, np.inf), ground & reached
+
+
+def _to_road(directions: FloatArray, height_m: float, road: Road) -> FloatArray:
+    """Return the distance at which each ray meets the road, inf where it does not."""
+    down = np.maximum(-directions[:, 2], 0.0)
+    with np.errstate(divide="ignore"):
+        distance = height_m / down
+        # Nearly every ray within range is steeper than the road, so that each step leaves a part of the error.
+        for _ in range(20):
+            xy = directions[:, :2] * np.minimum(distance, 2.0 * MAX_RANGE_M)[:, None]
+            distance = (height_m - road.height(xy)) / down
+    return distance
 
 
 def _holes(rng: np.random.Generator, hits: FloatArray, ground: BoolArray) -> BoolArray:

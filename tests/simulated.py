@@ -47,16 +47,18 @@ class Place:
     def scale(self) -> float:
         """Grid metres per true metre, by a geodesic of 100 m to the east and one to the north."""
         xy = np.array([[-50.0, 0.0], [50.0, 0.0], [0.0, -50.0], [0.0, 50.0]])
-        longitude, latitude = self.proj(*(self.origin_utm + xy).T, inverse=True)
+        x, y = (self.origin_utm + xy).T
+        longitude, latitude = self.proj(x, y, inverse=True)
         east, north = Geod(ellps="WGS84").inv(longitude[::2], latitude[::2], longitude[1::2], latitude[1::2])[2]
-        return 200.0 / (east + north)
+        return float(200.0 / (east + north))
 
     def to_utm(self, xy: FloatArray) -> FloatArray:
         return self.origin_utm + self.scale * xy
 
     def geodetic(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return latitude and longitude in degrees."""
-        longitude, latitude = self.proj(*self.to_utm(xy).T, inverse=True)
+        x, y = self.to_utm(xy).T
+        longitude, latitude = self.proj(x, y, inverse=True)
         return np.asarray(latitude), np.asarray(longitude)
 
     def heading_deg(self, xy: FloatArray, yaw_rad: FloatArray) -> FloatArray:
@@ -94,7 +96,9 @@ class Drive:
         return np.column_stack([np.interp(s, path, xy[:, 0]), np.interp(s, path, xy[:, 1])]), np.interp(s, path, yaw)
 
     def speed(self, times_s: FloatArray) -> FloatArray:
-        return np.interp(times_s - self.start_s, *zip(*self.speeds, strict=True))
+        times, speeds = zip(*self.speeds, strict=True)
+        speed: FloatArray = np.interp(times_s - self.start_s, times, speeds)
+        return speed
 
     @cached_property
     def _tables(self) -> tuple[FloatArray, ...]:
@@ -114,7 +118,8 @@ class Drive:
 def _cumulated(rate: FloatArray, over: FloatArray, zero: float) -> FloatArray:
     """Return the integral from ``zero``."""
     total = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(over))])
-    return total - np.interp(zero, over, total)
+    from_zero: FloatArray = total - np.interp(zero, over, total)
+    return from_zero
 
 
 @dataclass(frozen=True)
@@ -323,7 +328,8 @@ class Recording:
 
     @cached_property
     def _directions(self) -> FloatArray:
-        return self.sensor.directions @ self.T_world_sensor[:3, :3].T
+        directions: FloatArray = self.sensor.directions @ self.T_world_sensor[:3, :3].T
+        return directions
 
     @cached_property
     def _at_rest(self) -> FloatArray:

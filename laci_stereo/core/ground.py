@@ -31,8 +31,9 @@ class GroundPlane:
     covariance_sensor : ndarray, shape (4, 4)
         Of (rotation vector in sensor axes [rad], height [m]), of rank 3: a turn about the normal does not exist. The
         rotation vector is the one that, applied after the estimate, makes it true. Noise of each point, noise common to
-        a cell or to all points, and unevenness common to some metres are in it; a ground that is bent as a whole, or
-        raised a few centimetres over much of it, is not. See `covariance_level`.
+        a cell or to all points, and the unevenness of a paved road, as far as the points leave it open, are in it; a
+        ground that is bent as a whole, by a wave longer than what is in view, or that is raised a few centimetres over
+        much of it, is not. See `covariance_level`.
     inlier_share : float
         Of all points, those on the plane within their noise.
     support_cells : int

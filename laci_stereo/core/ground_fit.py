@@ -16,10 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter
+from scipy.special import ndtr
 
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.ground_rays import GATE, Rays, random_part
+from laci_stereo.core.ground_uneven import covariance_of_unevenness, patches_of
 from laci_stereo.core.settings import GroundSettings
 
 # 1 m at 20 m: narrower than a car or a pavement, and wide enough for the mean of many points.
@@ -27,14 +29,14 @@ _CELL = 0.05
 # Several in each of some thousand cells.
 _POINTS = 50_000
 _MAX_ITERATIONS = 30
-# A road falls from its crown to its gutter: its height is common to about as much as half its width, squared.
-_BEND_M2 = 49.0
-# Squared length of a step in standard deviations of the result.
-_SETTLED = 1e-6
+# Length of a step in standard deviations of the result, squared: first for laying the cells, then for good.
+_NEAR, _SETTLED = 0.1**2, 0.01**2
 # Tukey's constant for 95 % efficiency on normal noise.
 _TUKEY = 4.685
 # Of a point's variance, what its cell shares: a matcher's window is a fifth of a cell wide, so that 25 fit into it.
 _SHARED_IN_CELL = 0.04
+# Kerbs are up to 0.15 m high; what is higher stands out by itself.
+_KERB_M = 0.15
 # Blocks of five by five cells: wider than a matcher's window reaches, and about as wide as a pavement.
 _BLOCK = 5
 # Directions within a cell of each other have a condition number of about 1 / _CELL^4; nothing solvable is near this.
@@ -97,6 +99,17 @@ class _Cells:
     area_m2: FloatArray
 
 
+@dataclass(frozen=True)
+class _Solution:
+    """The plane, the cells it was fitted to, the weight of each, 0 to 1, and what its residual adds to m as (n, 3)."""
+
+    m: FloatArray
+    cells: _Cells
+    weight: FloatArray
+    gain: FloatArray
+    unevenness_m: float
+
+
 def fit_inverse_range(rays: Rays, m: FloatArray, settings: GroundSettings) -> Fit:
     """Solve 1 / range = m . e robustly; the cells follow the plane, so they are laid a second time.
 
@@ -113,8 +126,18 @@ def fit_inverse_range(rays: Rays, m: FloatArray, settings: GroundSettings) -> Fi
         If too few cells support the plane, or none that spans it.
     """
     rays = random_part(rays, _POINTS)
-    m = _fit_cells(_partition(rays, m), m, settings).m
-    return _fit_cells(_partition(rays, m), m, settings)
+    m = _solve(_partition(rays, m), m, _NEAR, settings).m
+    partition = _partition(rays, m)
+    solution = _solve(partition, m, _SETTLED, settings)
+    supports = solution.weight > 0.0
+    return Fit(
+        m=solution.m,
+        covariance=_covariance(solution, settings),
+        unevenness_m=solution.unevenness_m,
+        cells=int(supports.sum()),
+        cells_seen=len(partition.place),
+        area_m2=float(solution.cells.area_m2[supports].sum()),
+    )
 
 
 def _partition(rays: Rays, m: FloatArray) -> _Partition:
@@ -184,37 +207,43 @@ def _hidden(rays: Rays, m: FloatArray, sector: IntArray, ring: IntArray, first: 
     return hidden
 
 
-def _fit_cells(partition: _Partition, m: FloatArray, settings: GroundSettings) -> Fit:
+def _solve(partition: _Partition, m: FloatArray, settled: float, settings: GroundSettings) -> _Solution:
     """Reweight until m moves by much less than its own standard deviation."""
+    raised_share = np.full(partition.place.max(axis=0) + 1, 0.5)
     for _ in range(_MAX_ITERATIONS):
         cells = _cell_means(partition, m, settings)
         unevenness_m = _unevenness(cells, settings)
         uneven = (unevenness_m * cells.per_metre) ** 2
         variance = cells.variance + uneven
-        weight = _tukey(cells.residual / np.sqrt(variance))
+        raised = _raised(cells, variance, raised_share[tuple(cells.place.T)])
+        raised_share = _share_around(cells, raised, raised_share.shape)
+        weight = _tukey(cells.residual / np.sqrt(variance)) * (1.0 - raised)
         weight *= _tukey(_mean_around(cells, weight / variance, uneven))
         _check_count(int(np.count_nonzero(weight)), settings)
-        # So many cells rise and sink together, and count for one.
-        together = np.maximum(_BEND_M2 / cells.area_m2, 1.0)
-        response = (cells.direction * (weight / (cells.variance + uneven * together))[:, None]).T
+        response = (cells.direction * (weight / variance)[:, None]).T
         information = response @ cells.direction
         if np.linalg.cond(information) > _SINGULAR:
             raise GroundError("directions that support the best plane: all in one plane found, a spread needed")
         step = np.linalg.solve(information, response @ cells.residual)
         m = m + step
-        if step @ information @ step < _SETTLED:
+        if step @ information @ step < settled:
             break
-    # What all points have in common, b standard deviations of each, adds b times this to m.
-    shared = settings.shared_noise_share * np.linalg.solve(information, response @ cells.sigma)
-    supports = weight > 0.0
-    return Fit(
-        m=m,
-        covariance=np.linalg.inv(information) + np.outer(shared, shared),
-        unevenness_m=unevenness_m,
-        cells=int(supports.sum()),
-        cells_seen=len(partition.place),
-        area_m2=float(cells.area_m2[supports].sum()),
+    return _Solution(m, cells, weight, np.linalg.solve(information, response).T, unevenness_m)
+
+
+def _covariance(solution: _Solution, settings: GroundSettings) -> FloatArray:
+    """Return the covariance of m, shape (3, 3): of noise, of unevenness, and of what all points have in common."""
+    cells, gain = solution.cells, solution.gain
+    supports = solution.weight > 0.0
+    each = np.where(supports, cells.variance / np.where(supports, solution.weight, 1.0), 0.0)
+    # b standard deviations of each point, where all have them in common, add b times this to m.
+    shared = settings.shared_noise_share * (cells.sigma @ gain)
+    patches = patches_of(
+        solution.m, cells.direction, cells.area_m2, cells.residual, solution.weight / cells.variance, gain
     )
+    uneven = covariance_of_unevenness(patches)
+    covariance: FloatArray = (gain.T * each) @ gain + uneven + np.outer(shared, shared)
+    return covariance
 
 
 def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) -> _Cells:
@@ -255,6 +284,39 @@ def _unevenness(cells: _Cells, settings: GroundSettings) -> float:
     squared = cells.residual[below] ** 2
     cost = np.sum(np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * variance)), axis=1)
     return float(tried_m[int(np.argmin(cost))])
+
+
+def _raised(cells: _Cells, variance: FloatArray, share: FloatArray) -> FloatArray:
+    """Return how likely each cell is raised by up to a kerb, shape (n,), where so large a share of its like is.
+
+    Far away a pavement does not stand out from the noise. But a cell that is a little above the plane is likelier one
+    than a cell below it, and a weight of how likely it is ground leaves no bias: over all cells, raised or not, the
+    mean of this weight times any function is the mean of the function over the ground.
+    """
+    sigma = np.sqrt(variance)
+    standardised, kerb = cells.residual / sigma, _KERB_M * cells.per_metre / sigma
+    # Both densities in standard deviations; heights up to the kerb's are equally likely.
+    ground = (1.0 - share) * np.exp(-0.5 * standardised**2) / np.sqrt(2.0 * np.pi)
+    above = share * (ndtr(standardised) - ndtr(standardised - kerb)) / kerb
+    raised: FloatArray = above / np.maximum(ground + above, np.finfo(float).tiny)
+    return raised
+
+
+def _share_around(cells: _Cells, raised: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return the share of raised cells around each place, of the shape of the grid of places.
+
+    As if one more cell were there that is like the mean of all.
+    """
+    index = tuple(cells.place.T)
+
+    def around(values: FloatArray) -> FloatArray:
+        grid = np.zeros(shape)
+        np.add.at(grid, index, values)
+        sums: FloatArray = uniform_filter(grid, size=_BLOCK, mode="constant") * float(_BLOCK**2)
+        return np.maximum(sums, 0.0)
+
+    share: FloatArray = (around(raised) + raised.mean()) / (around(np.ones(len(raised))) + 1.0)
+    return share
 
 
 def _mean_around(cells: _Cells, pull: FloatArray, uneven: FloatArray) -> FloatArray:

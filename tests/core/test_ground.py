@@ -10,7 +10,7 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, Flo
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.ground_uneven import REACH_M, Patches, covariance_of_unevenness
 from laci_stereo.core.settings import GroundSettings
-from tests.scenes import GroundScene, ground_scene, uneven_road, walls_only, with_shared_error
+from tests.scenes import LONGEST_WAVE_M, GroundScene, ground_scene, uneven_road, walls_only, with_shared_error
 
 KINDS = ("stereo", "lidar")
 MOST_DEG, MOST_M = 0.1, 0.03
@@ -78,6 +78,11 @@ def test_required_accuracy(kind: str) -> None:
     check_required(kind, range(1000, 1020))
 
 
+def test_a_far_pavement_does_not_outweigh_the_road_near_by() -> None:
+    """Where it did, the road's residuals about the wrong plane passed for unevenness."""
+    check_required("lidar", range(1048, 1049))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_required_accuracy_on_many_scenes(kind: str) -> None:
@@ -139,10 +144,12 @@ def test_covariance_is_not_optimistic(clean_fits: list[tuple[GroundScene, Ground
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_covariance_tells_the_unevenness_of_a_road(kind: str) -> None:
-    """Also where the noise hides it: most waves are lower than what a stereo camera's cell is known to."""
-    seeds = range(3000, 3030)
-    scenes = [ground_scene(seed, kind, pavements=False, road=uneven_road(seed)) for seed in seeds]
-    assert 0.9 < mean_squared([(scene, fitted(scene)) for scene in scenes]) < 9.0
+    """Also where the noise hides it, but not where less is in view than one wave: there the plane is the wave's."""
+    scenes = [ground_scene(seed, kind, pavements=False, road=uneven_road(seed)) for seed in range(3000, 3030)]
+    fits = [(scene, fitted(scene)) for scene in scenes]
+    wide = [(scene, plane) for scene, plane in fits if plane.support_area_m2 > LONGEST_WAVE_M**2]
+    assert len(wide) > len(fits) / 2
+    assert 0.9 < mean_squared(wide) < 9.0
 
 
 def test_unevenness_that_noise_hides_is_that_of_paved_roads() -> None:
@@ -192,8 +199,9 @@ def test_height_is_unbiased_on_a_clean_road(clean_fits: list[tuple[GroundScene, 
 
 
 def test_covariance_grows_with_the_noise() -> None:
+    """Four times as much of it, where it is more than what the unevenness of any road leaves open."""
     sigma = []
-    for noise_m in (0.01, 0.04):
+    for noise_m in (0.08, 0.32):
         points, along, across = road(noise_m)
         sigma.append(np.sqrt(np.diag(fit_ground(points, along, across, (0, 0, 1)).covariance_sensor)))
     assert np.all(sigma[1][[0, 1, 3]] > 2.0 * sigma[0][[0, 1, 3]])
