@@ -17,6 +17,8 @@ from typing import Any
 
 import click
 
+from laci_stereo.combine import CombineOptions
+from laci_stereo.combine import combine as combine_runs
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import CalibrationError, LaciError, SettingError
@@ -24,7 +26,7 @@ from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
-from laci_stereo.job import DriveOptions, Job, Task
+from laci_stereo.job import DriveOptions, Job, Result, Task
 from laci_stereo.match import BoxOrigin, MatchOptions, MatchTask
 from laci_stereo.match import prepare as prepare_match
 from laci_stereo.run import Options, prepare
@@ -166,12 +168,17 @@ def _carry_out(job: Task, asked: Asked) -> None:
         for note in job.provenance.notes:
             click.echo(f"note: {note}", err=True)
     result = job.run(lambda source: source if asked.quiet else WithProgress(source))
-    result.save(asked.out, overwrite=asked.overwrite)
-    if not asked.quiet:
-        for note in job.skipped:
+    _deliver(result, job.skipped, asked.out, overwrite=asked.overwrite, quiet=asked.quiet)
+
+
+def _deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool, quiet: bool) -> None:
+    """Save a result and say what it is."""
+    result.save(out, overwrite=overwrite)
+    if not quiet:
+        for note in notes:
             click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
-        click.echo(f"{'Written':<11}{asked.out}: {', '.join(sorted(path.name for path in asked.out.iterdir()))}")
+        click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 
 @cli.command()
@@ -246,6 +253,34 @@ def match(
     """
     options = MatchOptions(**vars(asked.drive(None)), axes=parse_axes(axes), box_origin=box_origin, level_m=level)
     return prepare_match(detections, cam, options)
+
+
+@cli.command()
+@click.argument("runs", nargs=-1, required=True, type=_PATH, metavar="RUN...")
+@click.option("--out", type=_PATH, default=Path("calibration"), show_default=True, help="Folder for the result.")
+@click.option("--overwrite", is_flag=True, help="Replace a result that is there already.")
+@click.option("--map", "lane_map", type=_PATH, help="Lanelet2 or GeoJSON lane map; only drawn.")
+@click.option("--name", help="What you call the sensor [default: as in the first RUN].")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
+def combine(
+    runs: tuple[Path, ...],
+    out: Path,
+    overwrite: bool,
+    lane_map: Path | None,
+    name: str | None,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Estimate over the drives of several results at once.
+
+    RUN are result folders of one sensor, of any of the calibrating commands; the vehicles may differ. A drive that
+    contradicts the others is named and left out.
+    """
+    _log_to_stderr(quiet=quiet, verbose=verbose)
+    check_output(out, overwrite=overwrite)
+    result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map))
+    _deliver(result, (*result.job.provenance.notes, *result.job.skipped), out, overwrite=overwrite, quiet=quiet)
 
 
 class WithProgress:

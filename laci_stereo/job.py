@@ -21,8 +21,9 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.calibration_file import Provenance, to_document, to_text
 from laci_stereo.io.cam_csv import read_cam_csv
+from laci_stereo.io.evidence_file import Kept, write_evidence
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
-from laci_stereo.io.output import RESULT_FILE, result_folder
+from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE, result_folder
 from laci_stereo.io.overlap import check_overlap
 from laci_stereo.report.summary import summarise
 from laci_stereo.report.topdown import draw_topdown
@@ -165,6 +166,16 @@ class Task(ABC):
         """
 
     @property
+    def lane_map(self) -> LaneMap | None:
+        """The map of the place."""
+        return self.drive.lane_map
+
+    @property
+    def read(self) -> str:
+        """What was read and what of it could not be used, in words."""
+        return f"{self.inputs}, {len(self.skipped)} unreadable"
+
+    @property
     def skipped(self) -> tuple[str, ...]:
         """What turned out to be unreadable on the way, one line each."""
         return ()
@@ -209,6 +220,29 @@ class Job(Task):
         return self.recording.skipped
 
 
+class Origin(Protocol):
+    """How a result came about: a task that was carried out, or results that were combined."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made of."""
+
+    @property
+    def read(self) -> str:
+        """What was read and what of it could not be used, in words."""
+
+    @property
+    def lane_map(self) -> LaneMap | None:
+        """The map of the place."""
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """What was left out on the way, one line each."""
+
+    def draw(self, calibration: Calibration, /) -> Iterator[tuple[str, Raster]]:
+        """Draw the sensor's own pictures, each with its file name."""
+
+
 @dataclass(frozen=True)
 class Result:
     """A calibration and what it was made from.
@@ -216,18 +250,17 @@ class Result:
     Attributes
     ----------
     calibration : Calibration
-    job : Task
+    job : Origin
     """
 
     calibration: Calibration
-    job: Task
+    job: Origin
 
     @property
     def summary(self) -> str:
         """Ten lines that a person understands."""
         provenance = self.job.provenance
-        inputs = f"{self.job.inputs}, {len(self.job.skipped)} unreadable"
-        return summarise(self.calibration, f"{provenance.name} ({provenance.frame})", inputs)
+        return summarise(self.calibration, f"{provenance.name} ({provenance.frame})", self.job.read)
 
     def save(self, out: Path | str = "calibration", *, overwrite: bool = False) -> Path:
         """Write calibration.json and the pictures into a folder, as a whole or not at all.
@@ -249,11 +282,19 @@ class Result:
             (folder / RESULT_FILE).write_text(text, encoding="utf-8")
             for name, picture in self.pictures():
                 _write_picture(folder / name, picture)
+            kept = Kept(
+                provenance.name,
+                provenance.kind,
+                provenance.frame,
+                provenance.T_sensor_rectified,
+                self.calibration.passages,
+            )
+            write_evidence(folder / EVIDENCE_FILE, kept)
         return out
 
     def pictures(self) -> Iterator[tuple[str, Raster]]:
         """Draw the view from above and the sensor's own pictures, each with its file name."""
-        yield "topdown.png", draw_topdown(self.calibration, self.job.drive.lane_map)
+        yield "topdown.png", draw_topdown(self.calibration, self.job.lane_map)
         yield from self.job.draw(self.calibration)
 
 

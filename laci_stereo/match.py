@@ -9,10 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from laci_stereo.core.calibrate import _vehicles as vehicles_of
-from laci_stereo.core.calibrate import locate, world_around
-from laci_stereo.core.detections import DetectionError, DetectionLog, observe_detections
-from laci_stereo.core.errors import SettingError
+from laci_stereo.core.calibrate import locate, vehicles_of, world_around
+from laci_stereo.core.detections import DetectionLog, observe_detections
+from laci_stereo.core.errors import DetectionError, SettingError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, Raster
 from laci_stereo.core.result import Calibration, Verdict
 from laci_stereo.io.calibration_file import Provenance

@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
-from laci_stereo.core.errors import ImageError, RigError, SettingError
+from laci_stereo.core.errors import ImageError, RigError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
+from laci_stereo.io.background import check_frames
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, pair_images, read_image
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
@@ -141,9 +142,7 @@ def _background(pairs: Pairs, asked: tuple[int, int] | Path | None) -> Sequence[
     if isinstance(asked, Path):
         return pair_images(ImageFolder.open(asked / "left"), ImageFolder.open(asked / "right")).pairs
     first, last = asked
-    if not 0 <= first <= last < len(pairs):
-        last_frame = len(pairs) - 1
-        raise SettingError(f"background frames are {first}..{last}; needed are first <= last within 0..{last_frame}")
+    check_frames(first, last, len(pairs), "frames")
     return pairs.pairs[first : last + 1]
 
 

@@ -159,7 +159,7 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     ran = run(site.arguments("--name", "radar 3"), site.root)
     assert ran.code == 0, ran
     assert "note: x, y and z taken for the centre of the boxes (see --box-origin)" in ran.err.splitlines()
-    assert sorted(path.name for path in site.out.iterdir()) == ["calibration.json", "topdown.png"]
+    assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
     document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
     Draft202012Validator(schema()).validate(document)
     assert document["sensor"] == {

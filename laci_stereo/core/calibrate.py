@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def calibrate(
     epoch_ns = source.span_ns[0]
     messages = messages.between(*source.span_ns)
     world = world_around(messages, crs)
-    vehicles = _vehicles(messages, world, epoch_ns, reference)
+    vehicles = vehicles_of(messages, world, epoch_ns, reference)
 
     return locate(observe(source, settings), vehicles, world, settings)
 
@@ -92,6 +93,8 @@ def locate(
         placement = place_jointly(choice, vehicle, seen.ground.height_m, settings)
     else:
         placement = paper
+    if choice.doubt:
+        placement = replace(placement, contradictions=(*placement.contradictions, choice.doubt))
     match, middle = placement.match, placement.middle_level
     ground_covariance = seen.ground.covariance_level(seen.axes)
     return Calibration(
@@ -112,6 +115,7 @@ def locate(
         axes=seen.axes,
         quality=judge(placement, ground_covariance, choice.track, settings.quality),
         method=settings.method,
+        clock_sigma_s=settings.joint.clock_sigma_s,
     )
 
 
@@ -139,8 +143,14 @@ def world_around(messages: CamLog, crs: str | None = None) -> World:
     return World.around(float(located.latitude_deg[middle]), float(located.longitude_deg[middle]), crs)
 
 
-def _vehicles(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:
-    """Lay the track of every station that has one into the world; the rest, such as roadside units, are no vehicles."""
+def vehicles_of(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:
+    """Lay the track of every station that has one into the world; the rest, such as roadside units, are no vehicles.
+
+    Raises
+    ------
+    CamError, TrackError
+        If none has one.
+    """
     tracks: dict[int, VehicleTrack] = {}
     problems: list[CamError | TrackError] = []
     for station in messages.stations():

@@ -11,7 +11,6 @@ import numpy as np
 from laci_stereo.core.background import Background
 from laci_stereo.core.box import Box
 from laci_stereo.core.box_ground import level_ground, plane_below
-from laci_stereo.core.errors import InputError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform, wrap
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.observe import Observation
@@ -23,10 +22,6 @@ log = logging.getLogger(__name__)
 
 LOST_FRAMES = 5
 """A detector slower than the linking's own patience may still miss an object in a few frames in a row."""
-
-
-class DetectionError(InputError):
-    """A log of detections is unusable."""
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,33 @@ from laci_stereo.core import mixture, outline
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.tractrix import body_yaw
 
 FIRST_OWN = 4
 """Yaw, x, y and the range bias are the sensor's; what follows is each drive's own: clock offset, heading error, heading
-lever, the shape, and the knots of the GNSS bias."""
+lever, the shape, how partial a detector's boxes are, and the knots of the GNSS bias."""
 
 _CLOCK, _HEADING, _LEVER, _SHAPE = 4, 5, 6, 7
-_KNOTS = _SHAPE + len(outline.SHAPE)
+_PARTIAL = _SHAPE + len(outline.SHAPE)
+_KNOTS = _PARTIAL + 1
 _STEP_S = 0.02
-_SLOWEST_MPS = 1.0
+
+TAIL = 2.0
+"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small."""
+
+FINEST_M = 0.01
+"""No position is better than that: its last digit in the message is a centimetre."""
+
+HEADING_LEVER = 0.4
+"""The point whose direction of motion is told, ahead of the rear axle, over the vehicle's length, with a standard
+deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the front moves."""
+
+PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
+"""A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
 
 
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
-"""What of the messages is corrected: clock offset [s], heading [rad], where on the vehicle the position is [m], size."""
+"""What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
 
 
 @dataclass(frozen=True)
@@ -90,13 +104,14 @@ class Fitness:
 
 @dataclass(frozen=True)
 class _Poses:
-    """The vehicle in the frames: position and yaw, their rates, the path's curvature, and where they are known."""
+    """The vehicle in the frames: position, heading and body's yaw, their rates, and where they are known."""
 
     xy: FloatArray
+    heading: FloatArray
     yaw: FloatArray
+    by_lever: FloatArray
     velocity: FloatArray
     yaw_rate: FloatArray
-    curvature: FloatArray
     known: BoolArray
 
 
@@ -107,7 +122,7 @@ class Rows:
     Attributes
     ----------
     distance, variance : ndarray, shape (n,)
-    jacobian : ndarray, shape (n, 14)
+    jacobian : ndarray, shape (n, 17)
     face, frame : ndarray of int, shape (n,)
     """
 
@@ -136,47 +151,69 @@ class DriveModel:
         )
         self.own = _KNOTS - FIRST_OWN + 2 * knots
         self.block = ((drive.stamps_s - first) // settings.block_s).astype(int)
+        told = drive.vehicle.position_sigma_m
+        sigma = max(told, FINEST_M) if np.isfinite(told) else settings.position_sigma_m
+        self.drift = sigma**2 * np.exp(-np.abs(self.knots_s[:, None] - self.knots_s) / settings.bias_time_s)
+        self.base_sigmas = np.array(
+            [
+                settings.clock_sigma_s,
+                np.radians(settings.heading_sigma_deg),
+                settings.lever_sigma_m,
+                settings.lever_sigma_m,
+                settings.size_sigma_m,
+                settings.size_sigma_m,
+            ]
+        )
+        self.mean = np.zeros(self.own)
+        self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN] = outline.SHAPE_MEAN
+        self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
+        self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
+        self.body = body_yaw(drive.vehicle)
+        self.sigmas: FloatArray = self.base_sigmas
+        by = _corrected(self.own)
+        self.sigmas = np.sqrt(np.einsum("ij,jk,ik->i", by, np.linalg.inv(self.prior()[0]), by))
         range_m = np.linalg.norm(drive.points[:, :2], axis=1)
         self.sight = drive.points[:, :2] / np.maximum(range_m, 1e-9)[:, None]
 
-    def prior(self) -> tuple[FloatArray, FloatArray]:
-        """Return precision, shape (own, own), and mean of the drive's own parameters."""
-        settings, vehicle = self.settings, self.drive.vehicle
+    def prior(self, own: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return precision, shape (own, own), and mean of the drive's own parameters.
+
+        What senders get wrong they sometimes get wrong by far, so beyond some sigma the cost of a correction grows
+        with it and no longer with its square (Huber 1964).
+        """
+        vehicle = self.drive.vehicle
+        by = _corrected(self.own)
+        wide = np.ones(len(CORRECTED))
+        if own is not None:
+            z = by @ (own - self.mean) / self.sigmas
+            wide = np.maximum(1.0, np.abs(z) / TAIL)
+        variances = self.base_sigmas**2 * wide
         covariance = np.zeros((self.own, self.own))
-        covariance[0, 0] = settings.clock_sigma_s**2
-        covariance[1, 1] = np.radians(settings.heading_sigma_deg) ** 2
-        covariance[2, 2] = settings.heading_lever_sigma_m**2
-        shape = slice(_SHAPE - FIRST_OWN, _KNOTS - FIRST_OWN)
+        covariance[0, 0], covariance[1, 1] = variances[0], variances[1]
+        covariance[2, 2] = (HEADING_LEVER * self.size[0]) ** 2
+        shape = slice(_SHAPE - FIRST_OWN, _PARTIAL - FIRST_OWN)
         # An error of the length moves the side that the position does not refer to.
         fixed = np.clip(0.5 + vehicle.reference[0] / vehicle.length_m, 0.0, 1.0)
-        by_length, by_lever = np.zeros(len(outline.SHAPE)), np.zeros(len(outline.SHAPE))
-        by_length[:3] = 1.0 - fixed, fixed, 0.0
-        by_lever[:2] = 1.0, -1.0
-        by_width, by_lever_y = np.eye(len(outline.SHAPE))[[2, 3]]
-        covariance[shape, shape] = (
-            np.diag(outline.SHAPE_SIGMA**2)
-            + settings.size_sigma_m**2 * (np.outer(by_length, by_length) + np.outer(by_width, by_width) / 4)
-            + settings.lever_sigma_m**2 * (np.outer(by_lever, by_lever) + np.outer(by_lever_y, by_lever_y))
-        )
-        sigma = vehicle.position_sigma_m if np.isfinite(vehicle.position_sigma_m) else settings.position_sigma_m
-        apart = np.abs(self.knots_s[:, None] - self.knots_s) / settings.bias_time_s
-        drift = sigma**2 * np.exp(-apart)
-        count = len(self.knots_s)
-        knots = _KNOTS - FIRST_OWN
-        covariance[knots : knots + count, knots : knots + count] = drift
-        covariance[knots + count :, knots + count :] = drift
-        mean = np.zeros(self.own)
-        mean[shape] = outline.SHAPE_MEAN
-        precision: FloatArray = np.linalg.inv(covariance)
-        return precision, mean
+        ways = np.zeros((4, len(outline.SHAPE)))
+        ways[0, :2] = 1.0, -1.0
+        ways[1, 3] = 1.0
+        ways[2, :2] = 1.0 - fixed, fixed
+        ways[3, 2] = 0.5
+        covariance[shape, shape] = np.diag(outline.SHAPE_SIGMA**2) + (ways.T * variances[2:]) @ ways
+        partial = _PARTIAL - FIRST_OWN
+        covariance[partial, partial] = PARTIAL_SIGMA**2
+        knots, count = _KNOTS - FIRST_OWN, len(self.knots_s)
+        covariance[knots : knots + count, knots : knots + count] = self.drift
+        covariance[knots + count :, knots + count :] = self.drift
+        precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        return precision, self.mean
 
     def corrections(self, own: FloatArray) -> tuple[Correction, ...]:
         """Return by how much the messages had to be corrected, against what was to be expected."""
-        precision, mean = self.prior()
-        covariance = np.linalg.inv(precision)
+        values = _corrected(self.own) @ (own - self.mean)
         return tuple(
-            Correction(what, float(by @ (own - mean)), float(np.sqrt(by @ covariance @ by)))
-            for what, by in zip(CORRECTED, _corrected(self.own), strict=True)
+            Correction(what, float(value), float(sigma))
+            for what, value, sigma in zip(CORRECTED, values, self.sigmas, strict=True)
         )
 
     def shares(self) -> FloatArray:
@@ -226,14 +263,22 @@ class DriveModel:
 
     def _poses(self, x: FloatArray) -> _Poses:
         at = self.drive.stamps_s + x[_CLOCK]
-        xy, yaw, known = self.drive.vehicle.at(at)
-        before, yaw_before, known_before = self.drive.vehicle.at(at - _STEP_S)
-        after, yaw_after, known_after = self.drive.vehicle.at(at + _STEP_S)
+        xy, heading, known = self.drive.vehicle.at(at)
+        before, heading_before, known_before = self.drive.vehicle.at(at - _STEP_S)
+        after, heading_after, known_after = self.drive.vehicle.at(at + _STEP_S)
         both = known_before & known_after
-        velocity = np.where(both[:, None], after - before, 0.0) / (2 * _STEP_S)
-        yaw_rate = np.where(both, yaw_after - yaw_before, 0.0) / (2 * _STEP_S)
-        speed = np.linalg.norm(velocity, axis=1)
-        return _Poses(xy, yaw, velocity, yaw_rate, yaw_rate / np.maximum(speed, _SLOWEST_MPS), known)
+        turned, by_lever = self.body.at(at, x[_LEVER])
+        rate = heading_after + self.body.at(at + _STEP_S, x[_LEVER])[0]
+        rate -= heading_before + self.body.at(at - _STEP_S, x[_LEVER])[0]
+        return _Poses(
+            xy=xy,
+            heading=heading,
+            yaw=heading + x[_HEADING] + turned,
+            by_lever=by_lever,
+            velocity=np.where(both[:, None], after - before, 0.0) / (2 * _STEP_S),
+            yaw_rate=np.where(both, rate, 0.0) / (2 * _STEP_S),
+            known=known,
+        )
 
     def _into_vehicle(
         self, x: FloatArray, poses: _Poses, frame: IntArray, arm: FloatArray
@@ -250,10 +295,9 @@ class DriveModel:
         """
         count = len(self.knots_s)
         bias = np.column_stack([self.hat @ x[_KNOTS : _KNOTS + count], self.hat @ x[_KNOTS + count :]])
-        turned = x[_HEADING] + x[_LEVER] * poses.curvature
-        yaw = poses.yaw + turned
+        yaw = poses.yaw
         reference = np.tile(np.asarray(self.drive.vehicle.reference), (len(yaw), 1))
-        swing = rotate_xy(yaw, reference) - rotate_xy(poses.yaw, reference)
+        swing = rotate_xy(yaw, reference) - rotate_xy(poses.heading, reference)
         shift = x[1:3] + bias - poses.xy + swing
         xy = rotate_xy(-yaw[frame], rotate_xy(x[0], arm) + shift[frame])
         origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre) + shift)
@@ -266,7 +310,7 @@ class DriveModel:
         sight, along = self.sight[chosen], drive.sigma_along_m[chosen]
         arm = drive.points[chosen, :2] - x[3] * along[:, None] * sight - self.centre
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
-        hits = outline.meet(xy, origin, along, drive.sigma_across_m[chosen], self.size, x[_SHAPE:_KNOTS])
+        hits = outline.meet(xy, origin, along, drive.sigma_across_m[chosen], self.size, x[_SHAPE:_PARTIAL])
         wall = outline.on_the_wall(
             drive.height_m,
             drive.points[chosen, 2],
@@ -277,22 +321,26 @@ class DriveModel:
         )
         jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, hits.normal)
         jacobian[:, 3] = -along * (rotate_xy(-yaw, rotate_xy(x[0], sight)) * hits.normal).sum(axis=1)
-        jacobian[:, _SHAPE:] = hits.by_shape
+        jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         return Rows(hits.distance[wall], hits.variance[wall], jacobian[wall], hits.face[wall], frame[wall])
 
     def _centre_rows(self, x: FloatArray, poses: _Poses) -> Rows:
         """Return how far a detector's centres are from the vehicle's, along and across it."""
         frame = np.flatnonzero(poses.known)
         arm = self.drive.middles[frame] - self.centre
-        xy, _, yaw = self._into_vehicle(x, poses, frame, arm)
-        shape = x[_SHAPE:_KNOTS]
+        xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
+        shape = x[_SHAPE:_PARTIAL]
         middle = np.array([(shape[0] - shape[1]) / 2, shape[3]])
+        nearer = np.sign(origin) * self.drive.lacking_m[frame] / 2
         parts = []
-        for axis, moved in ((0, (0.5, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0)), (1, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))):
+        by_shape = np.zeros((2, len(outline.SHAPE)))
+        by_shape[0, :2], by_shape[1, 3] = (0.5, -0.5), 1.0
+        for axis, moved in enumerate(by_shape):
             normal = np.tile(np.eye(2)[axis], (len(frame), 1))
             jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, normal)
-            jacobian[:, _SHAPE:] = -np.array(moved)
-            distance = xy[:, axis] - middle[axis]
+            jacobian[:, _SHAPE:_PARTIAL] = -moved
+            jacobian[:, _PARTIAL] = -nearer[:, axis]
+            distance = xy[:, axis] - middle[axis] - x[_PARTIAL] * nearer[:, axis]
             spread = 1.4826 * np.median(np.abs(distance - np.median(distance))) if len(distance) else 0.0
             variance = np.full(len(frame), max(spread, outline.OUTLINE_SIGMA_M) ** 2)
             parts.append(Rows(distance, variance, jacobian, np.full(len(frame), axis), frame))
@@ -317,7 +365,7 @@ class DriveModel:
         jacobian[:, _CLOCK] = -moved - poses.yaw_rate[frame] * (normal * _turned(xy)).sum(axis=1)
         about = -(normal * _turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
         jacobian[:, _HEADING] = about
-        jacobian[:, _LEVER] = about * poses.curvature[frame]
+        jacobian[:, _LEVER] = about * poses.by_lever[frame]
         return jacobian
 
 

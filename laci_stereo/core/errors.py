@@ -6,9 +6,11 @@ LaciError
 │   ├── RigError          a stereo calibration
 │   ├── CamError          a log of Cooperative Awareness Messages
 │   ├── MapError          a lane map
+│   ├── DetectionError    a log of a detector's boxes
 │   ├── ScanError         a LiDAR's scans (in `laci_lidar`)
 │   ├── SettingError      an argument or a setting
 │   ├── CalibrationFileError  a calibration.json
+│   ├── EvidenceError     what a result keeps of its drive (evidence.npz)
 │   └── OutputError       the place where the result should go
 └── CalibrationError      it was read, but cannot be calibrated    (exit code 1)
     ├── GroundError       no ground plane
@@ -16,7 +18,8 @@ LaciError
     ├── BoxError          points that span no box
     ├── TrackError        no vehicle, or one that stands still
     ├── MatchError        the two tracks do not fit on each other
-    └── OpenError         the drive leaves a direction open
+    ├── OpenError         the drive leaves a direction open
+    └── CombineError      several drives that contradict one another
 
 A message is one line: the file, the quantity, the value found and the value needed.
 """
@@ -48,12 +51,20 @@ class MapError(InputError):
     """A lane map is unusable."""
 
 
+class DetectionError(InputError):
+    """A log of detections is unusable."""
+
+
 class SettingError(InputError):
     """An argument or a setting is out of its range."""
 
 
 class CalibrationFileError(InputError):
     """A calibration.json is unusable."""
+
+
+class EvidenceError(InputError):
+    """What a result keeps of its drive is unusable, or is not of the same sensor as the rest."""
 
 
 class OutputError(InputError):
@@ -86,3 +97,7 @@ class MatchError(CalibrationError):
 
 class OpenError(CalibrationError):
     """The drive leaves a direction open, so there is no number to give."""
+
+
+class CombineError(CalibrationError):
+    """Several drives contradict one another."""

@@ -21,6 +21,8 @@ class Evidence:
         Of the frames.
     middles : ndarray, shape (m, 2)
         Of the vehicle in each frame, level: its median point, or the centre of the box that a detector gave.
+    lacking_m : ndarray, shape (m, 2)
+        By how much a detector's box is shorter and narrower than the vehicle; all of it where it gave no size.
     points : ndarray, shape (n, 3)
         Level frame, metres; none where a detector gave the boxes.
     frame : ndarray of int, shape (n,)
@@ -34,6 +36,7 @@ class Evidence:
 
     stamps_s: FloatArray
     middles: FloatArray
+    lacking_m: FloatArray
     points: FloatArray
     frame: IntArray
     sigma_along_m: FloatArray
@@ -70,12 +73,14 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
     points = np.concatenate([np.zeros((0, 3)), *(sighting.points for sighting in seen)])
     along = np.concatenate([np.zeros(0), *(sighting.sigma_along_m for sighting in seen)])
     across = np.concatenate([np.zeros(0), *(sighting.sigma_across_m for sighting in seen)])
+    sizes = np.array([(sighting.box.length_m, sighting.box.width_m) for sighting in seen]).reshape(-1, 2)
     sight = points - np.array([0.0, 0.0, height_m])
     down = sight[:, 2] / np.linalg.norm(sight, axis=1)
     level = np.sqrt(1.0 - down**2)
     return Evidence(
         stamps_s=stamps[known],
         middles=np.array([sighting.middle for sighting in seen]).reshape(-1, 2),
+        lacking_m=(np.array([vehicle.length_m, vehicle.width_m]) - sizes).clip(0.0),
         points=points,
         frame=np.repeat(np.arange(len(seen)), counts),
         sigma_along_m=np.hypot(level * along, down * across),

@@ -27,6 +27,9 @@ START_SHIFT_M = 0.9
 """Starts around the paper's match: its yaw leans on one box and is a few degrees off at most; its position is off by
 half of what of the vehicle is not seen, which is half a car's width across and somewhat more along it."""
 
+FREE_M = 100.0
+"""Standard deviation of the position about the start, which only keeps the equations regular."""
+
 COARSE_ROWS = 1500
 """Points that compare the starts; a few per frame and side say which is best."""
 
@@ -97,9 +100,9 @@ def fit_jointly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
-    thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], centre, settings)
-    _, best = max((thinned.descend(x) for x in _starts(thinned, begin, offsets)), key=lambda found: found[0])
-    problem = _Problem(drives, centre, settings)
+    thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings)
+    _, best = max((thinned.descend(x) for x in _starts(thinned, offsets)), key=lambda found: found[0])
+    problem = _Problem(drives, begin, centre, settings)
     return _fit(problem, problem.solve(best), centre)
 
 
@@ -107,12 +110,12 @@ def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
     return np.array([start.yaw_rad, *start(centre[None])[0], 0.0])
 
 
-def _starts(problem: _Problem, begin: FloatArray, offsets: Sequence[float]) -> list[FloatArray]:
+def _starts(problem: _Problem, offsets: Sequence[float]) -> list[FloatArray]:
     """Return starts around the first one: turned and shifted along and across the mean direction of view."""
     shifts = [(0.0, 0.0), *product((-START_SHIFT_M, START_SHIFT_M), repeat=2)]
     found = []
     for turn_deg, shift in product(START_YAWS_DEG, shifts):
-        x = problem.at_rest(begin, offsets)
+        x = problem.at_rest(offsets)
         x[0] += np.radians(turn_deg)
         x[1:3] += shift
         found.append(x)
@@ -130,22 +133,29 @@ class _Solved:
 class _Problem:
     """All drives' models over one vector: yaw, x, y and range bias of the sensor, then what is each drive's own."""
 
-    def __init__(self, drives: Sequence[Evidence], centre: FloatArray, settings: JointSettings) -> None:
+    def __init__(
+        self, drives: Sequence[Evidence], begin: FloatArray, centre: FloatArray, settings: JointSettings
+    ) -> None:
         self.models = [DriveModel(drive, centre, settings) for drive in drives]
         ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
-        # Yaw and position are free; the range bias is what all points' noise has in common.
+        # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
-        self.precision[3, 3] = 1.0 / settings.shared_noise_share
+        self.precision[range(4), range(4)] = [1.0, FREE_M**-2, FREE_M**-2, 1.0 / settings.shared_noise_share]
         self.mean = np.zeros(self.size)
+        self.mean[:FIRST_OWN] = begin
         for model, own in zip(self.models, self.own, strict=True):
             self.precision[own, own], self.mean[own] = model.prior()
 
-    def at_rest(self, begin: FloatArray, offsets: Sequence[float]) -> FloatArray:
+    def loosen(self, x: FloatArray) -> None:
+        """Weigh the priors by how far the drives' own parameters are from them."""
+        for model, own in zip(self.models, self.own, strict=True):
+            self.precision[own, own], _ = model.prior(x[own])
+
+    def at_rest(self, offsets: Sequence[float]) -> FloatArray:
         """Return the vector with every correction at its prior's mean, but for the clocks."""
-        x = self.mean.copy()
-        x[:FIRST_OWN] = begin
+        x: FloatArray = self.mean.copy()
         for own, offset in zip(self.own, offsets, strict=True):
             x[own.start] = offset
         return x
@@ -169,10 +179,11 @@ class _Problem:
             step = np.linalg.solve(information, gradient)
             x = x - step
             shares = [each.shares for each in fitness]
+            self.loosen(x)
             if step @ information @ step < CONVERGED:
                 break
         information, _, fitness = self._sum(x, 0.0, shares)
-        inverse: FloatArray = np.linalg.inv(information)
+        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         return _Solved(x, self._covariance(inverse, fitness), tuple(fitness), tuple(self.own))
 
     def _sum(

@@ -1,7 +1,7 @@
 """The visible outline of a vehicle on the ground plan: which side each line of sight meets, and how far off a point is.
 
 The outline is the rectangle that the messages tell, with what makes a real body differ from it: ends and sides that may
-stand a few centimetres in or out, ends that bend back towards the corners, sides that taper towards the ends. Only the
+stand a few centimetres in or out, bow and taper, and corners that are round. Only the
 lower part of a body, below the bonnet and the windows, is that wide and that long; `LOWEST_M` and `HIGHEST_M` bound it.
 """
 
@@ -25,25 +25,26 @@ HEAVY_WIDTH_M = 2.2
 HEAVY_HIGHEST_M = 3.0
 """...up to their roofs, at 3 m and more."""
 
-END_POWER = 8
-SIDE_POWER = 4
-"""The ends bend as the eighth power of the distance from the middle, the sides as the fourth: corners have radii of
-0.1 to 0.4 m, a twentieth to a fifth of the width, while the sides taper over the length of a wing."""
+BOW_POWER = 2
+TAPER_POWER = 4
+"""The ends bow as the square of the distance from the middle; the sides taper over the length of a wing."""
 
-SHAPE = ("front", "rear", "side", "lever_y", "front_bend", "rear_bend", "side_taper")
+SHAPE = ("front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "front_radius", "rear_radius")
 """The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
-left, and how far the ends' corners and the sides' ends stand back."""
+left, how far ends and sides stand back where they end, and the radii of the corners."""
 
-SHAPE_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.10, 0.08, 0.04])
-SHAPE_SIGMA = np.array([0.03, 0.03, 0.03, 0.0, 0.08, 0.06, 0.04])
+SHAPE_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.03, 0.03, 0.03, 0.25, 0.25])
+SHAPE_SIGMA = np.array([0.03, 0.03, 0.03, 0.0, 0.03, 0.03, 0.03, 0.12, 0.12])
 """What is known of the shape of any vehicle at this height. Plates, bumpers and door sills stand within 3 cm of the
-body's bounds; corners of 0.1 to 0.4 m radius stand back by up to that at the very edge, half of it a little inwards."""
+body's bounds, ends and sides curve by as much, and the corners' radii are 0.1 m for a van and 0.5 m for a small car."""
+
+SMALLEST_RADIUS_M = 0.02
 
 OUTLINE_SIGMA_M = 0.03
 """Standard deviation of a body about such an outline: wheel arches, handles, bumper grooves."""
 
-CORNER_SIGMA_M = 0.08
-"""The same at the very corner, where radii differ most."""
+CORNER_SIGMA_M = 0.05
+"""The same at corners, which are no arcs of circles."""
 
 FACES = 5
 """Rear, front, right, left, and the corner that a line of sight passes by."""
@@ -63,7 +64,7 @@ class Hits:
         Of the distance: noise of the point, and the outline's own.
     normal : ndarray, shape (n, 2)
         Outward, vehicle frame.
-    by_shape : ndarray, shape (n, 7)
+    by_shape : ndarray, shape (n, 9)
         Derivative of the distance by `SHAPE`.
     face : ndarray of int, shape (n,)
         0 rear, 1 front, 2 right, 3 left, 4 passed by.
@@ -102,10 +103,10 @@ def meet(
         Noise on the ground plan, along and across the line of sight.
     size : tuple of float
         Length and width that the messages tell.
-    shape : ndarray, shape (7,)
+    shape : ndarray, shape (9,)
         See `SHAPE`.
     """
-    front, rear, side, lever_y, front_bend, rear_bend, taper = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, _, _ = shape
     half = np.array([size[0] / 2, size[1] / 2])
     ray = xy - origin
     far = np.linalg.norm(ray, axis=1)
@@ -115,57 +116,79 @@ def meet(
     sign_x, sign_y = np.where(ahead, 1.0, -1.0), np.where(left, 1.0, -1.0)
     end_x = sign_x * (half[0] + np.where(ahead, front, rear))
     side_y = sign_y * (half[1] + side)
-    bend = np.where(ahead, front_bend, rear_bend)
+    bow = np.where(ahead, front_bow, rear_bow)
     o_y = origin[:, 1] - lever_y
 
     t_end = (end_x - origin[:, 0]) / u[:, 0]
     t_side = (side_y - o_y) / u[:, 1]
-    for _ in range(2):  # the bend is centimetres, so this converges at once
+    for _ in range(2):  # bow and taper are centimetres, so this converges at once
         eta = np.clip((o_y + t_end * u[:, 1]) / half[1], -1.0, 1.0)
-        t_end = (end_x - sign_x * bend * eta**END_POWER - origin[:, 0]) / u[:, 0]
+        t_end = (end_x - sign_x * bow * eta**BOW_POWER - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
-        t_side = (side_y - sign_y * taper * xi**SIDE_POWER - o_y) / u[:, 1]
+        t_side = (side_y - sign_y * taper * xi**TAPER_POWER - o_y) / u[:, 1]
     t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
     t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
     at_end = t_end >= t_side
     enter = np.maximum(t_end, t_side)
     hit = (enter > 0.0) & (enter < _leave(origin[:, 0], o_y, u, half + np.array([max(front, rear), side])))
-
-    eta_e, xi_e = np.where(at_end, eta, 0.0), np.where(at_end, 0.0, xi)
-    lean_end = END_POWER * bend * eta_e ** (END_POWER - 1) / half[1]
-    lean_side = SIDE_POWER * taper * xi_e ** (SIDE_POWER - 1) / half[0]
+    eta, xi = np.where(at_end, eta, 0.0), np.where(at_end, 0.0, xi)
+    lean_end = BOW_POWER * bow * eta ** (BOW_POWER - 1) / half[1]
+    lean_side = TAPER_POWER * taper * xi ** (TAPER_POWER - 1) / half[0]
     normal = np.column_stack([np.where(at_end, sign_x, lean_side), np.where(at_end, lean_end, sign_y)])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    cos = np.abs((normal * u).sum(axis=1))
-    own = OUTLINE_SIGMA_M**2 + (CORNER_SIGMA_M * np.maximum(np.abs(eta_e) ** END_POWER, xi_e**END_POWER)) ** 2
-    variance = (cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own
-    distance = (enter - far) * cos
 
+    # The corner that the line of sight comes nearest to, if it meets or passes the outline there.
     corner = _corners(half, shape)
     beside = np.column_stack([-u[:, 1], u[:, 0]])
-    aside = np.stack([((c - origin) * beside).sum(axis=1) for c in corner])
-    which = np.abs(aside).argmin(axis=0)
-    passing = -aside[which, np.arange(len(xy))]
-    normal = np.where(hit[:, None], normal, beside * np.sign(passing)[:, None])
-    distance = np.where(hit, distance, np.abs(passing))
-    variance = np.where(hit, variance, sigma_across**2 + OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2)
+    aside = np.stack([((at - origin) * beside).sum(axis=1) for at in corner[:, :2]])
+    met = origin + np.where(hit, enter, far)[:, None] * u
+    away = np.stack([np.abs(met - at).max(axis=1) for at in corner[:, :2]])
+    which = np.where(hit, away.argmin(axis=0), np.abs(aside).argmin(axis=0))
+    at, radius = corner[which, :2], corner[which, 2]
+    outward = np.sign(at - np.array([0.0, lever_y]))
+    centre = at - outward * radius[:, None]
+    inside = ((met - centre) * outward > 0.0).all(axis=1)
+    round_ = ~hit | inside
+    off = ((centre - origin) * beside).sum(axis=1)
+    reach = np.sqrt(np.maximum(radius**2 - off**2, 0.0))
+    t_arc = ((centre - origin) * u).sum(axis=1) - reach
+    passes = round_ & (np.abs(off) >= radius)
+    arc = round_ & ~passes
+    radial = (origin + t_arc[:, None] * u - centre) / radius[:, None]
+    enter = np.where(arc, t_arc, np.where(passes, far, enter))
+    normal = np.where(arc[:, None], radial, normal)
+    normal = np.where(passes[:, None], beside * -np.sign(off)[:, None], normal)
 
-    corner_front, corner_left = (corner[which] > np.array([0.0, lever_y])).T
-    of_front = np.where(hit, ahead, corner_front)
-    of_end, of_side = ~hit | at_end, ~hit | ~at_end
-    out_y = np.where(hit, sign_y, np.where(corner_left, 1.0, -1.0))
-    bent, tapered = np.where(hit, eta_e**END_POWER, 1.0), np.where(hit, xi_e**SIDE_POWER, 1.0)
-    front_x, rear_x = np.where(of_end & of_front, normal[:, 0], 0.0), np.where(of_end & ~of_front, normal[:, 0], 0.0)
-    side_out = np.where(of_side, normal[:, 1] * out_y, 0.0)
+    cos = np.abs((normal * u).sum(axis=1))
+    own = OUTLINE_SIGMA_M**2 + np.where(round_, CORNER_SIGMA_M**2, 0.0)
+    variance = (cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own
+    distance = np.where(passes, np.abs(off) - radius, (enter - far) * cos)
+
+    bent = np.where(round_, 1.0, np.abs(eta)) ** BOW_POWER
+    tapered = np.where(round_, 1.0, np.abs(xi)) ** TAPER_POWER
+    of_front = np.where(round_, outward[:, 0] > 0.0, ahead)
+    of_end, of_side = round_ | at_end, round_ | ~at_end
+    out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
+    by_radius = np.where(round_, np.abs(normal).sum(axis=1) - 1.0, 0.0)
     return Hits(
         distance=distance,
         variance=variance,
         normal=normal,
         by_shape=np.column_stack(
-            [-front_x, rear_x, -side_out, -normal[:, 1], front_x * bent, -rear_x * bent, side_out * tapered]
+            [
+                -np.where(of_front, out_x, 0.0),
+                -np.where(of_front, 0.0, out_x),
+                -out_y,
+                -normal[:, 1],
+                np.where(of_front, out_x * bent, 0.0),
+                np.where(of_front, 0.0, out_x * bent),
+                out_y * tapered,
+                np.where(of_front, by_radius, 0.0),
+                np.where(of_front, 0.0, by_radius),
+            ]
         ),
-        face=np.where(hit, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2)), _PASSED),
-        reach=np.where(hit, enter / far, 1.0),
+        face=np.where(passes, _PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
+        reach=np.where(passes, 1.0, enter / far),
     )
 
 
@@ -178,11 +201,14 @@ def _leave(o_x: FloatArray, o_y: FloatArray, u: FloatArray, half: FloatArray) ->
 
 
 def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
-    """Return the four corners, shape (4, 2): front left, front right, rear left, rear right."""
-    front, rear, side, lever_y, front_bend, rear_bend, taper = shape
-    x = np.array([half[0] + front - front_bend, -half[0] - rear + rear_bend])
+    """Return where the four corners would be without their arcs, and their radii, shape (4, 3)."""
+    front, rear, side, lever_y, front_bow, rear_bow, taper, front_radius, rear_radius = shape
+    x = np.array([half[0] + front - front_bow, -half[0] - rear + rear_bow])
     y = half[1] + side - taper
-    return np.array([[x[0], lever_y + y], [x[0], lever_y - y], [x[1], lever_y + y], [x[1], lever_y - y]])
+    radius = np.clip([front_radius, rear_radius], SMALLEST_RADIUS_M, 0.9 * y)
+    return np.array(
+        [[x[end], lever_y + way * y, radius[end]] for end, way in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))]
+    )
 
 
 def on_the_wall(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from laci_stereo.core.association import Choice
@@ -53,20 +55,49 @@ def place_jointly(choice: Choice, vehicle: VehicleTrack, height_m: float, settin
     """
     drive = evidence_of(choice.track, vehicle, height_m)
     fit = fit_jointly([drive], choice.fit, [choice.time_offset_s], settings.joint)
+    return place(fit, [drive], len(choice.track.sightings), settings)
+
+
+def place(
+    fit: JointFit, drives: Sequence[Evidence], sightings: int, settings: Settings, names: Sequence[str] = ("",)
+) -> Placement:
+    """Say how sure a joint fit is, and what of the messages contradicts it.
+
+    Parameters
+    ----------
+    fit : JointFit
+    drives : sequence of Evidence
+        Those of the fit.
+    sightings : int
+        In how many frames of all drives the vehicle was seen.
+    settings : Settings
+    names : sequence of str
+        Of the drives, for messages.
+
+    Raises
+    ------
+    MatchError
+        If too few frames show anything of the outline.
+    OpenError
+        If the drives leave a direction open.
+    """
     if fit.frames < settings.match.min_frames:
         raise MatchError(
             f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
             f"{settings.match.min_frames}"
         )
-    doubt = Doubt(fit.covariance, rotate_xy(fit.match.yaw_rad, drive.middles - fit.centre_level))
-    advice = _advice(fit, doubt, drive)
+    middles = np.concatenate([drive.middles for drive in drives])
+    doubt = Doubt(fit.covariance, rotate_xy(fit.match.yaw_rad, middles - fit.centre_level))
+    advice = _advice(fit, doubt, drives[0])
     weakest_m, _ = doubt.weakest
-    if weakest_m > max(settings.quality.open_m, 3.0 * _told(vehicle)):
+    most_m = max(settings.quality.open_m, 3.0 * min(_told(drive.vehicle) for drive in drives))
+    if weakest_m > most_m:
         raise OpenError(
-            f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are "
-            f"{settings.quality.open_m:.2f} m: {advice}"
+            f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are {most_m:.2f} m: "
+            f"{advice}"
         )
-    left_out = {"unknown": len(choice.track.sightings) - len(drive), "bare": len(drive) - fit.frames}
+    frames = sum(map(len, drives))
+    left_out = {"unknown": sightings - frames, "bare": frames - fit.frames}
     return Placement(
         match=fit.match,
         middle_level=fit.centre_level,
@@ -77,11 +108,16 @@ def place_jointly(choice: Choice, vehicle: VehicleTrack, height_m: float, settin
         time_offset_s=fit.time_offsets_s[0],
         time_sigma_s=fit.time_sigmas_s[0],
         advice=advice,
-        contradictions=tuple(_contradiction(each) for each in fit.corrections[0] if abs(each.value) > 4.0 * each.sigma),
+        contradictions=tuple(
+            f"{name}: {_in_words(correction)}" if name else _in_words(correction)
+            for name, corrections in zip(names, fit.corrections, strict=True)
+            for correction in corrections
+            if abs(correction.value) > 4.0 * correction.sigma
+        ),
     )
 
 
-def _contradiction(correction: Correction) -> str:
+def _in_words(correction: Correction) -> str:
     """Say what of the messages the points contradict."""
     value, sigma = correction.value, correction.sigma
     if correction.what == "clock":

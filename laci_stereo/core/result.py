@@ -12,6 +12,7 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform, wrap
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import Method
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
@@ -90,6 +91,10 @@ class Calibration:
         Of the sensor.
     quality : Quality
     method : {"joint", "paper"}
+    clock_sigma_s : float
+        What was known of the clocks' offset beforehand, one standard deviation.
+    others : tuple of Passage
+        Further drives that it was estimated from, in the same level frame and world.
     """
 
     world: World
@@ -109,6 +114,25 @@ class Calibration:
     axes: Axes
     quality: Quality
     method: Method
+    clock_sigma_s: float = 0.010
+    others: tuple[Passage, ...] = ()
+
+    @property
+    def passages(self) -> tuple[Passage, ...]:
+        """The drives that it was estimated from, its own first."""
+        own = Passage(
+            world=self.world,
+            axes=self.axes,
+            ground=self.ground,
+            background=self.background,
+            track=self.track,
+            vehicle=self.vehicle,
+            station_id=self.station_id,
+            match=self.match,
+            time_offset_s=self.time_offset_s,
+            clock_sigma_s=self.clock_sigma_s,
+        )
+        return (own, *self.others)
 
     @property
     def T_utm_sensor(self) -> FloatArray:

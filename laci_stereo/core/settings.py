@@ -171,12 +171,16 @@ class TrackSettings:
         By how much the middle of what is visible of a vehicle jumps from frame to frame.
     max_lost_s : float
         A track that was not seen for longer is over: what hides a car at 8 m/s is a lorry of 16 m.
+    fixture_share : float
+        What is seen at one place in this share of the frames of each third of a recording stands there. At a lane's
+        capacity a vehicle passes every 2 s, and its middle is within three cells of half a metre for 0.3 s at 5 m/s.
     """
 
     max_speed_mps: float = 40.0
     max_acceleration_mps2: float = 9.0
     jitter_m: float = 1.0
     max_lost_s: float = 2.0
+    fixture_share: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -196,7 +200,10 @@ class MatchSettings:
         Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
         where the tracks happen to cross.
     clear_log_odds : float
-        By less than this a second hypothesis is a tie: of a hundred that are chosen, at most one may be wrong.
+        By less than this a second hypothesis is a tie: of a hundred that are chosen, at most one may be wrong. By less
+        than this over chance alone, there is a warning.
+    least_log_odds : float
+        By less than this over chance alone, nothing is chosen.
     clock_sigma_s : float
         Standard deviation of the offset between the sensor's clock and the CAMs': 10 ms where both are synchronised
         (by NTP or GNSS), 1 s where nothing is known. Searched is up to three times that.
@@ -213,6 +220,7 @@ class MatchSettings:
     min_path_m: float = 10.0
     min_explained: float = 0.5
     clear_log_odds: float = math.log(100.0)
+    least_log_odds: float = math.log(10.0)
     clock_sigma_s: float = 0.010
     position_sigma_m: float = 0.3
     stretch_m: float = 10.0
@@ -228,9 +236,6 @@ class JointSettings:
         Of the offset between the sensor's clock and the messages': both follow a GNSS or NTP.
     heading_sigma_deg : float
         Of the messages' heading against the vehicle's body, constant over a drive: how a receiver is fitted into a car.
-    heading_lever_sigma_m : float
-        The heading is the direction in which some point of the vehicle moves; that point is ahead of the one whose
-        motion is along the body, the rear axle, by anything up to the wheelbase.
     lever_sigma_m : float
         Of the reference point's place on the vehicle: it was measured by hand, to 5 cm.
     size_sigma_m : float
@@ -248,7 +253,6 @@ class JointSettings:
 
     clock_sigma_s: float = 0.010
     heading_sigma_deg: float = 0.3
-    heading_lever_sigma_m: float = 1.5
     lever_sigma_m: float = 0.05
     size_sigma_m: float = 0.05
     position_sigma_m: float = 0.02

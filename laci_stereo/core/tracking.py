@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.sighting import Sighting
 
@@ -19,6 +20,13 @@ UNLINKED = 1.5
 
 GATE = 3.0
 """Standard deviations at which a gate closes."""
+
+PLACE_M = 0.5
+"""What stands still is seen again within this distance or the next such cell: its middle wanders with what is hit."""
+
+PARTS = 3
+"""What stands is seen in each such part of a recording; a vehicle that waits leaves before the end, or came after the
+beginning."""
 
 FILTERED = 10
 """So many sightings at the beginning of a track tell its velocity there."""
@@ -75,12 +83,13 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
 
     Each track carries a position and a velocity (a Kalman filter with white acceleration). While it is out of sight its
     place soon becomes too vague to tell who appears there; longer gaps are closed afterwards, where the velocities
-    before and after agree with the way in between.
+    before and after agree with the way in between. What stands at one place from the beginning to the end, such as
+    growth on uneven ground, is left out: vehicles that pass it would be linked with it.
 
     Parameters
     ----------
     frames : iterable of sequence of Sighting
-        In the order of time; consumed once, so it may be a stream.
+        In the order of time; consumed once.
     settings : TrackSettings
 
     Returns
@@ -92,7 +101,7 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
     finished: list[_Moving] = []
     active: list[_Moving] = []
     interval_s, before_s = 0.0, None
-    for sightings in frames:
+    for sightings in _that_move([frame for frame in frames if frame], settings):
         if not sightings:
             continue
         now_s = sightings[0].frame_s
@@ -110,6 +119,33 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
                 active.append(_Moving(sighting, settings))
     tracks = _stitched(finished + active, settings)
     return sorted(tracks, key=lambda track: len(track.sightings), reverse=True)
+
+
+def _that_move(frames: Sequence[Sequence[Sighting]], settings: TrackSettings) -> list[list[Sighting]]:
+    """Leave out clusters that stand at one place throughout; what a detector reports is an object even so."""
+    clusters = [(number, one) for number, frame in enumerate(frames) for one in frame if len(one.points)]
+    if not clusters:
+        return [list(frame) for frame in frames]
+    number = np.array([number for number, _ in clusters])
+    stands = _stand(number, np.array([one.middle for _, one in clusters]), len(frames), settings.fixture_share)
+    fixtures = {id(one) for (_, one), fixed in zip(clusters, stands, strict=True) if fixed}
+    return [[one for one in frame if id(one) not in fixtures] for frame in frames]
+
+
+def _stand(number: IntArray, xy: FloatArray, count: int, share: float) -> BoolArray:
+    """Tell around which places, shape (n, 2), something is seen in this share of the frames of each part."""
+    cells = np.floor((xy - xy.min(axis=0)) / PLACE_M).astype(np.int64) + 1
+    columns = int(cells[:, 1].max()) + 2
+    around = np.array([i * columns + j for i, j in product((-1, 0, 1), repeat=2)])
+    place = cells @ np.array([columns, 1])
+    # A frame counts once for a place, whatever it shows there.
+    seen = np.unique((place[:, None] + around) * count + number[:, None])
+    places, index = np.unique(seen // count, return_inverse=True)
+    frames_in = np.bincount(np.arange(count) * PARTS // count, minlength=PARTS)
+    times = np.bincount(index * PARTS + seen % count * PARTS // count, minlength=len(places) * PARTS)
+    often: BoolArray = (times.reshape(-1, PARTS) >= np.maximum(share * frames_in, 2)).all(axis=1)
+    standing: BoolArray = often[np.searchsorted(places, place)]
+    return standing
 
 
 def _blind_s(settings: TrackSettings) -> float:

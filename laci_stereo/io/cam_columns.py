@@ -9,30 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray
-
-BAD_SHARE = 0.2
-"""More than a fifth of bad values is no exception any more, but says something about the file."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """What a column is called.
-
-    Attributes
-    ----------
-    name : str
-        The canonical name.
-    synonyms : tuple of str
-        Other names of it, the better ones first; case, spaces and underscores do not matter.
-    """
-
-    name: str
-    synonyms: tuple[str, ...]
-
-    def find(self, header: list[str]) -> int | None:
-        """Return the index of the column in a header, or None."""
-        plain = [plain_name(title) for title in header]
-        return next((plain.index(name) for name in (plain_name(self.name), *self.synonyms) if name in plain), None)
+from laci_stereo.io.table import BAD_SHARE, TIMESTAMP, Column
 
 
 @dataclass(frozen=True)
@@ -84,14 +61,6 @@ class Quantity(Column):
         return others_are_raw and bool(np.median(values) / self.etsi_per_unit >= self.lowest)
 
 
-TIMESTAMP = Column(
-    "timestamp",
-    (
-        *("timestamputc", "timestampunix", "timestamps", "time", "ts", "t", "stamp", "unixtime", "utc", "utctime"),
-        *("datetime", "epoch", "timestampns", "timestampus", "timestampms", "timens", "timeus", "timems"),
-        *("gpstime", "timestampits", "referencetime", "generationtime"),
-    ),
-)
 STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "vehicleid"))
 
 LATITUDE = Quantity("latitude", ("lat", "latitudedeg", "latdeg"), "deg", 1e7, 900000001, -90.0, 90.0)
@@ -152,11 +121,6 @@ def in_units(raw_or_not: Values) -> tuple[Values, list[str]]:
         quantity: found / quantity.etsi_per_unit if quantity in raw else found for quantity, found in raw_or_not.items()
     }
     return values, [f"{quantity.name}: raw ETSI integers of {quantity.etsi_text}" for quantity in raw]
-
-
-def plain_name(title: str) -> str:
-    """Return a column's title in lower case, without spaces, underscores and other marks."""
-    return "".join(character for character in title.lower() if character.isalnum())
 
 
 def _positions_look_raw(values: FloatArray) -> bool:

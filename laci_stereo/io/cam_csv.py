@@ -12,7 +12,6 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, IntArray
 from laci_stereo.io.cam_columns import (
     ALTITUDE,
-    BAD_SHARE,
     DIMENSIONS,
     ELLIPSE_ORIENTATION,
     HEADING,
@@ -21,6 +20,7 @@ from laci_stereo.io.cam_columns import (
     LONGITUDE,
     POSITION,
     QUANTITIES,
+    REQUIRED,
     SEMI_MAJOR,
     SEMI_MINOR,
     SPEED,
@@ -29,7 +29,8 @@ from laci_stereo.io.cam_columns import (
     in_units,
 )
 from laci_stereo.io.cam_exchange import look_exchanged
-from laci_stereo.io.cam_table import Problems, Table, merged, numbers_of, read_table, stamps_ns, station_ids
+from laci_stereo.io.cam_table import column_notes, numbers_of, station_ids
+from laci_stereo.io.table import BAD_SHARE, Problems, Table, merged, read_table, stamps_ns
 
 _NOWHERE_DEG = 1e-4
 _SAME_PLACE_DEG = 1e-6
@@ -64,7 +65,7 @@ def read_cam_csv(path: Path) -> CamRecording:
         If it cannot be read, lacks a column, more than a fifth of its rows or values are bad, it has no position at
         all, or latitude and longitude are exchanged.
     """
-    table = read_table(path)
+    table = read_table(path, REQUIRED, CamError, "message")
     stamps, stations = stamps_ns(table), station_ids(table)
     numbers = {quantity: numbers_of(table, quantity) for quantity in QUANTITIES}
     values, unit_notes = in_units({quantity: parsed.values for quantity, parsed in numbers.items()})
@@ -72,13 +73,13 @@ def read_cam_csv(path: Path) -> CamRecording:
     _check_sides(path, values)
     unread = merged(parsed.problems for parsed in numbers.values())
     problems = merged([table.problems, stamps.problems, stations.problems, unread, _misplaced(values)])
-    skip_notes = _check_share(table, problems)
+    skip_notes = table.skip_notes(problems)
     values, range_notes = _possible(table, values)
     good = np.array([i not in problems for i in range(len(table.rows))], dtype=bool)
     log, order_notes = _in_order(path, _log(stamps.values, stations.values, values)[good])
     position_notes = _check_positions(path, log)
     code_notes = [note for parsed in numbers.values() for note in parsed.notes]
-    understood = (*table.notes(), *stamps.notes, *stations.notes, *unit_notes, *code_notes, *zero_notes)
+    understood = (*column_notes(table), *stamps.notes, *stations.notes, *unit_notes, *code_notes, *zero_notes)
     return CamRecording(log, (*understood, *skip_notes, *range_notes, *order_notes, *position_notes))
 
 
@@ -116,19 +117,6 @@ def _misplaced(values: Values) -> Problems:
         }
         for quantity in POSITION
     )
-
-
-def _check_share(table: Table, problems: Problems) -> list[str]:
-    """Return a note on bad rows that are left out; raise if they are too many to be exceptions."""
-    if not problems:
-        return []
-    first, problem = next(iter(problems.items()))
-    row = f"row {table.line_numbers[first]}: {problem}"
-    if len(problems) > BAD_SHARE * len(table.rows):
-        raise CamError(
-            f"{table.path}, {row} ({len(problems)} of {len(table.rows)} rows are bad, at most a fifth may be)"
-        )
-    return [f"{len(problems)} bad rows skipped, the first of them {row}"]
 
 
 def _possible(table: Table, values: Values) -> tuple[Values, list[str]]:

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.detections import DetectionError, DetectionLog
+from laci_stereo.core.detections import DetectionLog
+from laci_stereo.core.errors import DetectionError
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.io.cam_columns import BAD_SHARE, TIMESTAMP, Column, plain_name
-from laci_stereo.io.cam_table import Parsed, Problems, Table, merged, stamps_ns
-from laci_stereo.io.stamps import iso_time, number
-from laci_stereo.io.text_file import listed, quoted, read_text
+from laci_stereo.io.table import (
+    BAD_SHARE,
+    TIMESTAMP,
+    Column,
+    Problems,
+    Table,
+    is_missing,
+    merged,
+    plain_name,
+    read_table,
+    stamps_ns,
+)
+from laci_stereo.io.text_file import listed
 
 
 @dataclass(frozen=True)
@@ -65,9 +72,6 @@ MEASURES = (X, Y, Z, YAW, LENGTH, WIDTH, HEIGHT, RADIAL_SPEED)
 COLUMNS: tuple[Column, ...] = (TIMESTAMP, *MEASURES, TRACK_ID)
 POSITION = (X, Y, Z)
 
-_MISSING = frozenset({"", "-", "na", "n/a", "nan", "none", "null"})
-_DECIMAL_COMMA = re.compile(r"^([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)$")
-
 
 @dataclass(frozen=True)
 class DetectionRecording:
@@ -97,13 +101,13 @@ def read_detections(path: Path) -> DetectionRecording:
         If it cannot be read, lacks a column, more than a fifth of its rows are bad, or objects are at two places at
         one time.
     """
-    table = _read_table(path)
+    table = read_table(path, REQUIRED, DetectionError, "detection")
     stamps = stamps_ns(table)
-    numbers = {measure: _numbers(table, measure) for measure in MEASURES}
+    numbers = {measure: table.numbers(measure) for measure in MEASURES}
     values = {measure: parsed.values for measure, parsed in numbers.items()}
     unread = merged(parsed.problems for parsed in numbers.values())
     problems = merged([table.problems, stamps.problems, unread, _misplaced(table, values)])
-    skip_notes = _check_share(table, problems)
+    skip_notes = table.skip_notes(problems)
     values, range_notes = _possible(table, values)
     yaw, yaw_notes = _in_radians(table, values[YAW])
     good = np.array([row not in problems for row in range(len(table.rows))])
@@ -122,47 +126,6 @@ def read_detections(path: Path) -> DetectionRecording:
     return DetectionRecording(log, (*notes, *_content_notes(log)))
 
 
-def _read_table(path: Path) -> Table:
-    """Read a CSV file whose cells are separated by commas, semicolons or tabs; the latter may have decimal commas."""
-    text = read_text(path, DetectionError)
-    first_line = next(line for line in text.splitlines() if line.strip())
-    separator = max(",;\t", key=first_line.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    lines = []
-    try:
-        for row in reader:
-            cells = [_DECIMAL_COMMA.sub(r"\1.\2", cell.strip()) for cell in row]
-            if any(cells):
-                lines.append((reader.line_num, cells))
-    except csv.Error as problem:
-        raise DetectionError(f"{path}, row {reader.line_num}: {problem}; needed is a CSV file") from problem
-    if not lines:
-        raise DetectionError(f"{path} holds no header row; needed is one that names the columns")
-    (_, titles), *found = lines
-    header = [title.lstrip("# ") for title in titles]
-    _check_header(path, header)
-    if not found:
-        raise DetectionError(f"{path} holds a header but no rows; needed is at least one detection")
-    width = len(header)
-    too_long = {
-        i: f"it has {len(cells)} fields; needed are {width}" for i, (_, cells) in enumerate(found) if any(cells[width:])
-    }
-    rows = [(cells + [""] * width)[:width] for _, cells in found]
-    return Table(path, header, rows, [line_number for line_number, _ in found], too_long)
-
-
-def _check_header(path: Path, header: list[str]) -> None:
-    lacking = [column.name for column in REQUIRED if column.find(header) is None]
-    if not lacking:
-        return
-    if any(number(title) is not None or iso_time(title) is not None for title in header):
-        raise DetectionError(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
-    raise DetectionError(
-        f"{path} lacks the column {', '.join(lacking)}; needed are {', '.join(column.name for column in REQUIRED)}, "
-        f"it holds {listed(header)}"
-    )
-
-
 def _column_notes(table: Table) -> list[str]:
     """Return which columns stand in for others, and which are not used."""
     places = {column: column.find(table.header) for column in COLUMNS}
@@ -174,20 +137,6 @@ def _column_notes(table: Table) -> list[str]:
         if place is not None and plain_name(table.header[place]) != plain_name(column.name)
     ]
     return [*read, f"columns not used: {listed(unused)}"] if unused else read
-
-
-def _numbers(table: Table, measure: Measure) -> Parsed[FloatArray]:
-    """Return a column's numbers; NaN where they are missing."""
-    values = np.full(len(table.rows), np.nan)
-    problems = {}
-    for row, text in enumerate(table.texts(measure) or []):
-        if text.lower() in _MISSING:
-            continue
-        if number(text) is None or not math.isfinite(float(text)):
-            problems[row] = f"{measure.name} is {quoted(text)}; needed is a number"
-        else:
-            values[row] = float(text)
-    return Parsed(values, problems)
 
 
 def _misplaced(table: Table, values: Mapping[Measure, FloatArray]) -> Problems:
@@ -203,19 +152,6 @@ def _misplaced(table: Table, values: Mapping[Measure, FloatArray]) -> Problems:
                 f"{measure.name} is {found}; needed is {-measure.highest:g} to {measure.highest:g} m from the sensor"
             )
     return problems
-
-
-def _check_share(table: Table, problems: Problems) -> list[str]:
-    """Return a note on bad rows that are left out; raise if they are too many to be exceptions."""
-    if not problems:
-        return []
-    first, problem = next(iter(problems.items()))
-    row = f"row {table.line_numbers[first]}: {problem}"
-    if len(problems) > BAD_SHARE * len(table.rows):
-        raise DetectionError(
-            f"{table.path}, {row} ({len(problems)} of {len(table.rows)} rows are bad, at most a fifth may be)"
-        )
-    return [f"{len(problems)} bad rows skipped, the first of them {row}"]
 
 
 def _possible(table: Table, values: Mapping[Measure, FloatArray]) -> tuple[dict[Measure, FloatArray], list[str]]:
@@ -246,9 +182,9 @@ def _in_radians(table: Table, yaw: FloatArray) -> tuple[FloatArray, list[str]]:
 
 def _track_ids(table: Table) -> IntArray:
     """Return a number for each name that the detector gives to an object, -1 where it gives none."""
-    texts = np.array([text.lower() for text in table.texts(TRACK_ID) or [""] * len(table.rows)])
-    _, numbers = np.unique(texts, return_inverse=True)
-    return np.where(np.isin(texts, sorted(_MISSING)), -1, numbers.reshape(-1)).astype(np.int64)
+    texts = [text.lower() for text in table.texts(TRACK_ID) or [""] * len(table.rows)]
+    _, numbers = np.unique(np.array(texts), return_inverse=True)
+    return np.where([is_missing(text) for text in texts], -1, numbers.reshape(-1)).astype(np.int64)
 
 
 def _in_order(path: Path, log: DetectionLog) -> tuple[DetectionLog, list[str]]:

@@ -13,12 +13,18 @@ import numpy.typing as npt
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import IntArray
 from laci_stereo.io.image_integrity import damage
-from laci_stereo.io.stamps import folder_stamps, iso_text
+from laci_stereo.io.stamps import iso_text
+from laci_stereo.io.timed_files import FileKind, in_time, names_in
 
 Image: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """Grey, shape (h, w), or blue-green-red, shape (h, w, 3)."""
 
-SUFFIXES = frozenset({".bmp", ".jpe", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"})
+IMAGES = FileKind(
+    "image",
+    frozenset({".bmp", ".jpe", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}),
+    "PNG, JPEG, TIFF, PGM or BMP",
+    ImageError,
+)
 
 # A damaged image is one line of ours; OpenCV's own warnings say the same once more, with its source lines.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -52,19 +58,7 @@ class ImageFolder:
         ImageError
             If the folder is missing, holds no image, or an image has no time or the time of another one.
         """
-        names = _image_names(path)
-        stamps = folder_stamps(path, names)
-        order = np.argsort(stamps, kind="stable")
-        files = tuple(path / names[i] for i in order)
-        stamps = stamps[order]
-        doubled = np.flatnonzero(np.diff(stamps) == 0)
-        if len(doubled):
-            first, second = files[doubled[0]].name, files[doubled[0] + 1].name
-            raise ImageError(
-                f"{path}: {first} and {second} have the same time, {iso_text(int(stamps[doubled[0]]))} "
-                f"({stamps[doubled[0]]} ns); needed is one time for each image"
-            )
-        return cls(path, files, stamps)
+        return cls(path, *in_time(path, names_in(path, IMAGES), IMAGES))
 
     @property
     def period_ns(self) -> float:
@@ -150,29 +144,6 @@ def _without_alpha(image: npt.NDArray[np.generic]) -> Image:
     if image.ndim == 3:
         image = image[:, :, 0] if image.shape[2] < 3 else image[:, :, :3]
     return np.ascontiguousarray(image)
-
-
-def _image_names(folder: Path) -> list[str]:
-    try:
-        inside = sorted(folder.iterdir())
-    except FileNotFoundError:
-        raise ImageError(f"{folder} does not exist; needed is a folder of images") from None
-    except NotADirectoryError:
-        raise ImageError(f"{folder} is a file; needed is a folder of images") from None
-    except OSError as problem:
-        raise ImageError(f"{folder} cannot be read: {problem.strerror}; needed is a folder of images") from problem
-    names = [entry.name for entry in inside if _is_image(entry)]
-    if not inside:
-        raise ImageError(f"{folder} is empty; needed are images")
-    if not names:
-        raise ImageError(
-            f"{folder} holds {len(inside)} files but no image; needed are PNG, JPEG, TIFF, PGM or BMP files"
-        )
-    return names
-
-
-def _is_image(entry: Path) -> bool:
-    return entry.suffix.lower() in SUFFIXES and not entry.name.startswith(".") and entry.is_file()
 
 
 def _nearest(stamps_ns: IntArray, among_ns: IntArray) -> IntArray:

@@ -14,7 +14,10 @@ from laci_stereo.core.errors import OutputError
 RESULT_FILE = "calibration.json"
 """What makes a folder a result; nothing else is ever replaced."""
 
-RESULT_FILES = (RESULT_FILE, "overlay_*.png", "topdown.png")
+EVIDENCE_FILE = "evidence.npz"
+"""What a result keeps of its drive, so that it can be estimated again together with others."""
+
+RESULT_FILES = (RESULT_FILE, EVIDENCE_FILE, "overlay_*.png", "topdown.png")
 """All that a result holds; a folder that holds more is not replaced either, or that would be lost."""
 
 

@@ -1,24 +1,14 @@
-"""Times as people write them: numbers whose size tells their unit, and ISO 8601; in, and out of, a folder's names."""
+"""Times as people write them: numbers whose size tells their unit, and ISO 8601."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from decimal import Decimal
-from pathlib import Path
-
-import numpy as np
-
-from laci_stereo.core.errors import ImageError
-from laci_stereo.core.frames import IntArray
-from laci_stereo.io.text_file import quoted, read_text
-
-STAMP_FILES = ("timestamps.txt", "timestamps.csv")
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
-_NUMBER_IN_NAME = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 _ISO = re.compile(
     r"([0-9]{4})-?([0-9]{2})-?([0-9]{2})[Tt ]+([0-9]{2}):?([0-9]{2}):?([0-9]{2})(?:[.,]([0-9]+))?"
     r"\s*(?:([Zz])|([+-])([0-9]{2}):?([0-9]{2})?)?"
@@ -105,132 +95,3 @@ def iso_time(text: str) -> IsoTime | None:
 def iso_text(stamp_ns: int) -> str:
     """Return a Unix time as ISO 8601 in UTC, to the millisecond."""
     return (_UNIX_EPOCH + timedelta(milliseconds=round(stamp_ns / 10**6))).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
-
-
-def folder_stamps(folder: Path, names: Sequence[str]) -> IntArray:
-    """Find the times of the files in a folder.
-
-    They are in ``timestamps.txt`` or ``timestamps.csv`` where there is one, and in the files' names where not.
-
-    Parameters
-    ----------
-    folder : Path
-    names : sequence of str
-        Sorted; at least one.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Unix time in nanoseconds, in the order of the names.
-
-    Raises
-    ------
-    ImageError
-        If a file has no time.
-    """
-    for stamp_file in STAMP_FILES:
-        if (folder / stamp_file).is_file():
-            return _listed_stamps(folder / stamp_file, names)
-    return _stamps_in_names(folder, names)
-
-
-def _stamps_in_names(folder: Path, names: Sequence[str]) -> IntArray:
-    numbers = [[Decimal(found) for found in _NUMBER_IN_NAME.findall(Path(name).stem)] for name in names]
-    unit, place = _unit_and_place(numbers)
-    if unit is None:
-        if all(numbers):
-            raise ImageError(
-                f"{folder}: the names (such as {quoted(names[0])}) are frame numbers, not times; put a timestamps.txt "
-                "with one Unix time per image into the folder, or name the images by their time"
-            )
-        nameless = next(name for name, found in zip(names, numbers, strict=True) if not found)
-        raise ImageError(
-            f"{folder}: the name {quoted(nameless)} holds no time; needed is a Unix time in the name of each image, "
-            "or a timestamps.txt in the folder"
-        )
-    stamps = [unit.to_ns(found[place]) if len(found) > place else None for found in numbers]
-    for name, stamp in zip(names, stamps, strict=True):
-        if stamp is None:
-            raise ImageError(
-                f"{folder}: the name {quoted(name)} holds no time in {unit.name}, as the other names do; needed is one "
-                "way of naming in the whole folder"
-            )
-    return np.array(stamps, dtype=np.int64)
-
-
-def _unit_and_place(numbers: list[list[Decimal]]) -> tuple[TimeUnit | None, int]:
-    """Return the unit of the times in the names, and which of the numbers in a name is the time."""
-    fits = []
-    for place in range(max(len(found) for found in numbers)):
-        column = [found[place] for found in numbers if len(found) > place]
-        unit = unit_of(column)
-        if unit is not None:
-            # Of two times in the names the finer one tells more.
-            fits.append((sum(unit.to_ns(value) is not None for value in column), -unit.ns, -place, unit))
-    if not fits:
-        return None, 0
-    *_, minus_place, unit = max(fits, key=lambda fit: fit[:3])
-    return unit, -minus_place
-
-
-def _listed_stamps(path: Path, names: Sequence[str]) -> IntArray:
-    lines = [line.strip() for line in read_text(path, ImageError).splitlines()]
-    rows = [(i, line) for i, line in enumerate(lines, start=1) if line and not line.startswith("#")]
-    by_name = {Path(name).stem: name for name in names} | {name: name for name in names}
-    split = [_named(line, by_name) for _, line in rows]
-    if any(name is not None for name, _ in split[:2]):
-        return _stamps_by_name(path, names, rows, split)
-    if rows and not _is_time(rows[0][1]):
-        rows = rows[1:]
-    if len(rows) != len(names):
-        raise ImageError(f"{path} holds {len(rows)} times; needed are {len(names)}, one for each image in the folder")
-    return _times(path, rows)
-
-
-def _stamps_by_name(
-    path: Path, names: Sequence[str], rows: list[tuple[int, str]], split: list[tuple[str | None, str]]
-) -> IntArray:
-    known = [
-        (i, name, stamp)
-        for (i, _), (name, stamp) in zip(rows, split, strict=True)
-        if name is not None and _is_time(stamp)
-    ]
-    stamps = _times(path, [(i, stamp) for i, _, stamp in known])
-    of_name = {name: stamp for (_, name, _), stamp in zip(known, stamps, strict=True)}
-    missing = [name for name in names if name not in of_name]
-    if missing:
-        raise ImageError(
-            f"{path} holds no time for {len(missing)} of {len(names)} images, the first of them {quoted(missing[0])}"
-        )
-    return np.array([of_name[name] for name in names], dtype=np.int64)
-
-
-def _named(line: str, by_name: Mapping[str, str]) -> tuple[str | None, str]:
-    """Return the file's name and the rest of a row such as ``name stamp``, ``name,stamp`` or ``stamp,name``."""
-    for separator in (",", ";", "\t", None):
-        for fields in (line.split(separator, 1), line.rsplit(separator, 1)):
-            if len(fields) == 2:
-                first, second = (field.strip().strip('"') for field in fields)
-                if first in by_name:
-                    return by_name[first], second
-                if second in by_name:
-                    return by_name[second], first
-    return None, line
-
-
-def _is_time(text: str) -> bool:
-    return number(text) is not None or iso_time(text) is not None
-
-
-def _times(path: Path, rows: list[tuple[int, str]]) -> IntArray:
-    numbers = [value for value in (number(text) for _, text in rows) if value is not None]
-    unit = unit_of(numbers)
-    stamps = []
-    for i, text in rows:
-        value, moment = number(text), iso_time(text)
-        ns = unit.to_ns(value) if unit is not None and value is not None else moment.ns if moment is not None else None
-        if ns is None:
-            counted = f"a Unix time in {unit.name}" if unit is not None else "a Unix time or an ISO 8601 time"
-            raise ImageError(f"{path}, line {i}: the time is {quoted(text)}; needed is {counted}")
-        stamps.append(ns)
-    return np.array(stamps, dtype=np.int64)

@@ -45,7 +45,7 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
         ("Position", place),
         ("Height", f"{calibration.height_m:.2f} m above the ground"),
         ("Looks", looks),
-        ("Vehicle", f"station {calibration.station_id}, {size}, {_frames(quality)}"),
+        ("Vehicle", f"station {calibration.station_id}, {size}{_others(calibration)}, {_frames(quality)}"),
         ("Background", f"{len(static.boxes)} boxes, from {static.quiet_frames} frames at rest"),
         ("Fit", _fit(calibration)),
         ("Doubt", "; ".join(filter(None, [doubt, quality.advice]))),
@@ -63,6 +63,13 @@ def _fit(calibration: Calibration) -> str:
     differs = calibration.paper_differs
     beside = "has no answer" if differs is None else f"would place objects {differs[0]:.2f} m, {differs[1]:.2f} deg off"
     return f"points are {rms_m:.2f} m from the vehicle's outline (RMS); {clock}; the paper's method {beside}"
+
+
+def _others(calibration: Calibration) -> str:
+    if not calibration.others:
+        return ""
+    stations = ", ".join(str(station) for station in sorted({other.station_id for other in calibration.others}))
+    return f", and {len(calibration.others)} more drives (station {stations})"
 
 
 def _frames(quality: Quality) -> str:

@@ -1,50 +1,10 @@
-"""Where forward and up are in a sensor's frame, as a person says it."""
+"""From a sensor's own axes to x forward, y left, z up."""
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
-from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import Axes, FloatArray
-from laci_stereo.io.text_file import quoted
-
-_PART = re.compile(r"([+-]?)([xyz])\s*(forward|backward|up|down)")
-_NEEDED = "needed is such as 'x forward, z up', '-y forward' or 'z down'"
-
-
-def parse_axes(text: str) -> Axes:
-    """Return the axes that a text such as ``x forward, z down`` tells.
-
-    What it does not tell is as most sensors have it: x forward, z up.
-
-    Raises
-    ------
-    SettingError
-        If it cannot be understood, or forward and up are not perpendicular.
-    """
-    told: dict[str, tuple[float, float, float]] = {}
-    for part in re.split(r"[,;]\s*", text.strip().lower()):
-        for sign, axis, way in _parts(part, text):
-            backwards = (sign == "-") != (way in ("backward", "down"))
-            direction = "forward" if way in ("forward", "backward") else "up"
-            if direction in told:
-                raise SettingError(f"the axes {quoted(text)} tell {direction} twice; {_NEEDED}")
-            unit = [0.0, 0.0, 0.0]
-            unit["xyz".index(axis)] = -1.0 if backwards else 1.0
-            told[direction] = (unit[0], unit[1], unit[2])
-    axes = Axes(told.get("forward", (1.0, 0.0, 0.0)), told.get("up", (0.0, 0.0, 1.0)))
-    if np.dot(axes.forward, axes.up) != 0.0:
-        raise SettingError(f"the axes {quoted(text)} make forward and up parallel; {_NEEDED}")
-    return axes
-
-
-def _parts(part: str, text: str) -> list[tuple[str, str, str]]:
-    found = _PART.findall(part)
-    if not found or re.sub(r"[\s]+", "", _PART.sub("", part)):
-        raise SettingError(f"the axes are {quoted(text)}; {_NEEDED}")
-    return [(sign, axis, way) for sign, axis, way in found]
 
 
 def forward_left_up(axes: Axes) -> FloatArray:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from laci_lidar.axes import parse_axes
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.cli import Asked, calibrating, parse_background, run_command
 from laci_stereo.core.errors import SettingError
+from laci_stereo.io.axes import parse_axes
 from laci_stereo.job import Job
 
 

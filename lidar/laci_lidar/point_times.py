@@ -60,7 +60,7 @@ def _unit(span: float) -> TimeUnit | None:
 
 def _start_s(first: np.generic, unit: TimeUnit, stamp_ns: int | None) -> float:
     """Return the first point's time after the stamp."""
-    first_ns = int(Decimal(first.item()) * unit.ns)
+    first_ns = round(Decimal(first.item()) * unit.ns)
     if abs(first_ns) <= LONGEST_S * 1e9:
         return first_ns / 1e9
     if stamp_ns is not None and abs(first_ns - stamp_ns) <= FAR_FROM_STAMP_S * 1e9:

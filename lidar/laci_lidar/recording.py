@@ -16,9 +16,9 @@ from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings
 from laci_lidar.view import View, learn_view
 from laci_stereo.core.cloud import PointCloud, empty_cloud
-from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
+from laci_stereo.io.background import check_frames
 from laci_stereo.stereo.ahead import workers
 
 log = logging.getLogger(__name__)
@@ -149,11 +149,7 @@ class LidarRecording:
             return self.scans, _spread(self._frames)
         if not isinstance(background, range):
             return background, _spread(group_scans(background.stamps_ns, self.settings.accumulate))
-        if not (len(background) and 0 <= background[0] <= background[-1] < len(self.scans)):
-            raise SettingError(
-                f"background scans are {background.start}..{background.stop - 1}; needed are first <= last within "
-                f"0..{len(self.scans) - 1}"
-            )
+        check_frames(background.start, background.stop - 1, len(self.scans), "scans")
         chosen = np.array(background)
         groups = group_scans(self.scans.stamps_ns[chosen], self.settings.accumulate)
         return self.scans, _spread([chosen[group] for group in groups])
@@ -180,25 +176,30 @@ class LidarRecording:
         """Gather scans, each with its time after the frame's stamp in nanoseconds, into one frame."""
         if not parts:
             return empty_cloud(stamp_ns)
-        points = np.concatenate([scan.points for _, scan in parts])
-        offsets = [self._offsets_s(scan, scanner) for _, scan in parts]
-        offset_s = None
-        if len(parts) > 1 or offsets[0] is not None or parts[0][0] != 0:
-            offset_s = np.concatenate(
-                [
-                    np.full(len(scan), shift / 1e9) + (0.0 if own is None else own)
-                    for (shift, scan), own in zip(parts, offsets, strict=True)
-                ]
-            )
+        points = np.concatenate([scan.points for _, scan in parts]) if len(parts) > 1 else parts[0][1].points
+        offset_s = self._gathered_offsets_s(parts, scanner)
         keep = self._far_enough(points)
-        points = points[keep]
+        if not keep.all():
+            points, offset_s = points[keep], None if offset_s is None else offset_s[keep]
         return PointCloud(
             stamp_ns,
             points,
             sigma_along_m=np.full(len(points), scanner.noise.range_sigma_m),
-            sigma_across_m=np.linalg.norm(points, axis=1) * scanner.noise.angle_sigma_rad,
+            sigma_across_m=np.sqrt(np.einsum("ij,ij->i", points, points)) * scanner.noise.angle_sigma_rad,
             at_edge=scanner.view.at_edge(points),
-            offset_s=None if offset_s is None else offset_s[keep],
+            offset_s=offset_s,
+        )
+
+    def _gathered_offsets_s(self, parts: Sequence[tuple[int, Scan]], scanner: Scanner) -> FloatArray | None:
+        """Return when each point was taken after the frame's stamp, or None if all were taken at it."""
+        offsets = [self._offsets_s(scan, scanner) for _, scan in parts]
+        if len(parts) == 1 and offsets[0] is None and parts[0][0] == 0:
+            return None
+        return np.concatenate(
+            [
+                np.full(len(scan), shift / 1e9) + (0.0 if own is None else own)
+                for (shift, scan), own in zip(parts, offsets, strict=True)
+            ]
         )
 
     def _offsets_s(self, scan: Scan, scanner: Scanner) -> FloatArray | None:

@@ -10,7 +10,6 @@ from laci_lidar.recording import LidarRecording
 from laci_lidar.scans import open_scans
 from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings
-from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
@@ -71,7 +70,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
         sequence,
         options.scanner,
         options.core.ground,
-        _background(sequence, options.background),
+        _background(options.background),
         options.name or scans.absolute().name,
     )
     drive = read_drive(cam, options.lane_map or find_lane_map(scans), recording.span_ns, options)
@@ -92,15 +91,12 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
     )
 
 
-def _background(sequence: ScanSequence, asked: tuple[int, int] | Path | None) -> ScanSequence | range | None:
+def _background(asked: tuple[int, int] | Path | None) -> ScanSequence | range | None:
     if asked is None:
         return None
     if isinstance(asked, Path):
         return open_scans(asked)
     first, last = asked
-    if not 0 <= first <= last < len(sequence):
-        last_scan = len(sequence) - 1
-        raise SettingError(f"background scans are {first}..{last}; needed are first <= last within 0..{last_scan}")
     return range(first, last + 1)
 
 

@@ -39,7 +39,7 @@ def evidence(
     bias_m: tuple[float, float] = (0.0, 0.0),
     reference: tuple[float, float] = (0.0, 0.0),
 ) -> Evidence:
-    """Return a drive whose sensor's stamps are ``offset_s`` early; a share ``behind`` of the points is not on the outline.
+    """Return a drive whose sensor's stamps are ``offset_s`` early; a share ``behind`` of the points lies inside.
 
     The vehicle's outline is the plain rectangle; the noise is along the line of sight.
     """
@@ -60,6 +60,7 @@ def evidence(
     return Evidence(
         stamps_s=stamps,
         middles=np.array(middles),
+        lacking_m=np.zeros((len(stamps), 2)),
         points=np.concatenate(points),
         frame=np.repeat(np.arange(len(stamps)), per_frame),
         sigma_along_m=np.full(len(stamps) * per_frame, sigma_m),

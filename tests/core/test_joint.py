@@ -127,13 +127,14 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.mark.parametrize("index", range(14))
+@pytest.mark.parametrize("index", range(16))
 def test_the_derivatives_are_those_of_the_distances(index: int) -> None:
     drive = replace(evidence(sigma_m=0.05, offset_s=0.01), vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
     x = np.zeros(4 + model.own)
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
-    x[3:14] = np.random.default_rng(2).normal(0.0, 0.01, 11)
+    x[3:16] = np.random.default_rng(2).normal(0.0, 0.01, 13)
+    x[14:16] += 0.2
     step = 1e-6 * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
     assert len(rows.distance) == len(more.distance) == len(less.distance)

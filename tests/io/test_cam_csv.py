@@ -112,6 +112,14 @@ def test_canonical_columns_need_no_interpretation(tmp_path: Path) -> None:
     assert np.isnan(log.semi_major_95_m).all()
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_read_as_points(tmp_path: Path, separator: str) -> None:
+    commas = [[cell.replace(".", ",") for cell in row] for row in table(drive())]
+    recording = read_cam_csv(write(tmp_path / "commas.csv", commas, separator))
+    assert recording.notes == ()
+    assert_same(recording.log, read_cam_csv(write(tmp_path / "points.csv", table(drive()))).log)
+
+
 MESSAGES = st.lists(
     st.builds(
         Message,

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.core.detections import DetectionError, DetectionLog
+from laci_stereo.core.detections import DetectionLog
+from laci_stereo.core.errors import DetectionError
 from laci_stereo.io.detections import read_detections
 from laci_stereo.io.stamps import iso_text
 from tests.detections import Rows

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from laci_lidar.axes import forward_left_up, parse_axes
+from laci_lidar.axes import forward_left_up
 from laci_lidar.settings import Sweep
 from laci_lidar.view import MARGIN_RAD, learn_view
 
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES
+from laci_stereo.io.axes import parse_axes
 from tests.lidar.scanner import road
 
 

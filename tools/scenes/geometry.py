@@ -8,8 +8,8 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh  # type: ignore[import-untyped]
-from embreex.rtcore_scene import EmbreeScene  # type: ignore[import-untyped]
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 
 from laci_stereo.core.frames import FloatArray, IntArray, transform
 

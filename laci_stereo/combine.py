@@ -1,0 +1,131 @@
+"""From the evidence of several results to one: the run behind ``laci-stereo combine``, for Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from laci_stereo.core.combine import Combined
+from laci_stereo.core.combine import combine as estimate
+from laci_stereo.core.errors import EvidenceError
+from laci_stereo.core.frames import Raster
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import Settings
+from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.io.evidence_file import Kept, read_evidence
+from laci_stereo.io.lane_map import LaneMap, read_lane_map
+from laci_stereo.io.output import EVIDENCE_FILE
+from laci_stereo.job import Result, sha256
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombineOptions:
+    """What a user can say about the estimate from several drives.
+
+    Attributes
+    ----------
+    name : str or None
+        What people call the sensor; None takes the first result's.
+    lane_map : Path or None
+        Lanelet2 or GeoJSON; it is only drawn.
+    core : Settings
+    """
+
+    name: str | None = None
+    lane_map: Path | None = None
+    core: Settings = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How a result from several drives came about.
+
+    Attributes
+    ----------
+    provenance : Provenance
+    read : str
+        What was read, in words.
+    lane_map : LaneMap or None
+    skipped : tuple of str
+        What was left out, one line each.
+    """
+
+    provenance: Provenance
+    read: str
+    lane_map: LaneMap | None
+    skipped: tuple[str, ...]
+
+    def draw(self, _calibration: Calibration) -> Iterator[tuple[str, Raster]]:
+        """Draw nothing of the sensor's own: no image is kept."""
+        yield from ()
+
+
+def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -> Result:
+    """Estimate where a sensor is over the drives of several results.
+
+    Parameters
+    ----------
+    runs : sequence of path
+        Result folders, or their evidence files; at least one.
+    options : CombineOptions
+
+    Raises
+    ------
+    InputError
+        If something cannot be read or is not of one sensor.
+    CalibrationError
+        If the drives do not determine a transform, or contradict one another.
+    """
+    options = options or CombineOptions()
+    if not runs:
+        raise EvidenceError("0 results; needed is at least 1 result folder")
+    paths = [_evidence_of(Path(run)) for run in runs]
+    kept = [read_evidence(path) for path in paths]
+    _check_kind(runs, kept)
+    passages = [passage for run, one in zip(runs, kept, strict=True) for passage in _named(str(run), one)]
+    combined = estimate(passages, options.core)
+    world = combined.calibration.world
+    lane_map = None if options.lane_map is None else read_lane_map(options.lane_map, world)
+    files = [*paths, *([] if options.lane_map is None else [options.lane_map])]
+    provenance = Provenance(
+        name=options.name or kept[0].name,
+        kind=kept[0].kind,
+        frame=kept[0].frame,
+        inputs={str(path): sha256(path) for path in files},
+        config=_config(combined, options),
+        notes=(*map(str, combined.shares), *(lane_map.notes if lane_map is not None else ())),
+        T_sensor_rectified=kept[0].T_sensor_rectified,
+    )
+    skipped = tuple(map(str, combined.left_out))
+    read = f"{len(passages)} drives from {len(runs)} results, {len(skipped)} left out"
+    return Result(combined.calibration, Origin(provenance, read, lane_map, skipped))
+
+
+def _evidence_of(run: Path) -> Path:
+    """Return the evidence file of a result."""
+    if not run.is_dir():
+        return run
+    if not (run / EVIDENCE_FILE).exists():
+        raise EvidenceError(f"{run}: holds no {EVIDENCE_FILE}; needed is a result that keeps its evidence")
+    return run / EVIDENCE_FILE
+
+
+def _check_kind(runs: Sequence[Path | str], kept: Sequence[Kept]) -> None:
+    for run, one in zip(runs, kept, strict=True):
+        if one.kind != kept[0].kind:
+            raise EvidenceError(f"{run}: the sensor's kind is {one.kind}; needed is {kept[0].kind} as in {runs[0]}")
+
+
+def _named(run: str, kept: Kept) -> Iterator[Passage]:
+    count = len(kept.passages)
+    for number, passage in enumerate(kept.passages, start=1):
+        yield replace(passage, name=run if count == 1 else f"{run} (drive {number} of {count})")
+
+
+def _config(combined: Combined, options: CombineOptions) -> dict[str, object]:
+    """Return every effective setting; what was known of the clocks beforehand is the drives'."""
+    config: dict[str, object] = asdict(options.core)
+    joint = {**asdict(options.core.joint), "clock_sigma_s": combined.calibration.clock_sigma_s}
+    return {**config, "method": "joint", "joint": joint}

@@ -1,0 +1,124 @@
+"""Which of several drives agree on where the sensor is, and which one contradicts the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.stats import chi2
+
+from laci_stereo.core.errors import CombineError
+from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.joint import JointFit
+
+FALSE_ALARM = 1e-3
+"""Probability that any of the drives is left out although all of them agree."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A drive that contradicts the others.
+
+    Attributes
+    ----------
+    name : str
+    shift_m, turn_deg : float
+        By how much it alone places objects elsewhere, in the middle of all drives.
+    sigmas : float
+        The same in standard deviations (Mahalanobis distance of yaw, x and y).
+    others : int
+        That agree.
+    """
+
+    name: str
+    shift_m: float
+    turn_deg: float
+    sigmas: float
+    others: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name} left out: it alone is {self.shift_m:.2f} m and {self.turn_deg:.2f} deg "
+            f"({self.sigmas:.1f} sigma) off what the {self.others} other drives say together"
+        )
+
+
+def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int], tuple[LeftOut, ...]]:
+    """Return the drives that agree, and those that do not: the worst one is left out, and again.
+
+    Raises
+    ------
+    CombineError
+        If no majority agrees, or another choice would agree as well.
+    """
+    values, covariances = _at_one_place(alone)
+    kept = list(range(len(alone)))
+    distance = _distances(values, covariances, kept)
+    while len(kept) > 1 and distance.max() > _gate(len(kept)):
+        del kept[int(distance.argmax())]
+        distance = _distances(values, covariances, kept)
+    gone = [i for i in range(len(alone)) if i not in kept]
+    found = tuple(_left_out(names[i], i, kept, values, covariances) for i in gone)
+    if gone and 2 * len(kept) <= len(alone):
+        worst = max(found, key=lambda each: each.sigmas)
+        raise CombineError(
+            f"no majority of the {len(alone)} drives ({', '.join(names)}) agrees: {worst.name} alone is "
+            f"{worst.shift_m:.2f} m and {worst.turn_deg:.2f} deg ({worst.sigmas:.1f} sigma) off; needed are more "
+            "drives that agree"
+        )
+    for i, j in product(gone, kept):
+        swapped = [i if k == j else k for k in kept]
+        if _distances(values, covariances, swapped).max() <= _gate(len(swapped)):
+            raise CombineError(
+                f"{names[i]} and {names[j]} contradict each other, and the other drives agree with either; needed is "
+                "one more drive to tell which is wrong"
+            )
+    return kept, found
+
+
+def _at_one_place(alone: Sequence[JointFit]) -> tuple[FloatArray, FloatArray]:
+    """Return yaw, x and y of every drive's estimate, shape (n, 3), in the middle of all, and the covariances."""
+    place = np.mean([fit.centre_level for fit in alone], axis=0)
+    first = alone[0].match.yaw_rad
+    values, covariances = [], []
+    for fit in alone:
+        arm = rotate_xy(fit.match.yaw_rad, place - fit.centre_level)
+        moved = np.eye(3)
+        moved[1:, 0] = -arm[1], arm[0]
+        values.append([first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]])
+        covariances.append(moved @ fit.covariance @ moved.T)
+    return np.array(values), np.array(covariances)
+
+
+def _distances(values: FloatArray, covariances: FloatArray, chosen: Sequence[int]) -> FloatArray:
+    """Return how far each of the chosen is from all the others together, shape (len(chosen),), in sigma."""
+    if len(chosen) < 2:
+        return np.zeros(len(chosen))
+    return np.array([_apart(i, [j for j in chosen if j != i], values, covariances)[1] for i in chosen])
+
+
+def _apart(one: int, others: Sequence[int], values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, float]:
+    """Return the difference of one to all the others together, shape (3,), and the same in sigma."""
+    mean, covariance = weighted_mean(values[list(others)], covariances[list(others)])
+    off = values[one] - mean
+    return off, float(np.sqrt(off @ np.linalg.solve(covariance + covariances[one], off)))
+
+
+def _gate(count: int) -> float:
+    """Return the distance, in sigma, that is beyond chance for any of so many drives (Bonferroni; yaw, x and y)."""
+    return float(np.sqrt(chi2.isf(FALSE_ALARM / count, 3)))
+
+
+def _left_out(name: str, one: int, kept: Sequence[int], values: FloatArray, covariances: FloatArray) -> LeftOut:
+    off, sigmas = _apart(one, kept, values, covariances)
+    return LeftOut(name, float(np.hypot(*off[1:])), float(np.degrees(abs(off[0]))), sigmas, len(kept))
+
+
+def weighted_mean(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of independent estimates, shape (n, 3), weighed by their information, and its covariance."""
+    information = np.linalg.inv(covariances)
+    covariance: FloatArray = np.linalg.inv(information.sum(axis=0))
+    mean: FloatArray = covariance @ np.einsum("nij,nj->i", information, values)
+    return mean, covariance

@@ -1,0 +1,180 @@
+"""Several drives past one sensor: one ground, one level frame, one estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from laci_stereo.core.agreement import LeftOut, agreeing
+from laci_stereo.core.common_ground import lay, merge_grounds
+from laci_stereo.core.errors import EvidenceError, MatchError
+from laci_stereo.core.evidence import Evidence, evidence_of
+from laci_stereo.core.frames import planar
+from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.placement import place, place_by_paper
+from laci_stereo.core.quality import covariance_of, judge
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import Settings
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a drive has of its own in the estimate.
+
+    Attributes
+    ----------
+    name : str
+    station_id : int
+    frames : int
+        In which it was seen.
+    time_offset_s, time_sigma_s : float
+    """
+
+    name: str
+    station_id: int
+    frames: int
+    time_offset_s: float
+    time_sigma_s: float
+
+    def __str__(self) -> str:
+        clock = f"{1e3 * self.time_offset_s:.1f} +- {1e3 * self.time_sigma_s:.1f} ms"
+        return f"{self.name}: station {self.station_id}, {self.frames} frames, clock offset {clock}"
+
+
+@dataclass(frozen=True)
+class Combined:
+    """A calibration from several drives.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Its own drive is the one that tells most; ``others`` are the rest.
+    shares : tuple of Share
+        In the order of the calibration's passages.
+    left_out : tuple of LeftOut
+    """
+
+    calibration: Calibration
+    shares: tuple[Share, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Combined:
+    """Estimate where a sensor is from several drives, of one vehicle or several.
+
+    Parameters
+    ----------
+    passages : sequence of Passage
+        At least one; of one sensor, in one UTM zone.
+    settings : Settings
+        The clocks are taken for as loosely tied as in the loosest of the drives.
+
+    Raises
+    ------
+    EvidenceError
+        If they cannot be of one sensor, or one is there twice.
+    CombineError
+        If the sensor was moved between them, or too many contradict one another.
+    CalibrationError
+        If they do not determine a transform.
+    """
+    settings = _as_loose(settings or Settings(), passages)
+    _check_alike(passages)
+    ground = merge_grounds(passages)
+    laid = [lay(passage, ground, passages[0].world) for passage in passages]
+    drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
+    alone = [_fit_alone(*pair, settings) for pair in zip(laid, drives, strict=True)]
+    kept, left_out = agreeing([passage.name for passage in passages], alone)
+    kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
+    fit = alone[kept[0]]
+    if len(kept) > 1:
+        offsets = [alone[i].time_offsets_s[0] for i in kept]
+        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings.joint)
+    used = [replace(laid[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True)]
+    calibration = _calibration(used, [drives[i] for i in kept], fit, settings)
+    shares = (
+        Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)
+        for each, sigma_s in zip(used, fit.time_sigmas_s, strict=True)
+    )
+    return Combined(calibration, tuple(shares), left_out)
+
+
+def _as_loose(settings: Settings, passages: Sequence[Passage]) -> Settings:
+    loosest_s = max(passage.clock_sigma_s for passage in passages)
+    return replace(settings, method="joint", joint=replace(settings.joint, clock_sigma_s=loosest_s))
+
+
+def _check_alike(passages: Sequence[Passage]) -> None:
+    first = passages[0]
+    for other in passages[1:]:
+        if other.world.crs != first.world.crs:
+            raise EvidenceError(
+                f"{other.name}: positions in {other.world.crs}; needed is {first.world.crs} as in {first.name}: "
+                f"calibrate it again with --crs {first.world.crs}"
+            )
+        if not np.allclose((other.axes.forward, other.axes.up), (first.axes.forward, first.axes.up)):
+            raise EvidenceError(
+                f"{other.name}: the sensor's axes are {_in_words(other)}; needed are {_in_words(first)} as in "
+                f"{first.name}"
+            )
+    for one, other in combinations(passages, 2):
+        (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
+        if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
+            raise EvidenceError(f"{other.name}: is the same drive as {one.name}; needed is each drive once")
+
+
+def _in_words(passage: Passage) -> str:
+    return f"{passage.axes.forward} forward, {passage.axes.up} up"
+
+
+def _fit_alone(passage: Passage, drive: Evidence, settings: Settings) -> JointFit:
+    try:
+        return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint)
+    except MatchError as error:
+        raise MatchError(f"{passage.name}: {error}") from error
+
+
+def _calibration(used: Sequence[Passage], drives: Sequence[Evidence], fit: JointFit, settings: Settings) -> Calibration:
+    own, ground = used[0], used[0].ground
+    T_level_sensor = ground.T_level_sensor(own.axes)
+    ground_covariance = ground.covariance_level(own.axes)
+    placement = place(fit, drives, _seen(used), settings, [each.name for each in used])
+    match = placement.match
+    quality = judge(placement, ground_covariance, own.track, settings.quality)
+    return Calibration(
+        world=own.world,
+        T_world_sensor=planar(match.yaw_rad, match.shift) @ T_level_sensor,
+        T_level_sensor=T_level_sensor,
+        covariance=covariance_of(placement.doubt, ground_covariance, match, placement.middle_level),
+        centre_world=np.append(match(placement.middle_level), 0.0),
+        time_offset_s=placement.time_offset_s,
+        time_sigma_s=placement.time_sigma_s,
+        station_id=own.station_id,
+        ground=ground,
+        background=own.background,
+        track=own.track,
+        vehicle=own.vehicle,
+        match=match,
+        paper=_paper(own, settings),
+        axes=own.axes,
+        quality=replace(quality, frames_seen=_seen(used)),
+        method="joint",
+        clock_sigma_s=settings.joint.clock_sigma_s,
+        others=tuple(replace(each, match=match) for each in used[1:]),
+    )
+
+
+def _seen(used: Sequence[Passage]) -> int:
+    return sum(len(each.track.sightings) for each in used)
+
+
+def _paper(own: Passage, settings: Settings) -> PlanarMatch | None:
+    try:
+        return place_by_paper(own.track, own.vehicle, settings.match).match
+    except MatchError:
+        return None

@@ -1,0 +1,144 @@
+"""Several drives past one sensor in one level frame: their grounds merged, and each drive laid onto that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from laci_stereo.core.agreement import weighted_mean
+from laci_stereo.core.background import Background
+from laci_stereo.core.box import Box
+from laci_stereo.core.errors import CombineError
+from laci_stereo.core.frames import FloatArray, invert, planar, transform, wrap
+from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.tracking import Track
+from laci_stereo.core.world import World
+
+GROUND_GATE = 5.0
+"""Standard deviations by which grounds may differ: beyond 4.6 is one of 10 000 pairs (3 degrees of freedom), and the
+covariance of a ground leaves out what is not the same road each time, such as wheels that hide it."""
+
+SWAY_RAD = 5e-4
+"""A sensor that was not touched tilts by this from drive to drive, one standard deviation: a steel mast 0.15 m wide and
+6 m high whose sunny side is 5 K warmer bends by 1.2e-5 / K x 5 K / 0.15 m x 6 m = 2.4 mrad, and that is the extreme."""
+
+GROWTH_M = 1e-3
+"""The same of its height: 6 m of steel and 15 K."""
+
+
+def merge_grounds(passages: Sequence[Passage]) -> GroundPlane:
+    """Return the ground of several drives, each weighed by its covariance.
+
+    The road and the sensor are the same each time, so what errs in one drive errs in the others: the information is
+    the mean of theirs, not the sum.
+
+    Raises
+    ------
+    CombineError
+        If two differ, so that the sensor was moved between them.
+    """
+    first = passages[0].ground
+    if len(passages) == 1:
+        return first
+    across = _across(first.normal)
+    values = np.array([[*(passage.ground.normal @ across), passage.ground.height_m] for passage in passages])
+    covariances = np.array([_ground_covariance(passage.ground, across) for passage in passages])
+    _check_unmoved(passages, values, covariances)
+    mean, covariance = weighted_mean(values, covariances)
+    normal = _unit(first.normal + across @ (mean[:2] - first.normal @ across))
+    to_turn = np.zeros((4, 3))
+    to_turn[:3, :2] = np.cross(across.T, normal).T
+    to_turn[3, 2] = 1.0
+    common = len(passages) * to_turn @ covariance @ to_turn.T
+    return replace(first, normal=normal, height_m=float(mean[2]), covariance_sensor=common)
+
+
+def _across(normal: FloatArray) -> FloatArray:
+    """Return two unit vectors along the plane, shape (3, 2)."""
+    one = _unit(np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())]))
+    return np.column_stack([one, np.cross(normal, one)])
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    unit: FloatArray = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _ground_covariance(ground: GroundPlane, across: FloatArray) -> FloatArray:
+    """Return the covariance of (normal along ``across``, height), shape (3, 3), with what a mast does."""
+    # A turn by r moves the normal by normal x r; see `fit_ground`.
+    by = np.zeros((3, 4))
+    by[:2, :3] = across.T @ np.cross(ground.normal, np.eye(3)).T
+    by[2, 3] = 1.0
+    covariance: FloatArray = by @ ground.covariance_sensor @ by.T + np.diag([SWAY_RAD, SWAY_RAD, GROWTH_M]) ** 2
+    return covariance
+
+
+def _check_unmoved(passages: Sequence[Passage], values: FloatArray, covariances: FloatArray) -> None:
+    for i, j in combinations(range(len(passages)), 2):
+        off = values[j] - values[i]
+        sigmas = float(np.sqrt(off @ np.linalg.solve(covariances[i] + covariances[j], off)))
+        if sigmas > GROUND_GATE:
+            turned_deg = np.degrees(np.arcsin(min(1.0, float(np.linalg.norm(off[:2])))))
+            raise CombineError(
+                f"the sensor was moved between the drives: in {passages[j].name} its tilt is {turned_deg:.2f} deg and "
+                f"its height {off[2]:+.3f} m off {passages[i].name} ({sigmas:.1f} sigma); needed are at most "
+                f"{GROUND_GATE:g} sigma"
+            )
+
+
+def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
+    """Lay a drive into the level frame of another ground, and into another world of the same UTM zone."""
+    T_own_sensor = passage.ground.T_level_sensor(passage.axes)
+    T_level_sensor = ground.T_level_sensor(passage.axes)
+    T_level_own = T_level_sensor @ invert(T_own_sensor)
+    T_own_world_level = planar(passage.match.yaw_rad, passage.match.shift) @ invert(T_level_own)
+    yaw = float(np.arctan2(T_own_world_level[1, 0], T_own_world_level[0, 0]))
+    shift = _between_worlds(T_own_world_level[None, :2, 3], passage.world, world)[0]
+    xy = _between_worlds(passage.vehicle.xy, passage.world, world)
+    return replace(
+        passage,
+        world=world,
+        ground=ground,
+        background=_laid_background(passage.background, T_level_own),
+        track=_laid_track(passage.track, T_level_own),
+        vehicle=replace(passage.vehicle, xy=xy),
+        match=PlanarMatch(yaw, shift),
+    )
+
+
+def _between_worlds(xy: FloatArray, own: World, world: World) -> FloatArray:
+    return world.from_utm(own.to_utm(xy))
+
+
+def _laid_background(background: Background, T_level_own: FloatArray) -> Background:
+    boxes = tuple(replace(static, box=_laid_box(static.box, T_level_own)) for static in background.boxes)
+    return replace(background, boxes=boxes)
+
+
+def _laid_track(track: Track, T_level_own: FloatArray) -> Track:
+    return Track(
+        tuple(
+            replace(
+                sighting,
+                points=transform(T_level_own, sighting.points),
+                middle=_laid_xy(sighting.middle, T_level_own),
+                box=_laid_box(sighting.box, T_level_own),
+            )
+            for sighting in track.sightings
+        )
+    )
+
+
+def _laid_box(box: Box, T_level_own: FloatArray) -> Box:
+    turned = 2 * (box.yaw_rad + np.arctan2(T_level_own[1, 0], T_level_own[0, 0]))
+    return replace(box, centre=_laid_xy(box.centre, T_level_own), yaw_rad=float(wrap(turned)) / 2)
+
+
+def _laid_xy(xy: FloatArray, T_level_own: FloatArray) -> FloatArray:
+    return transform(T_level_own, np.append(xy, 0.0)[None])[0, :2]

@@ -1,0 +1,238 @@
+"""Tracks and senders in the form in which they are compared: sightings thinned to knots, poses tabled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.tracking import Track
+
+KNOT_S = 0.4
+"""Sightings are averaged over this time; braking at 9 m/s^2 bends the path by 9 * 0.4^2 / 24 = 6 cm meanwhile."""
+
+TABLE_S = 0.05
+"""Step at which a sender's poses are tabled; between them 9 m/s^2 bends the path by 3 mm."""
+
+LEVER_SHARE = 1 / 3
+"""The heading is the direction in which some point moves that is ahead of the rear axle by up to the wheelbase, 0.6 of
+the length: a standard deviation of a third of it."""
+
+BEND_S = 0.5
+"""Over so long before and after, five messages at 5 Hz, the curvature of a path is averaged."""
+
+VIEW_CELL_M = 5.0
+"""Where something was seen, so far around it everything can be seen: about a vehicle's length."""
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Averages over a track's successive sightings; each attribute has shape (n,), and ``xy`` (n, 2)."""
+
+    track: IntArray
+    stamp_s: FloatArray
+    xy: FloatArray
+    length_m: FloatArray
+    width_m: FloatArray
+    yaw_rad: FloatArray
+    sigma_m: FloatArray
+    radial_mps: FloatArray
+    frames: FloatArray
+    usable: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def __getitem__(self, keep: BoolArray | IntArray) -> Knots:
+        return Knots(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Of a sender's vehicle: each attribute has the shape of the stamps, ``xy`` and ``velocity`` one axis more.
+
+    ``slip_rad`` is the standard deviation of the body's yaw about the heading, which is large in narrow bends.
+    """
+
+    xy: FloatArray
+    velocity: FloatArray
+    yaw_rad: FloatArray
+    path_m: FloatArray
+    slip_rad: FloatArray
+    known: BoolArray
+
+
+@dataclass(frozen=True)
+class Sender:
+    """A sender's poses on a regular grid of times that begins at ``first_s``."""
+
+    station: int
+    first_s: float
+    table: FloatArray
+    known: BoolArray
+    length_m: float
+    width_m: float
+
+    @property
+    def reach_m(self) -> float:
+        """Half of the diagonal: the centre of what is visible of a vehicle is no farther from its own."""
+        return math.hypot(self.length_m, self.width_m) / 2
+
+    def at(self, stamps_s: FloatArray) -> Poses:
+        """Interpolate; where the sender was silent the poses mean nothing."""
+        place = (stamps_s - self.first_s) / TABLE_S
+        before = np.floor(place).astype(np.int64).clip(0, len(self.table) - 2)
+        share = (place - before)[..., None]
+        values = self.table[before] * (1 - share) + self.table[before + 1] * share
+        inside = (place >= 0) & (place <= len(self.table) - 1)
+        known = inside & self.known[before] & self.known[before + 1]
+        return Poses(values[..., 0:2], values[..., 2:4], values[..., 4], values[..., 5], values[..., 6], known)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that was seen and sent.
+
+    Attributes
+    ----------
+    tracks : sequence of Track
+    knots : Knots
+        Of all tracks.
+    senders : mapping of int to Sender
+        By station.
+    seen_cells : ndarray of bool, shape (i, j)
+        Of `VIEW_CELL_M`, in which a vehicle would have been seen.
+    first_cell : ndarray, shape (2,)
+        Their corner, level frame, metres.
+    density : float
+        Objects for each square metre of what is in view, at one time.
+    settings : MatchSettings
+    """
+
+    tracks: Sequence[Track]
+    knots: Knots
+    senders: Mapping[int, Sender]
+    seen_cells: BoolArray
+    first_cell: FloatArray
+    density: float
+    settings: MatchSettings
+
+    def in_view(self, xy_level: FloatArray) -> BoolArray:
+        """Tell where on the ground, shape (n, 2), a vehicle would have been seen."""
+        cell = np.floor((xy_level - self.first_cell) / VIEW_CELL_M)
+        inside = np.all((cell >= 0) & (cell < self.seen_cells.shape), axis=1)
+        i, j = np.where(inside[:, None], cell, 0).astype(np.int64).T
+        seen: BoolArray = inside & self.seen_cells[i, j]
+        return seen
+
+
+def lay_out(tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: MatchSettings) -> Scene:
+    """Thin the sightings and table the poses."""
+    knots = _knots(tracks)
+    senders = {
+        station: _sender(station, vehicle) for station, vehicle in vehicles.items() if len(vehicle.stamps_s) >= 2
+    }
+    usable = knots.xy[knots.usable] if knots.usable.any() else np.zeros((1, 2))
+    first_cell = usable.min(axis=0) - 2 * VIEW_CELL_M
+    cells = np.floor((usable - first_cell) / VIEW_CELL_M).astype(np.int64)
+    seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
+    seen[tuple(cells.T)] = True
+    # How many other objects there are for each square metre where there are any, at one time.
+    bins = max(1, len(np.unique(np.floor(knots.stamp_s / KNOT_S))))
+    density = max(len(knots) / bins, 1.0) / (np.count_nonzero(seen) * VIEW_CELL_M**2)
+    view = binary_dilation(seen, np.ones((3, 3), dtype=bool))
+    return Scene(tracks, knots, senders, view, first_cell, float(density), settings)
+
+
+def _knots(tracks: Sequence[Track]) -> Knots:
+    sightings = [(index, one) for index, track in enumerate(tracks) for one in track.sightings]
+    index = np.array([index for index, _ in sightings], dtype=np.int64)
+    usable = np.array([one.flaw is None for _, one in sightings], dtype=bool)
+    stamps_s = np.array([one.stamp_s for _, one in sightings])
+    xy = np.array([one.box.centre for _, one in sightings]).reshape(-1, 2)
+    others = np.array(
+        [
+            (
+                one.box.length_m,
+                one.box.width_m,
+                one.box.yaw_rad,
+                one.sigma_m,
+                np.nan if one.radial_mps is None else one.radial_mps,
+            )
+            for _, one in sightings
+        ]
+    ).reshape(-1, 5)
+    key = np.column_stack([index, usable, np.floor(stamps_s / KNOT_S)])
+    order = np.lexsort((stamps_s, key[:, 2], key[:, 1], key[:, 0]))
+    new = np.append(True, (np.diff(key[order], axis=0) != 0).any(axis=1))[: len(order)]
+    starts = np.flatnonzero(new)
+    count = np.diff(np.append(starts, len(order)))
+    middle = order[starts + count // 2]
+
+    def mean(values: FloatArray) -> FloatArray:
+        total: FloatArray = np.add.reduceat(values[order], starts, axis=0) if len(starts) else values
+        return total / (count[:, None] if values.ndim == 2 else count)
+
+    length, width, yaw, sigma, radial = others[middle].T
+    return Knots(
+        index[middle], mean(stamps_s), mean(xy), length, width, yaw, sigma, radial, count.astype(float), usable[middle]
+    )
+
+
+def _sender(station: int, vehicle: VehicleTrack) -> Sender:
+    vehicle = _without_jumps(vehicle)
+    first_s, last_s = float(vehicle.stamps_s[0]), float(vehicle.stamps_s[-1])
+    steps = np.arange(max(2, math.ceil((last_s - first_s) / TABLE_S) + 1), dtype=np.float64)
+    grid = first_s + TABLE_S * steps
+    xy, yaw, known = vehicle.at(grid)
+    for values in (*xy.T, yaw):
+        values[~known] = np.interp(grid[~known], grid[known], values[known])
+    velocity = np.gradient(xy, TABLE_S, axis=0)
+    path = np.cumsum(np.linalg.norm(velocity, axis=1)) * TABLE_S
+    table = np.column_stack([xy, velocity, yaw, path, _slip(yaw, path, vehicle.length_m)])
+    return Sender(station, first_s, table, known, vehicle.length_m, vehicle.width_m)
+
+
+def _slip(yaw: FloatArray, path_m: FloatArray, length_m: float) -> FloatArray:
+    """Return by how much the body may point elsewhere than the heading, from the curvature of the path."""
+    half = min(round(BEND_S / TABLE_S), (len(yaw) - 1) // 2)
+    place = np.arange(len(yaw))
+    before, after = np.maximum(place - half, 0), np.minimum(place + half, len(yaw) - 1)
+    # Below a metre the heading of a vehicle that stands tells nothing of a bend.
+    curvature = np.abs(yaw[after] - yaw[before]) / np.maximum(path_m[after] - path_m[before], 1.0)
+    slip: FloatArray = np.arcsin(np.minimum(LEVER_SHARE * length_m * curvature, 1.0))
+    return slip
+
+
+def _without_jumps(vehicle: VehicleTrack) -> VehicleTrack:
+    """Leave out messages whose position is off a line through those around it, by the medians of its parts."""
+    t, reach_m = vehicle.stamps_s, math.hypot(vehicle.length_m, vehicle.width_m) / 2
+    good = np.ones(len(t), dtype=bool)
+    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
+    chord = vehicle.xy[:-2] * (1 - share) + vehicle.xy[2:] * share
+    odd = t[1:-1][np.linalg.norm(vehicle.xy[1:-1] - chord, axis=1) > reach_m / 2]
+    for i in np.flatnonzero([np.abs(odd - stamp).min(initial=math.inf) < 0.5 for stamp in t]):
+        first, last = np.searchsorted(t, (t[i] - 1.0, t[i] + 1.0))
+        if last - first < 7:  # too few to outvote what is wrong
+            continue
+        time, xy = t[first:last] - t[i], vehicle.xy[first:last]
+        a, b = np.triu_indices(last - first, (last - first) // 2)
+        slope = np.median((xy[b] - xy[a]) / (time[b] - time[a])[:, None], axis=0)
+        expected = np.median(xy - time[:, None] * slope, axis=0)
+        good[i] = np.linalg.norm(vehicle.xy[i] - expected) <= reach_m
+    if good.sum() < 2:
+        return vehicle
+    return VehicleTrack(
+        t[good], vehicle.epoch_ns, vehicle.xy[good], vehicle.yaw_rad[good], vehicle.length_m, vehicle.width_m
+    )
+
+
+def extent(xy: FloatArray) -> float:
+    """Return how far positions, shape (n, 2), are spread: the diagonal of what encloses them."""
+    return float(np.linalg.norm(np.ptp(xy, axis=0))) if len(xy) else 0.0

@@ -1,0 +1,348 @@
+"""``evidence.npz``: what a result keeps of its drives, so that it can be estimated again together with others.
+
+Plain arrays and strings, no pickles. Points are in the level frame of the drive's own ground, which is in the file.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from laci_stereo.core.background import Background, BackgroundBox
+from laci_stereo.core.box import Box
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.errors import EvidenceError
+from laci_stereo.core.frames import Axes, FloatArray
+from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.sighting import Flaw, Sighting
+from laci_stereo.core.tracking import Track
+from laci_stereo.core.world import World
+
+Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
+
+FORMAT = "laci-evidence/1"
+KINDS = ("stereo", "lidar", "detections")
+FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
+
+MAX_BYTES = 1 << 28
+"""Of all arrays: thirty drives with 2000 frames each; a damaged file must not ask for all the memory there is."""
+
+LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
+    "name": ("U", ()),
+    "crs": ("U", ()),
+    "world": ("f", (3,)),  # origin east and north, grid scale
+    "axes": ("f", (2, 3)),  # forward, up
+    "ground_plane": ("f", (4,)),  # normal, height
+    "ground_covariance": ("f", (4, 4)),
+    "ground_support": ("f", (5,)),  # inlier share, cells, their share, area, unevenness
+    "static_boxes": ("f", ("boxes", 6)),  # centre x and y, length, width, yaw, height
+    "static": ("f", (2,)),  # quiet frames, margin
+    "station_id": ("i", ()),
+    "epoch_ns": ("i", ()),
+    "message_stamps_s": ("f", ("messages",)),
+    "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
+    "vehicle": ("f", (5,)),  # length, width, reference x and y, sigma of the positions (NaN: not told)
+    "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
+    "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
+    "middles": ("f", ("frames", 2)),
+    "boxes": ("f", ("frames", 5)),  # centre x and y, length, width, yaw
+    "noise": ("f", ("frames", 2)),  # sigma of the points, radial speed (NaN: not measured)
+    "counts": ("i", ("frames", 3)),  # points seen, points kept, flaw
+    "points": ("f", ("points", 3)),
+    "sigmas": ("f", ("points", 2)),  # along and across the line of sight
+}
+"""Each drive's arrays: kind of number, and shape; what has the same name has the same length."""
+
+MAY_LACK = ("vehicle", "noise")
+"""In their last column NaN stands for what is not known."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a result keeps of its drives.
+
+    Attributes
+    ----------
+    name, kind, frame : str
+        Of the sensor; the frame in words.
+    T_sensor_rectified : ndarray, shape (4, 4), or None
+        Of a stereo camera.
+    passages : tuple of Passage
+    """
+
+    name: str
+    kind: str
+    frame: str
+    T_sensor_rectified: FloatArray | None
+    passages: tuple[Passage, ...]
+
+
+def write_evidence(path: Path, kept: Kept) -> None:
+    """Write what a result keeps; points are rounded to single precision, 0.01 mm at 100 m."""
+    arrays: Arrays = {
+        "format": np.array(FORMAT),
+        "sensor": np.array([kept.name, kept.kind, kept.frame]),
+        "drives": np.array(len(kept.passages)),
+    }
+    if kept.T_sensor_rectified is not None:
+        arrays["T_sensor_rectified"] = kept.T_sensor_rectified
+    for number, passage in enumerate(kept.passages):
+        arrays |= {f"{number}.{name}": array for name, array in _to_arrays(passage).items()}
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def read_evidence(path: Path) -> Kept:
+    """Read what a result keeps.
+
+    Raises
+    ------
+    EvidenceError
+        If the file is missing, damaged, of another version, or holds what makes no sense.
+    """
+    arrays = _load(path)
+    form = _text(path, arrays, "format", ())[0]
+    if form != FORMAT:
+        raise EvidenceError(f"{path}: format is {form[:40]!r}; needed is {FORMAT}: calibrate again with this version")
+    name, kind, frame = _text(path, arrays, "sensor", (3,))
+    if kind not in KINDS:
+        raise EvidenceError(f"{path}: the sensor's kind is {kind[:40]!r}; needed is one of {', '.join(KINDS)}")
+    rectified = arrays.get("T_sensor_rectified")
+    if rectified is not None:
+        rectified = _number(path, "T_sensor_rectified", rectified, "f", (4, 4), {}).astype(np.float64)
+    drives = int(_number(path, "drives", arrays.get("drives"), "i", (), {}))
+    if not 0 < drives <= len(arrays):
+        raise EvidenceError(f"{path}: holds {drives} drives; needed is at least 1, and all of their arrays")
+    return Kept(name, kind, frame, rectified, tuple(_passage(path, arrays, number) for number in range(drives)))
+
+
+def _load(path: Path) -> Arrays:
+    needed = f"needed is an evidence file ({FORMAT})"
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise EvidenceError(f"{path}: {size} bytes; needed are at most {MAX_BYTES}")
+        content = io.BytesIO(path.read_bytes())
+    except FileNotFoundError:
+        raise EvidenceError(f"{path} does not exist; {needed}") from None
+    except (OSError, ValueError) as problem:
+        raise EvidenceError(f"{path} cannot be read: {problem}; {needed}") from problem
+    try:
+        unpacked = sum(member.file_size for member in zipfile.ZipFile(content).infolist())
+        if unpacked > MAX_BYTES:
+            raise EvidenceError(f"{path}: unpacks to {unpacked} bytes; needed are at most {MAX_BYTES}")
+        with np.load(content, allow_pickle=False) as archive:
+            return {name: np.asarray(archive[name]) for name in archive.files}
+    except EvidenceError:
+        raise
+    except Exception as problem:  # of many kinds: the bytes may be anything
+        what = " ".join(str(problem).split())[:100]
+        raise EvidenceError(
+            f"{path} is damaged or no evidence file ({what or type(problem).__name__}); {needed}"
+        ) from None
+
+
+def _text(path: Path, arrays: Arrays, name: str, shape: tuple[int, ...]) -> list[str]:
+    found = _number(path, name, arrays.get(name), "U", shape, {})
+    return [str(text) for text in found.reshape(-1)]
+
+
+def _number(
+    path: Path,
+    name: str,
+    array: npt.NDArray[Any] | None,
+    kind: str,
+    shape: tuple[int | str, ...],
+    lengths: dict[str, int],
+) -> npt.NDArray[Any]:
+    """Check kind, shape and finiteness of an array; what has no length yet gets it from here."""
+    words = {"f": "numbers", "i": "whole numbers", "U": "text"}[kind]
+    if array is None:
+        raise EvidenceError(f"{path} lacks {name}; needed are {words}")
+    wanted = shape
+    if array.ndim == len(shape):
+        wanted = tuple(
+            size if isinstance(size, int) else lengths.setdefault(size, found)
+            for size, found in zip(shape, array.shape, strict=True)
+        )
+    if array.dtype.kind != kind or array.shape != wanted:
+        raise EvidenceError(
+            f"{path}: {name} is {array.dtype} of shape {array.shape}; needed are {words}, shape {wanted}"
+        )
+    known = array[..., :-1] if name.split(".")[-1] in MAY_LACK else array
+    if kind == "f" and not np.isfinite(known).all():
+        raise EvidenceError(f"{path}: {name} holds {np.count_nonzero(~np.isfinite(known))} numbers that are not finite")
+    return array
+
+
+def _to_arrays(passage: Passage) -> Arrays:
+    """Return a drive's arrays, as `LAYOUT` has them."""
+    ground, vehicle, sightings = passage.ground, passage.vehicle, passage.track.sightings
+    support = (ground.inlier_share, ground.support_cells, ground.support_share, ground.support_area_m2)
+    static = [(*_row(each.box), each.height_m) for each in passage.background.boxes]
+    noise = [(each.sigma_m, np.nan if each.radial_mps is None else each.radial_mps) for each in sightings]
+    counts = [(each.count, len(each.points), FLAWS.index(each.flaw)) for each in sightings]
+    sigmas = [np.column_stack([each.sigma_along_m, each.sigma_across_m]) for each in sightings]
+    size = (vehicle.length_m, vehicle.width_m, *vehicle.reference, vehicle.position_sigma_m)
+    return {
+        "name": np.array(passage.name),
+        "crs": np.array(passage.world.crs),
+        "world": np.array([*passage.world.origin_utm, passage.world.grid_scale]),
+        "axes": np.array([passage.axes.forward, passage.axes.up], dtype=np.float64),
+        "ground_plane": np.append(ground.normal, ground.height_m),
+        "ground_covariance": ground.covariance_sensor,
+        "ground_support": np.array([*support, ground.unevenness_m], dtype=np.float64),
+        "static_boxes": np.array(static, dtype=np.float64).reshape(-1, 6),
+        "static": np.array([passage.background.quiet_frames, passage.background.margin_m], dtype=np.float64),
+        "station_id": np.array(passage.station_id, dtype=np.int64),
+        "epoch_ns": np.array(vehicle.epoch_ns, dtype=np.int64),
+        "message_stamps_s": vehicle.stamps_s,
+        "message_poses": np.column_stack([vehicle.xy, vehicle.yaw_rad]),
+        "vehicle": np.array(size),
+        "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
+        "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
+        "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
+        "boxes": np.array([_row(each.box) for each in sightings]).reshape(-1, 5),
+        "noise": np.array(noise).reshape(-1, 2),
+        "counts": np.array(counts, dtype=np.int64).reshape(-1, 3),
+        "points": np.concatenate([np.zeros((0, 3)), *(each.points for each in sightings)]).astype(np.float32),
+        "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
+    }
+
+
+def _row(box: Box) -> tuple[float, float, float, float, float]:
+    return float(box.centre[0]), float(box.centre[1]), box.length_m, box.width_m, box.yaw_rad
+
+
+def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
+    lengths: dict[str, int] = {}
+    found = {
+        name: _number(path, f"{number}.{name}", arrays.get(f"{number}.{name}"), kind, shape, lengths)
+        for name, (kind, shape) in LAYOUT.items()
+    }
+    _check(path, found)
+    *origin, scale = found["world"].tolist()
+    forward, up = (tuple(axis) for axis in found["axes"].tolist())
+    length_m, width_m, x, y, sigma_m = found["vehicle"].tolist()
+    yaw, match_x, match_y, offset_s, clock_sigma_s = found["own"].tolist()
+    return Passage(
+        world=World(str(found["crs"]), (origin[0], origin[1]), scale),
+        axes=Axes(forward, up),
+        ground=_ground(found),
+        background=_background(found),
+        track=_track(found),
+        vehicle=VehicleTrack(
+            stamps_s=found["message_stamps_s"].astype(np.float64),
+            epoch_ns=int(found["epoch_ns"]),
+            xy=found["message_poses"][:, :2].astype(np.float64),
+            yaw_rad=found["message_poses"][:, 2].astype(np.float64),
+            length_m=length_m,
+            width_m=width_m,
+            reference=(x, y),
+            position_sigma_m=sigma_m,
+        ),
+        station_id=int(found["station_id"]),
+        match=PlanarMatch(yaw, np.array([match_x, match_y])),
+        time_offset_s=offset_s,
+        clock_sigma_s=clock_sigma_s,
+        name=str(found["name"]),
+    )
+
+
+def _check(path: Path, found: Arrays) -> None:
+    """Hold the numbers of a drive against what they mean.
+
+    Raises
+    ------
+    EvidenceError
+    """
+    plane, covariance, counts = found["ground_plane"], found["ground_covariance"], found["counts"]
+    holds = {
+        "UTM zone": _is_utm(str(found["crs"])),
+        "grid scale, between 0.9 and 1.1": 0.9 < found["world"][2] < 1.1,
+        "axes, at right angles and of length 1": np.allclose(found["axes"] @ found["axes"].T, np.eye(2), atol=1e-6),
+        "ground's normal, of length 1": abs(np.linalg.norm(plane[:3]) - 1.0) < 1e-6,
+        "ground's height, above 0": plane[3] > 0.0,
+        "ground's covariance, symmetric and not negative": np.allclose(covariance, covariance.T)
+        and np.linalg.eigvalsh(covariance)[0] > -1e-6 * max(float(np.trace(covariance)), 0.0) - 1e-15,
+        "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all(),
+        "clock sigma, above 0": found["own"][4] > 0.0,
+        "messages' stamps, at least 2 and ascending": len(found["message_stamps_s"]) > 1
+        and (np.diff(found["message_stamps_s"]) > 0.0).all(),
+        "frames' stamps, at least 1 and ascending": len(found["stamps_s"]) > 0
+        and (np.diff(found["stamps_s"][:, 0]) >= 0.0).all(),
+        "counts of points, whose sum is that of the points": (counts >= 0).all()
+        and counts[:, 1].sum() == len(found["points"]),
+        "flaws, from 0 to 3": (counts[:, 2] < len(FLAWS)).all(),
+        "sigmas, not negative": (found["sigmas"] >= 0.0).all(),
+    }
+    for what, is_so in holds.items():
+        if not is_so:
+            raise EvidenceError(f"{path}: damaged; needed is: {what}")
+
+
+def _is_utm(crs: str) -> bool:
+    try:
+        return CRS.from_user_input(crs).utm_zone is not None
+    except CRSError:
+        return False
+
+
+def _ground(found: Arrays) -> GroundPlane:
+    inlier_share, cells, share, area_m2, unevenness_m = found["ground_support"].tolist()
+    return GroundPlane(
+        normal=found["ground_plane"][:3].astype(np.float64),
+        height_m=float(found["ground_plane"][3]),
+        covariance_sensor=found["ground_covariance"].astype(np.float64),
+        inlier_share=inlier_share,
+        support_cells=int(cells),
+        support_share=share,
+        support_area_m2=area_m2,
+        unevenness_m=unevenness_m,
+    )
+
+
+def _background(found: Arrays) -> Background:
+    quiet, margin_m = found["static"].tolist()
+    boxes = tuple(BackgroundBox(_box(row[:5]), float(row[5])) for row in found["static_boxes"].astype(np.float64))
+    return Background(boxes, int(quiet), margin_m)
+
+
+def _box(row: FloatArray) -> Box:
+    return Box(row[:2], float(row[2]), float(row[3]), float(row[4]))
+
+
+def _track(found: Arrays) -> Track:
+    ends = np.append(0, np.cumsum(found["counts"][:, 1]))
+    points, sigmas = (found[name].astype(np.float64) for name in ("points", "sigmas"))
+    boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
+    stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
+    return Track(
+        tuple(
+            Sighting(
+                stamp_s=stamps[i][0],
+                frame_s=stamps[i][1],
+                points=points[first:end],
+                sigma_along_m=sigmas[first:end, 0],
+                sigma_across_m=sigmas[first:end, 1],
+                count=counts[i][0],
+                middle=middles[i],
+                box=_box(boxes[i]),
+                flaw=FLAWS[counts[i][2]],
+                sigma_m=noise[i][0],
+                radial_mps=None if np.isnan(noise[i][1]) else noise[i][1],
+            )
+            for i, (first, end) in enumerate(pairwise(ends))
+        )
+    )

@@ -1,0 +1,244 @@
+"""Tables in CSV files, with the many ways in which people write them, and their columns of times."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeAlias, TypeVar
+
+import numpy as np
+
+from laci_stereo.core.errors import InputError
+from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.io.stamps import iso_time, number, unit_of
+from laci_stereo.io.text_file import listed, quoted, read_text
+
+Array = TypeVar("Array", FloatArray, IntArray)
+Problems: TypeAlias = Mapping[int, str]
+"""What is wrong with a row, by its index."""
+
+BAD_SHARE = 0.2
+"""More than a fifth of bad values is no exception any more, but says something about the file."""
+
+_MISSING = frozenset({"", "-", "na", "n/a", "nan", "none", "null", "unavailable"})
+_DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)")
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column is called.
+
+    Attributes
+    ----------
+    name : str
+        The canonical name.
+    synonyms : tuple of str
+        Other names of it, the better ones first; case, spaces and underscores do not matter.
+    """
+
+    name: str
+    synonyms: tuple[str, ...]
+
+    def find(self, header: Sequence[str]) -> int | None:
+        """Return the index of the column in a header, or None."""
+        plain = [plain_name(title) for title in header]
+        return next((plain.index(name) for name in (plain_name(self.name), *self.synonyms) if name in plain), None)
+
+
+TIMESTAMP = Column(
+    "timestamp",
+    (
+        *("timestamputc", "timestampunix", "timestamps", "time", "ts", "t", "stamp", "unixtime", "utc", "utctime"),
+        *("datetime", "epoch", "timestampns", "timestampus", "timestampms", "timens", "timeus", "timems"),
+        *("gpstime", "timestampits", "referencetime", "generationtime"),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Parsed(Generic[Array]):
+    """A column's values, shape (n,), the rows whose cell could not be read, and how the others were understood."""
+
+    values: Array
+    problems: Problems
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV file.
+
+    Attributes
+    ----------
+    path : Path
+    header : list of str
+    rows : list of list of str
+        Each as wide as the header.
+    line_numbers : list of int
+        Where each row stands in the file, the header being row 1.
+    problems : mapping of int to str
+        The rows that have more cells than the header.
+    error : type of InputError
+        What is raised if it is unusable.
+    """
+
+    path: Path
+    header: list[str]
+    rows: list[list[str]]
+    line_numbers: list[int]
+    problems: Problems
+    error: type[InputError]
+
+    def texts(self, column: Column) -> list[str] | None:
+        """Return the cells of a column, or None if there is no such column."""
+        place = column.find(self.header)
+        return None if place is None else [row[place] for row in self.rows]
+
+    def numbers(self, column: Column) -> Parsed[FloatArray]:
+        """Return the numbers in a column; NaN where they, or the whole column, are missing."""
+        values = np.full(len(self.rows), np.nan)
+        problems = {}
+        for i, text in enumerate(self.texts(column) or []):
+            if is_missing(text):
+                continue
+            if number(text) is None or not np.isfinite(float(text)):
+                problems[i] = f"{column.name} is {quoted(text)}; needed is a number"
+            else:
+                values[i] = float(text)
+        return Parsed(values, problems)
+
+    def skip_notes(self, problems: Problems) -> list[str]:
+        """Return a note on bad rows that are left out.
+
+        Raises
+        ------
+        InputError
+            Of the table's class, if they are too many to be exceptions.
+        """
+        if not problems:
+            return []
+        first, problem = next(iter(problems.items()))
+        row = f"row {self.line_numbers[first]}: {problem}"
+        if len(problems) > BAD_SHARE * len(self.rows):
+            raise self.error(
+                f"{self.path}, {row} ({len(problems)} of {len(self.rows)} rows are bad, at most a fifth may be)"
+            )
+        return [f"{len(problems)} bad rows skipped, the first of them {row}"]
+
+
+def read_table(path: Path, required: Sequence[Column], error: type[InputError], row_noun: str) -> Table:
+    """Read a CSV file with a header row, whose cells are separated by commas, semicolons or tabs.
+
+    Numbers may have decimal commas.
+
+    Parameters
+    ----------
+    path : Path
+    required : sequence of Column
+        The columns without which it is unusable.
+    error : type of InputError
+        What is raised if it is.
+    row_noun : str
+        What a row is, for the message.
+
+    Raises
+    ------
+    InputError
+        Of the class ``error``, if it cannot be read, has no rows, or lacks a column.
+    """
+    lines = _lines(path, error)
+    if not lines:
+        raise error(f"{path} holds no header row; needed is one that names the columns")
+    (_, titles), *found = lines
+    header = [title.lstrip("# ") for title in titles]
+    _check_header(path, header, required, error)
+    if not found:
+        raise error(f"{path} holds a header but no rows; needed is at least one {row_noun}")
+    width = len(header)
+    too_long = {
+        i: f"it has {len(cells)} fields; needed are {width}" for i, (_, cells) in enumerate(found) if any(cells[width:])
+    }
+    rows = [[_with_point(cell) for cell in (cells + [""] * width)[:width]] for _, cells in found]
+    return Table(path, header, rows, [line_number for line_number, _ in found], too_long, error)
+
+
+def _lines(path: Path, error: type[InputError]) -> list[tuple[int, list[str]]]:
+    """Return the cells of each line that has any, with the line's number."""
+    text = read_text(path, error)
+    first_line = next(line for line in text.splitlines() if line.strip())
+    separator = max(",;\t", key=first_line.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    lines = []
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if any(cells):
+                lines.append((reader.line_num, cells))
+    except csv.Error as problem:
+        raise error(f"{path}, row {reader.line_num}: {problem}; needed is a CSV file") from problem
+    return lines
+
+
+def _check_header(path: Path, header: list[str], required: Sequence[Column], error: type[InputError]) -> None:
+    lacking = [column.name for column in required if column.find(header) is None]
+    if not lacking:
+        return
+    if any(number(_with_point(title)) is not None or iso_time(title) is not None for title in header):
+        raise error(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
+    raise error(
+        f"{path} lacks the column {', '.join(lacking)}; needed are {', '.join(column.name for column in required)}, "
+        f"it holds {listed(header)}"
+    )
+
+
+def stamps_ns(table: Table) -> Parsed[IntArray]:
+    """Return the rows' Unix times in nanoseconds; the unit follows from the size of the middle one."""
+    texts = table.texts(TIMESTAMP) or []
+    numbers = [number(text) for text in texts]
+    moments = [iso_time(text) if value is None else None for text, value in zip(texts, numbers, strict=True)]
+    unit = unit_of([value for value in numbers if value is not None])
+    needed = f"a Unix time in {unit.name}" if unit is not None else "a Unix time or an ISO 8601 time"
+    stamps: list[int] = []
+    problems = {}
+    for i, (text, value, moment) in enumerate(zip(texts, numbers, moments, strict=True)):
+        stamp = (
+            moment.ns if moment is not None else unit.to_ns(value) if unit is not None and value is not None else None
+        )
+        if stamp is None:
+            problems[i] = f"timestamp is {quoted(text)}; needed is {needed}"
+        stamps.append(stamp or 0)
+    notes = []
+    if unit is not None and unit.ns != 10**9:
+        notes.append(f"timestamp: Unix time in {unit.name}")
+    without_zone = sum(moment is not None and not moment.has_zone for moment in moments)
+    if without_zone:
+        notes.append(f"timestamp: {without_zone} times without a zone, taken for UTC")
+    return Parsed(np.array(stamps, dtype=np.int64), problems, tuple(notes))
+
+
+def merged(problems: Iterable[Problems]) -> Problems:
+    """Return what is wrong with each row, the first of several things, in the order of the rows."""
+    first: dict[int, str] = {}
+    for some in problems:
+        first = {**some, **first}
+    return dict(sorted(first.items()))
+
+
+def is_missing(text: str) -> bool:
+    """Return whether a cell says that there is no value."""
+    return text.lower() in _MISSING
+
+
+def plain_name(title: str) -> str:
+    """Return a column's title in lower case, without spaces, underscores and other marks."""
+    return "".join(character for character in title.lower() if character.isalnum())
+
+
+def _with_point(cell: str) -> str:
+    """Return a number's decimal comma as a point; anything else as it is."""
+    found = _DECIMAL_COMMA.fullmatch(cell)
+    return f"{found[1]}.{found[2]}" if found else cell

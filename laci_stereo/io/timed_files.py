@@ -1,0 +1,226 @@
+"""Folders of files that each have a time, in their names or in a list beside them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.core.errors import InputError
+from laci_stereo.core.frames import IntArray
+from laci_stereo.io.stamps import TimeUnit, iso_text, iso_time, number, unit_of
+from laci_stereo.io.text_file import quoted, read_text
+
+STAMP_FILES = ("timestamps.txt", "timestamps.csv")
+
+_NUMBER_IN_NAME = re.compile(r"[0-9]+(?:\.[0-9]+)?")
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """What the files in a folder are.
+
+    Attributes
+    ----------
+    noun : str
+        Of one of them.
+    suffixes : frozenset of str
+        Lower case.
+    formats : str
+        In words.
+    error : type of InputError
+        What is raised if the folder is unusable.
+    """
+
+    noun: str
+    suffixes: frozenset[str]
+    formats: str
+    error: type[InputError]
+
+    def has(self, entry: Path) -> bool:
+        """Tell whether a path is such a file; hidden ones are not."""
+        return entry.suffix.lower() in self.suffixes and not entry.name.startswith(".") and entry.is_file()
+
+
+def names_in(folder: Path, kind: FileKind) -> list[str]:
+    """Return the names of the files of a kind, sorted.
+
+    Raises
+    ------
+    InputError
+        Of the kind's class, if the folder is missing, cannot be read, or holds none.
+    """
+    needed = f"needed is a folder of {kind.noun}s"
+    try:
+        inside = sorted(folder.iterdir())
+    except FileNotFoundError:
+        raise kind.error(f"{folder} does not exist; {needed}") from None
+    except NotADirectoryError:
+        raise kind.error(f"{folder} is a file; {needed}") from None
+    except (OSError, ValueError) as problem:
+        why = getattr(problem, "strerror", None) or problem
+        raise kind.error(f"{folder} cannot be read: {why}; {needed}") from problem
+    if not inside:
+        raise kind.error(f"{folder} is empty; needed are {kind.noun}s")
+    names = [entry.name for entry in inside if kind.has(entry)]
+    if not names:
+        raise kind.error(f"{folder} holds {len(inside)} files but no {kind.noun}; needed are {kind.formats} files")
+    return names
+
+
+def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[Path, ...], IntArray]:
+    """Return the paths of files in the order of time, and their times, strictly ascending (Unix, nanoseconds).
+
+    Raises
+    ------
+    InputError
+        Of the kind's class, if a file has no time or the time of another one.
+    """
+    stamps = folder_stamps(folder, names, kind)
+    order = np.argsort(stamps, kind="stable")
+    files, stamps = tuple(folder / names[i] for i in order), stamps[order]
+    doubled = np.flatnonzero(np.diff(stamps) == 0)
+    if len(doubled):
+        first, second = files[doubled[0]].name, files[doubled[0] + 1].name
+        raise kind.error(
+            f"{folder}: {first} and {second} have the same time, {iso_text(int(stamps[doubled[0]]))} "
+            f"({stamps[doubled[0]]} ns); needed is one time for each {kind.noun}"
+        )
+    return files, stamps
+
+
+def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
+    """Find the times of the files in a folder.
+
+    They are in ``timestamps.txt`` or ``timestamps.csv`` where there is one, and in the files' names where not.
+
+    Parameters
+    ----------
+    folder : Path
+    names : sequence of str
+        Sorted; at least one.
+    kind : FileKind
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Unix time in nanoseconds, in the order of the names.
+
+    Raises
+    ------
+    InputError
+        Of the kind's class, if a file has no time.
+    """
+    for stamp_file in STAMP_FILES:
+        if (folder / stamp_file).is_file():
+            return _listed_stamps(folder / stamp_file, names, kind)
+    return _stamps_in_names(folder, names, kind)
+
+
+def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
+    numbers = [[Decimal(found) for found in _NUMBER_IN_NAME.findall(Path(name).stem)] for name in names]
+    unit, place = _unit_and_place(numbers)
+    if unit is None:
+        if all(numbers):
+            raise kind.error(
+                f"{folder}: the names (such as {quoted(names[0])}) are frame numbers, not times; put a timestamps.txt "
+                f"with one Unix time per {kind.noun} into the folder, or name the {kind.noun}s by their time"
+            )
+        nameless = next(name for name, found in zip(names, numbers, strict=True) if not found)
+        raise kind.error(
+            f"{folder}: the name {quoted(nameless)} holds no time; needed is a Unix time in the name of each "
+            f"{kind.noun}, or a timestamps.txt in the folder"
+        )
+    stamps = [unit.to_ns(found[place]) if len(found) > place else None for found in numbers]
+    for name, stamp in zip(names, stamps, strict=True):
+        if stamp is None:
+            raise kind.error(
+                f"{folder}: the name {quoted(name)} holds no time in {unit.name}, as the other names do; needed is one "
+                "way of naming in the whole folder"
+            )
+    return np.array(stamps, dtype=np.int64)
+
+
+def _unit_and_place(numbers: list[list[Decimal]]) -> tuple[TimeUnit | None, int]:
+    """Return the unit of the times in the names, and which of the numbers in a name is the time."""
+    fits = []
+    for place in range(max(len(found) for found in numbers)):
+        column = [found[place] for found in numbers if len(found) > place]
+        unit = unit_of(column)
+        if unit is not None:
+            # Of two times in the names the finer one tells more.
+            fits.append((sum(unit.to_ns(value) is not None for value in column), -unit.ns, -place, unit))
+    if not fits:
+        return None, 0
+    *_, minus_place, unit = max(fits, key=lambda fit: fit[:3])
+    return unit, -minus_place
+
+
+def _listed_stamps(path: Path, names: Sequence[str], kind: FileKind) -> IntArray:
+    lines = [line.strip() for line in read_text(path, kind.error).splitlines()]
+    rows = [(i, line) for i, line in enumerate(lines, start=1) if line and not line.startswith("#")]
+    by_name = {Path(name).stem: name for name in names} | {name: name for name in names}
+    split = [_named(line, by_name) for _, line in rows]
+    if any(name is not None for name, _ in split[:2]):
+        return _stamps_by_name(path, names, rows, split, kind)
+    if rows and not _is_time(rows[0][1]):
+        rows = rows[1:]
+    if len(rows) != len(names):
+        raise kind.error(
+            f"{path} holds {len(rows)} times; needed are {len(names)}, one for each {kind.noun} in the folder"
+        )
+    return _times(path, rows, kind)
+
+
+def _stamps_by_name(
+    path: Path, names: Sequence[str], rows: list[tuple[int, str]], split: list[tuple[str | None, str]], kind: FileKind
+) -> IntArray:
+    known = [
+        (i, name, stamp)
+        for (i, _), (name, stamp) in zip(rows, split, strict=True)
+        if name is not None and _is_time(stamp)
+    ]
+    stamps = _times(path, [(i, stamp) for i, _, stamp in known], kind)
+    of_name = {name: stamp for (_, name, _), stamp in zip(known, stamps, strict=True)}
+    missing = [name for name in names if name not in of_name]
+    if missing:
+        raise kind.error(
+            f"{path} holds no time for {len(missing)} of {len(names)} {kind.noun}s, "
+            f"the first of them {quoted(missing[0])}"
+        )
+    return np.array([of_name[name] for name in names], dtype=np.int64)
+
+
+def _named(line: str, by_name: Mapping[str, str]) -> tuple[str | None, str]:
+    """Return the file's name and the rest of a row such as ``name stamp``, ``name,stamp`` or ``stamp,name``."""
+    for separator in (",", ";", "\t", None):
+        for fields in (line.split(separator, 1), line.rsplit(separator, 1)):
+            if len(fields) == 2:
+                first, second = (field.strip().strip('"') for field in fields)
+                if first in by_name:
+                    return by_name[first], second
+                if second in by_name:
+                    return by_name[second], first
+    return None, line
+
+
+def _is_time(text: str) -> bool:
+    return number(text) is not None or iso_time(text) is not None
+
+
+def _times(path: Path, rows: list[tuple[int, str]], kind: FileKind) -> IntArray:
+    numbers = [value for value in (number(text) for _, text in rows) if value is not None]
+    unit = unit_of(numbers)
+    stamps = []
+    for i, text in rows:
+        value, moment = number(text), iso_time(text)
+        ns = unit.to_ns(value) if unit is not None and value is not None else moment.ns if moment is not None else None
+        if ns is None:
+            counted = f"a Unix time in {unit.name}" if unit is not None else "a Unix time or an ISO 8601 time"
+            raise kind.error(f"{path}, line {i}: the time is {quoted(text)}; needed is {counted}")
+        stamps.append(ns)
+    return np.array(stamps, dtype=np.int64)

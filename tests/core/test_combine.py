@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.combine import combine
+from laci_stereo.core.errors import CombineError, EvidenceError
+from laci_stereo.core.frames import Axes
+from laci_stereo.core.settings import JointSettings, Settings
+from laci_stereo.core.world import World
+from tests.passages import misplaced, off_by, passages, recorded
+
+
+def test_two_drives_of_different_vehicles_place_the_sensor_to_centimetres_and_are_surer_than_each() -> None:
+    found = combine(passages()[:2])
+    position_m, angle_deg = misplaced(found.calibration)
+    assert position_m < 0.03
+    assert angle_deg < 0.06
+    quality = found.calibration.quality
+    for _, alone in recorded()[:2]:
+        assert quality.track_xy_sigma_m < 0.9 * alone.quality.track_xy_sigma_m
+        assert quality.yaw_sigma_deg < alone.quality.yaw_sigma_deg
+    assert position_m < 3 * quality.track_xy_sigma_m
+    assert found.left_out == ()
+    assert quality.frames_used + sum(quality.left_out.values()) == quality.frames_seen
+    assert {share.station_id for share in found.shares} == {42, 43}
+    for share in found.shares:
+        assert abs(share.time_offset_s) < 3 * share.time_sigma_s
+
+
+def test_one_drive_gives_what_it_gave() -> None:
+    for passage, (_, alone) in zip(passages(), recorded(), strict=True):
+        found = combine([passage]).calibration
+        assert found.T_utm_sensor[:3, 3] == pytest.approx(alone.T_utm_sensor[:3, 3], abs=1e-3)
+        assert found.T_utm_sensor[:3, :3] == pytest.approx(alone.T_utm_sensor[:3, :3], abs=1e-5)
+        assert found.covariance == pytest.approx(alone.covariance, rel=0.05, abs=1e-9)
+        assert found.quality.frames_seen == alone.quality.frames_seen
+
+
+def test_the_order_of_the_drives_does_not_matter() -> None:
+    one, other = (combine(order).calibration for order in (passages(), passages()[::-1]))
+    assert one.T_utm_sensor[:3, :3] == pytest.approx(other.T_utm_sensor[:3, :3], abs=1e-5)
+    place = one.centre_world - one.T_world_sensor[:3, 3]
+    there = [found.T_utm_sensor[:3, 3] + place for found in (one, other)]
+    assert there[0] == pytest.approx(there[1], abs=2e-3)
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_a_drive_whose_messages_are_a_metre_off_is_named_and_left_out(wrong: int) -> None:
+    drives = passages()
+    drives[wrong] = off_by(drives[wrong], 0.8, -0.6)
+    found = combine(drives)
+    assert [left.name for left in found.left_out] == [f"run {wrong}"]
+    assert found.left_out[0].shift_m == pytest.approx(1.0, abs=0.15)
+    assert f"run {wrong} left out" in str(found.left_out[0])
+    without = combine([drive for i, drive in enumerate(passages()) if i != wrong])
+    assert found.calibration.T_utm_sensor == pytest.approx(without.calibration.T_utm_sensor, abs=2e-3)
+    assert misplaced(found.calibration)[0] < 0.05
+
+
+def test_two_drives_that_contradict_each_other_are_refused() -> None:
+    drives = passages()[:2]
+    with pytest.raises(CombineError, match="no majority of the 2 drives"):
+        combine([drives[0], off_by(drives[1], 1.0, 0.0)])
+
+
+def test_a_sensor_that_was_moved_between_the_drives_is_refused() -> None:
+    drives = passages()
+    ground = drives[1].ground
+    higher = replace(drives[1], ground=replace(ground, height_m=ground.height_m + 0.2))
+    with pytest.raises(CombineError, match=r"moved between the drives: in run 1 .*\+0\.2"):
+        combine([drives[0], higher, drives[2]])
+    c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
+    tilted = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ ground.normal
+    with pytest.raises(CombineError, match=r"in run 1 its tilt is (0\.9|1\.0)\d deg"):
+        combine([drives[0], replace(drives[1], ground=replace(ground, normal=tilted))])
+
+
+def test_another_origin_of_the_world_changes_nothing() -> None:
+    drives = passages()[:2]
+    own = drives[1].world
+    far = World(own.crs, (own.origin_utm[0] + 300.0, own.origin_utm[1] - 200.0), own.grid_scale)
+    xy, shift = (far.from_utm(own.to_utm(xy)) for xy in (drives[1].vehicle.xy, drives[1].match.shift[None]))
+    moved = replace(
+        drives[1],
+        world=far,
+        vehicle=replace(drives[1].vehicle, xy=xy),
+        match=replace(drives[1].match, shift=shift[0]),
+    )
+    here, there = (combine([drives[0], other]).calibration for other in (drives[1], moved))
+    assert here.T_utm_sensor == pytest.approx(there.T_utm_sensor, abs=1e-4)
+
+
+def test_the_same_drive_twice_is_refused() -> None:
+    drive = passages()[0]
+    with pytest.raises(EvidenceError, match="again: is the same drive as run 0"):
+        combine([drive, replace(drive, name="again")])
+
+
+def test_drives_of_different_zones_or_axes_are_refused() -> None:
+    one, other = passages()[:2]
+    zone = replace(other, world=replace(other.world, crs="EPSG:32633"))
+    with pytest.raises(EvidenceError, match="run 1: positions in EPSG:32633; needed is EPSG:32632 as in run 0"):
+        combine([one, zone])
+    with pytest.raises(EvidenceError, match="run 1: the sensor's axes are"):
+        combine([one, replace(other, axes=Axes((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))])
+
+
+def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
+    one, other = passages()[:2]
+    tight = combine([one, other], Settings(joint=JointSettings(clock_sigma_s=1.0)))
+    loose = combine([one, replace(other, clock_sigma_s=1.0)])
+    assert tight.calibration.clock_sigma_s == other.clock_sigma_s
+    assert loose.calibration.clock_sigma_s == 1.0
+    # Without the prior, the information on a clock is less by what the prior tells.
+    without = (tight.shares[0].time_sigma_s ** -2 - other.clock_sigma_s**-2) ** -0.5
+    assert loose.shares[0].time_sigma_s == pytest.approx(without, rel=0.1)
+
+
+def test_a_combined_result_can_be_combined_further() -> None:
+    first, second, third = passages()
+    stepwise = combine([*combine([first, second]).calibration.passages, third]).calibration
+    at_once = combine([first, second, third]).calibration
+    assert stepwise.T_utm_sensor == pytest.approx(at_once.T_utm_sensor, abs=5e-3)
+    assert len(stepwise.passages) == 3

@@ -1,0 +1,67 @@
+"""Drives of three vehicles past one small scanner, calibrated one by one, and their results in folders."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.combine import Origin
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.result import Calibration
+from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.job import Result
+from tests.simulated import LEFT_TURN, RIGHT_TURN, STRAIGHT, Scene, cam_log, car, lidar, scene
+
+DRIVES = ((LEFT_TURN, 4.4, 1.8), (RIGHT_TURN, 4.1, 1.75), (STRAIGHT, 4.8, 1.9))
+STATIONS = (42, 43, 44)
+
+
+@cache
+def recorded() -> tuple[tuple[Scene, Calibration], ...]:
+    """The road and the sensor are the same; vehicles, ways and noise are not."""
+    found = []
+    for number, (drive, length, width) in enumerate(DRIVES):
+        made = scene(drive, lidar(32, 160), frames_hz=5.0, seed=number)
+        vehicle = car(made.vehicle.drive, length, width)
+        messages = cam_log(made.place, vehicle, 6.0, station=STATIONS[number])
+        made = replace(made, recording=replace(made.recording, movers=(vehicle,)), messages=messages)
+        found.append((made, calibrate(made.recording, messages)))
+    return tuple(found)
+
+
+def passages() -> list[Passage]:
+    return [replace(found.passages[0], name=f"run {number}") for number, (_, found) in enumerate(recorded())]
+
+
+def off_by(passage: Passage, x_m: float, y_m: float) -> Passage:
+    """Return a drive whose messages put the vehicle elsewhere; it alone fits there as well as where it was."""
+    shift = np.array([x_m, y_m])
+    vehicle = replace(passage.vehicle, xy=passage.vehicle.xy + shift)
+    return replace(passage, vehicle=vehicle, match=replace(passage.match, shift=passage.match.shift + shift))
+
+
+def with_passage(calibration: Calibration, passage: Passage) -> Calibration:
+    """Return a result that keeps this drive."""
+    return replace(calibration, ground=passage.ground, vehicle=passage.vehicle, match=passage.match)
+
+
+def misplaced(found: Calibration) -> tuple[float, float]:
+    """Return by how much objects on the ways of all vehicles are misplaced, RMS in metres, and the angle, degrees."""
+    made = recorded()[0][0]
+    xy = np.concatenate([scene.vehicle.drive.at(one.track.stamps_s)[0] for scene, one in recorded()])
+    sensor = transform(invert(made.recording.T_world_sensor), np.column_stack([xy, np.zeros(len(xy))]))
+    off: FloatArray = transform(found.T_utm_sensor, sensor)[:, :2] - made.place.to_utm(xy)
+    R = found.T_world_sensor[:3, :3] @ made.recording.T_world_sensor[:3, :3].T
+    angle = float(np.degrees(np.arccos(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0))))
+    return float(np.sqrt((off**2).sum(axis=1).mean())), angle
+
+
+def save(calibration: Calibration, out: Path, kind: str = "lidar") -> Path:
+    """Write a result folder as a calibrating command does."""
+    provenance = Provenance(name="mast 7", kind=kind, frame="as in the scans", inputs={}, config={})
+    return Result(calibration, Origin(provenance, "", None, ())).save(out)
