@@ -33,10 +33,11 @@ SHAPE = ("front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "
 """The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
 left, how far ends and sides stand back where they end, and the radii of the corners."""
 
-SHAPE_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.03, 0.03, 0.03, 0.25, 0.25])
-SHAPE_SIGMA = np.array([0.03, 0.03, 0.03, 0.0, 0.03, 0.03, 0.03, 0.12, 0.12])
-"""What is known of the shape of any vehicle at this height. Plates, bumpers and door sills stand within 3 cm of the
-body's bounds, ends and sides curve by as much, and the corners' radii are 0.1 m for a van and 0.5 m for a small car."""
+SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.25, 0.25])
+SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.12, 0.12])
+"""What is known of the shape of any vehicle at this height. Length and width bound the whole body, at its handles,
+wheel arches and bumper's edge; panels and bumpers stand back from that by up to 3 cm, ends and sides curve by as much,
+and the corners' radii are 0.1 m for a van and 0.5 m for a small car."""
 
 SMALLEST_RADIUS_M = 0.02
 

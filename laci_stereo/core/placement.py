@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,24 +23,28 @@ from laci_stereo.core.tracking import Track
 def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Placement:
     """Match the boxes' centres with the positions of the messages (paper section III-D).
 
+    A box whose longer side is nearer to the vehicle's width than to its length shows an end of it, and not where its
+    middle is; unless all are such, these are left out as too thin.
+
     Raises
     ------
     MatchError
         If the drive is too short to tell the yaw.
     """
     xy_world, _, known = vehicle.at(track.stamps_s)
-    xy_level, xy_world = track.centres[known], xy_world[known]
+    longer = np.array([max(sighting.box.length_m, sighting.box.width_m) for sighting in track.usable])
+    whole = known & (longer > (vehicle.length_m + vehicle.width_m) / 2)
+    used = whole if whole.sum() >= settings.min_frames else known
+    xy_level, xy_world = track.centres[used], xy_world[used]
     match = match_track(xy_level, xy_world, settings)
-    left_out = dict(track.flaws())
-    if not known.all():
-        left_out["unknown"] = int((~known).sum())
+    left_out = track.flaws() + Counter(unknown=int((~known).sum()), thin=int((known & ~used).sum()))
     return Placement(
         match=match,
         middle_level=xy_level.mean(axis=0),
-        doubt=doubt_of(match, track, vehicle, settings),
+        doubt=doubt_of(match, track, vehicle, used, settings),
         residual_rms_m=float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean())),
-        frames_used=int(known.sum()),
-        left_out=left_out,
+        frames_used=int(used.sum()),
+        left_out={str(reason): count for reason, count in left_out.items() if count},
     )
 
 

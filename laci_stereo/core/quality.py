@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.result import Quality, Verdict
 from laci_stereo.core.settings import MatchSettings, QualitySettings
@@ -91,7 +91,9 @@ class Placement:
     contradictions: tuple[str, ...] = ()
 
 
-def doubt_of(match: PlanarMatch, track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Doubt:
+def doubt_of(
+    match: PlanarMatch, track: Track, vehicle: VehicleTrack, used: BoolArray, settings: MatchSettings
+) -> Doubt:
     """Estimate the errors of the paper's match.
 
     A sensor sees the near sides of a vehicle, so its boxes lack what faces away. The match is repeated with boxes that
@@ -104,12 +106,14 @@ def doubt_of(match: PlanarMatch, track: Track, vehicle: VehicleTrack, settings: 
     match : PlanarMatch
     track : Track
     vehicle : VehicleTrack
+    used : ndarray of bool, shape (n,)
+        Which of the track's usable sightings were matched.
     settings : MatchSettings
         Of the match.
     """
-    xy_world, yaw_world, known = vehicle.at(track.stamps_s)
-    xy_level, xy_world = track.centres[known], xy_world[known]
-    grown = xy_level + _lacking(track, vehicle, wrap(yaw_world - match.yaw_rad))[known]
+    xy_world, yaw_world, _ = vehicle.at(track.stamps_s)
+    xy_level, xy_world = track.centres[used], xy_world[used]
+    grown = xy_level + _lacking(track, vehicle, wrap(yaw_world - match.yaw_rad))[used]
     regrown = match_track(grown, xy_world, settings)
     shifted = (match(grown) - regrown(grown)).mean(axis=0)
     remains = float(np.sqrt(((regrown(grown) - xy_world) ** 2).mean()))

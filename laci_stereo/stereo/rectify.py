@@ -10,8 +10,9 @@ import numpy as np
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster, rigid
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
 
-EDGE_PX = 4
-"""What lies nearer than this to where either image ends may be cut off there."""
+EDGE_PX = 22
+"""What lies nearer than this to where either image ends may be cut off there: two windows of 11 pixels, one in which
+nothing matches because it reaches beyond the image, and one for a gap, which are that large on plain paint."""
 
 ROUNDING_PX = 1e-3
 

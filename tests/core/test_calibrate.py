@@ -122,7 +122,7 @@ def test_every_result_shows_what_the_paper_says(name: str) -> None:
     assert joint.paper is not None
     assert joint.paper.yaw_rad == paper.match.yaw_rad
     assert joint.paper.shift == pytest.approx(paper.match.shift)
-    assert paper.quality.frames_used == len(paper.track.usable)
+    assert 0 < paper.quality.frames_used <= len(paper.track.usable)
 
 
 @pytest.mark.parametrize(("method", "most"), [("joint", 1.5), ("paper", 1.5)])

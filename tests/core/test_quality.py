@@ -54,7 +54,7 @@ def position_m(doubt: Doubt) -> float:
 def doubt(track: Track, drive: Drive = DRIVE) -> Doubt:
     told = vehicle(drive)
     match = match_track(track.centres, told.at(track.stamps_s)[0])
-    return doubt_of(match, track, told, MatchSettings())
+    return doubt_of(match, track, told, np.ones(len(track.usable), dtype=bool), MatchSettings())
 
 
 def verdict(value: Doubt, ground: FloatArray = SURE, track: Track | None = None) -> Quality:
@@ -88,7 +88,7 @@ def test_the_error_that_lacking_boxes_cause_is_known(lacking: float) -> None:
     match = match_track(track.centres, world)
     true_level = rotate_xy(-TRUTH.yaw_rad, world - TRUTH.shift)
     error = np.sqrt(((match(true_level) - world) ** 2).sum(axis=1).mean())
-    claimed = doubt_of(match, track, told, MatchSettings())
+    claimed = doubt_of(match, track, told, np.ones(len(track.usable), dtype=bool), MatchSettings())
     assert error == pytest.approx(claimed.track_xy_m, rel=0.3)
     assert abs(match.yaw_rad - TRUTH.yaw_rad) < 1.5 * claimed.yaw_rad
 
