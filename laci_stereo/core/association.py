@@ -109,11 +109,14 @@ def choose_track(
     hypotheses = _hypotheses(scene, seeds)
     if not hypotheses:
         raise MatchError(_no_fit(seeds, vehicles, settings))
-    return _decide(scene, hypotheses, {seed.track for seed in seeds})
+    far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
+    return _decide(scene, hypotheses, far)
 
 
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
     best = max(hypotheses, key=lambda one: one.value)
+    if best.account.path_m < scene.settings.min_path_m:
+        raise TrackError(_too_short(best.account, scene.settings))
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
     claims = [(best.value - one.value, one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
@@ -125,14 +128,21 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     ]
     margin, second = min(claims, key=lambda claim: claim[0], default=(math.inf, None))
     track = _joined(scene, best.account)
-    if second is not None and margin < scene.settings.clear_log_odds:
-        raise MatchError(_tie(scene, best.account, second, margin))
+    if second is not None and margin < scene.settings.least_log_odds:
+        needed = math.exp(scene.settings.least_log_odds)
+        raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {needed:.0f} to 1")
     # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - mine)
     seen = best.value + SILENT - math.log(objects)
-    chance = _by_chance(scene, best.account, objects, seen)
     if seen < scene.settings.least_log_odds:
+        chance = _by_chance(scene, best.account, objects, seen)
         raise MatchError(f"{chance}; needed are {math.exp(scene.settings.least_log_odds):.0f} to 1")
+    # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
+    even, doubt = seen - SILENT, ""
+    if second is not None and margin < min(even, scene.settings.clear_log_odds):
+        doubt = _tie(scene, best.account, second, margin)
+    elif even < scene.settings.clear_log_odds:
+        doubt = _by_chance(scene, best.account, objects, even)
     return Choice(
         station=best.account.station,
         track=track,
@@ -142,21 +152,32 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         time_offset_s=float(best.motion.offset_s),
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else _named(scene, best.account, second),
-        doubt=chance if seen < scene.settings.clear_log_odds else "",
+        doubt=doubt,
     )
 
 
 def _agree(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> bool:
     """Tell whether two hypotheses say the same.
 
-    They do where the best motion also puts the other's track onto its vehicle, and where both motions put what was seen
-    to the same places: nearer to one another than two vehicles ever are.
+    They do where the best motion also puts the other's track onto its vehicle, or at least into it, and where both
+    motions put what was seen to the same places: nearer to one another than two vehicles ever are.
     """
     if any(account.station == other.seed.station and other.seed.track in account.tracks for account in best.accounts):
+        return True
+    if other.seed.station == best.seed.station and _is_part(scene, best, other.seed.track):
         return True
     xy = np.concatenate([scene.tracks[one.seed.track].centres for one in (best, other)])
     apart = np.linalg.norm(best.motion.place(xy) - other.motion.place(xy), axis=1)
     return bool(apart.max() < scene.senders[best.seed.station].width_m)
+
+
+def _is_part(scene: Scene, best: _Hypothesis, track: int) -> bool:
+    """Tell whether a track is mostly where the vehicle itself is: nothing else can be there."""
+    sender = scene.senders[best.seed.station]
+    knots = scene.knots[(scene.knots.track == track) & scene.knots.usable]
+    poses = sender.at(knots.stamp_s + best.motion.offset_s)
+    inside = np.linalg.norm(best.motion.place(knots.xy) - poses.xy, axis=1) <= sender.reach_m
+    return bool(inside[poses.known].mean() > 0.5) if poses.known.any() else False
 
 
 def _joined(scene: Scene, account: Account) -> Track:
@@ -221,9 +242,15 @@ def _tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
         else f"two moving objects, seen in {frames[0]} and {frames[1]} frames,"
     )
     return (
-        f"{what} fit equally well (odds of {math.exp(margin):.1f} to 1; needed are "
-        f"{math.exp(scene.settings.clear_log_odds):.0f} to 1): name the sender's station, or record a drive with a "
-        "turn or less traffic"
+        f"{what} fit {'equally' if margin < scene.settings.least_log_odds else 'nearly as'} well (odds of "
+        f"{math.exp(margin):.1f} to 1): name the sender's station, or record a drive with a turn or less traffic"
+    )
+
+
+def _too_short(best: Account, settings: MatchSettings) -> str:
+    return (
+        f"the vehicle of station {best.station} moves {best.path_m:.1f} m while it is seen; needed are "
+        f"{settings.min_path_m:.1f} m"
     )
 
 

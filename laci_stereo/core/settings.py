@@ -200,10 +200,10 @@ class MatchSettings:
         Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
         where the tracks happen to cross.
     clear_log_odds : float
-        By less than this a second hypothesis is a tie: of a hundred that are chosen, at most one may be wrong. By less
-        than this over chance alone, there is a warning.
+        By less than this over the second hypothesis, or over chance, there is a warning: of a hundred that are chosen
+        without one, at most one may be wrong.
     least_log_odds : float
-        By less than this over chance alone, nothing is chosen.
+        By less than this nothing is chosen.
     clock_sigma_s : float
         Standard deviation of the offset between the sensor's clock and the CAMs': 10 ms where both are synchronised
         (by NTP or GNSS), 1 s where nothing is known. Searched is up to three times that.

@@ -12,16 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation, label
 
-from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
+from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
 from laci_stereo.core.settings import MatchSettings
-from laci_stereo.core.track_motion import OUTLIER, Motion, completed, cost, path_shares, trust
-from laci_stereo.core.track_scene import KNOT_S, Knots, Poses, Scene, Sender
+from laci_stereo.core.track_motion import OUTLIER, Motion, completed, cost, fit_all, path_shares, trust
+from laci_stereo.core.track_scene import KNOT_S, TABLE_S, Knots, Poses, Scene, Sender
 
 PRECISIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 """How exact positions may be, relative to the settings' sigma: from GNSS alone down to one with carrier phases."""
-
-HEADING_SIGMA_RAD = 0.2
-"""Of a box that is clearly longer than wide: one of its sides is off by a point's noise of 0.3 m in half a length."""
 
 RADIAL_SIGMA_MPS = 0.3
 """Of a radial speed: wheels and the Doppler cell of a radar."""
@@ -35,9 +32,12 @@ SIZE_SIGMA_M = 0.5
 SPEED_SPREAD = 0.2
 """Standard deviation of the speeds of free traffic, relative to their mean: how likely a stranger has the same."""
 
-SAME_MANOEUVRE = math.log(10_000.0)
-"""However special a drive is: of a hundred strangers that are recorded for a minute one makes the same turn within half
-a second, and of a hundred of these one has the same speed all the way, since they have the same roads and lights."""
+MANOEUVRES = 3
+"""However special a drive is, a stranger may make the same at another time, since it has the same roads and lights:
+straight on, to the left or to the right."""
+
+OTHER_TIME_S = 3.0
+"""Searched is so long before and after; what fits at a time farther off has turned or stopped elsewhere by then."""
 
 USUAL_MPS2 = 1.0
 """Standard deviation of accelerations in traffic, along and across."""
@@ -67,6 +67,8 @@ class Account:
         The median of what remains, in sigma.
     value : float
         Log likelihood, over that of all tracks being strangers'.
+    path_m : float
+        How far its vehicle drives from its first to its last sighting.
     coincidence : float
         Minus the log probability that a stranger is where the vehicle must be.
     """
@@ -76,6 +78,7 @@ class Account:
     explained: float
     typical: float
     value: float
+    path_m: float
     coincidence: float
 
 
@@ -100,31 +103,31 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
     weight = path_shares(of_mine, knots.stamp_s[mine], settings)
     stretches = float(weight.sum())
     if stretches == 0.0:
-        return Account(sender.station, (), 0.0, math.inf, -missed, 0.0)
+        return Account(sender.station, (), 0.0, math.inf, -missed, 0.0, 0.0)
     q = (remains[mine] / sigma[mine]) ** 2
     odd = float(weight @ cost(_odd(knots[mine], of_mine, motion, sender)))
     sigma_m = float(np.sqrt(np.average(sigma[mine] ** 2, weights=weight)))
-    evidence = _evidence(knots[mine], xy[mine], sigma[mine], q, weight, settings)
+    fits_s = _fits_for(scene, sender, knots[mine], motion, weight)
+    often = fits_s / max(float(np.ptp(knots.stamp_s)), KNOT_S)
+    evidence = _evidence(knots[mine], xy[mine], sigma[mine], q, weight, often, settings)
     return Account(
         station=sender.station,
         tracks=tuple(fitting.tolist()),
         explained=float(explained[fitting].sum()),
         typical=math.sqrt(_median(q, weight)),
         value=evidence - odd - missed,
+        path_m=float(np.ptp(of_mine.path_m)),
         coincidence=max(0.0, -math.log(2 * math.pi * sigma_m**2 * scene.density)),
     )
 
 
 def _odd(knots: Knots, poses: Poses, motion: Motion, sender: Sender) -> FloatArray:
-    """Return what else than the position is wrong with the sightings, squared in sigma: size, direction and speed."""
+    """Return what else than the position is wrong with the sightings, squared in sigma: size and speed."""
     too_long = np.maximum(knots.length_m - 2 * sender.reach_m - 5 * knots.sigma_m, 0.0) / SIZE_SIGMA_M
-    long = (knots.length_m > 1.5 * knots.width_m) & (knots.length_m > sender.length_m / 2)
-    turned = wrap(2 * (knots.yaw_rad + motion.yaw_rad - poses.yaw_rad)) / 2
-    turned = np.where(long, turned, 0.0) / np.hypot(HEADING_SIGMA_RAD, poses.slip_rad)
     sight = knots.xy / np.maximum(np.linalg.norm(knots.xy, axis=1, keepdims=True), 1e-9)
     radial = (rotate_xy(-motion.yaw_rad, poses.velocity) * sight).sum(axis=1)
     off = np.where(np.isfinite(knots.radial_mps), knots.radial_mps - radial, 0.0) / _radial_sigma(radial)
-    odd: FloatArray = too_long**2 + turned**2 + off**2
+    odd: FloatArray = too_long**2 + off**2
     return odd
 
 
@@ -133,15 +136,37 @@ def _radial_sigma(radial_mps: FloatArray) -> FloatArray:
     return sigma
 
 
+def _fits_for(scene: Scene, sender: Sender, knots: Knots, motion: Motion, weight: FloatArray) -> float:
+    """Return for how long (s) the sender's drive fits a track as well as now, were it driven earlier or later.
+
+    A bend that is driven at a steady speed fits for long, because the motion takes the shift up. A clock that is not
+    known would have been set to any time at which it fits.
+    """
+    settings = scene.settings
+    steps = round(OTHER_TIME_S / TABLE_S)
+    shifts_s = TABLE_S * np.arange(-steps, steps + 1)
+    poses = sender.at(knots.stamp_s + motion.offset_s + shifts_s[:, None])
+    _, _, (q, _) = fit_all(knots, poses, weight * poses.known, sender, settings)
+    worse = np.array([_misfit(one, weight, 3) for one in q]) - _misfit(q[steps], weight, 3)
+    worse[~poses.known.all(axis=1)] = math.inf
+    return TABLE_S * float(np.exp(-np.maximum(worse, 0.0)).sum()) + math.sqrt(2 * math.pi) * settings.clock_sigma_s
+
+
 def _evidence(
-    knots: Knots, xy_level: FloatArray, sigma: FloatArray, q: FloatArray, weight: FloatArray, settings: MatchSettings
+    knots: Knots,
+    xy_level: FloatArray,
+    sigma: FloatArray,
+    q: FloatArray,
+    weight: FloatArray,
+    often: float,
+    settings: MatchSettings,
 ) -> float:
     """Return the log likelihood of a track if it is the sender's over that if it is a stranger's.
 
     The motion that is fitted takes up any position and direction. A stranger follows a polynomial of time. Of each of
     its coefficients it must have the right value within the resolution: for the speed that is sigma sqrt(12 / n) in the
     whole length of n stretches, or what radial speeds tell, for what bends the path sigma / sqrt(n) in some a t^2 / 8,
-    on both axes.
+    on both axes. Or it makes the sender's manoeuvre: as ``often`` as that fits by its time, if it has its speed too.
     """
     stretches = float(weight.sum())
     sigma_m = float(np.sqrt(np.average(sigma**2, weights=weight)))
@@ -151,14 +176,14 @@ def _evidence(
     speed = SPEED_SPREAD * math.sqrt(by_place + by_radial)
     bend = USUAL_MPS2 * span_s**2 / 8 * math.sqrt(stretches) / sigma_m
     powers = np.vander((knots.stamp_s - knots.stamp_s.mean()) / max(span_s, KNOT_S), MAX_ORDER + 1, increasing=True)
+    alike = math.log(MANOEUVRES) + math.log(max(1.0, speed)) - math.log(min(often, 1.0))
     stranger = math.inf
     for order in range(1, min(MAX_ORDER, len(knots) - 1) + 1):
         surprise = math.log(max(1.0, speed)) + 2 * (order - 1) * math.log(max(1.0, bend))
         rest = _polynomial_misfit(powers[:, : order + 1], xy_level, sigma, q, weight)
         # However special a drive is, a stranger's may be just like it; the polynomial then leaves its noise alone.
-        surprise = min(surprise, SAME_MANOEUVRE)
-        stranger = min(stranger, surprise + _misfit(rest, weight, 2 * order + 2))
-    return stranger - _misfit(q, weight, 3)
+        stranger = min(stranger, min(surprise, alike) + _misfit(rest, weight, 2 * order + 2))
+    return min(stranger - _misfit(q, weight, 3), alike)
 
 
 def _polynomial_misfit(

@@ -54,9 +54,12 @@ def find_seeds(scene: Scene) -> list[Seed]:
     seeds = []
     for index in range(len(scene.tracks)):
         knots = scene.knots[(scene.knots.track == index) & scene.knots.usable]
-        if knots.frames.sum() < scene.settings.min_frames or extent(knots.xy) < scene.settings.min_path_m:
+        if knots.frames.sum() < scene.settings.min_frames:
             continue
         for sender in scene.senders.values():
+            # What stands wanders by less, as more or less of it is seen; all fragments together tell how far it drives.
+            if extent(knots.xy) < sender.reach_m:
+                continue
             seed = _seed(index, knots, sender, scene.settings)
             if seed is not None:
                 seeds.append(seed)
@@ -87,13 +90,13 @@ def _best_offset(
     poses = sender.at(knots.stamp_s + offsets_s[:, None])
     frames = poses.known @ knots.frames
     span = np.ptp(np.where(poses.known[..., None], poses.xy, poses.xy[:, :1]), axis=1)
-    enough = (frames >= settings.min_frames) & (np.linalg.norm(span, axis=1) >= settings.min_path_m)
+    enough = (frames >= settings.min_frames) & (np.linalg.norm(span, axis=1) >= sender.reach_m)
     if not enough.any():
         return None
     offsets_s = offsets_s[enough]
     poses = Poses(*(getattr(poses, field.name)[enough] for field in fields(poses)))
     weight = poses.known * path_shares(poses, knots.stamp_s, settings)
-    yaw, shift, remains = _fit(knots, poses, weight, sender, settings)
+    yaw, shift, remains = fit_all(knots, poses, weight, sender, settings)
     score = (weight * (WORST - cost(remains[0]))).sum(axis=1) - (offsets_s / settings.clock_sigma_s) ** 2 / 2
     best = int(np.argmax(score))
     closeness = np.maximum(1 - (remains[1][best] / sender.reach_m) ** 2, 0.0)
@@ -114,7 +117,7 @@ def path_shares(poses: Poses, stamps_s: FloatArray, settings: MatchSettings) -> 
     return shares
 
 
-def _fit(
+def fit_all(
     knots: Knots, poses: Poses, weight: FloatArray, sender: Sender, settings: MatchSettings
 ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
     """Fit a motion at each of g offsets, robustly, from the best of three starts: the whole track and its halves.

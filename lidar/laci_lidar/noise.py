@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,13 +10,18 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
-from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, FloatArray, IntArray
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.settings import GroundSettings
 
+log = logging.getLogger(__name__)
+
 START_SIGMA_M = 0.02
 """What most data sheets promise; with it the ground is found for the first time."""
+
+USUAL_SIGMA_M = 0.03
+"""Taken where too little ground is seen to tell: the data sheet of the Velodyne VLP-16, the scanner used most at roads,
+gives a typical range accuracy of 3 cm."""
 
 SMALLEST_SIGMA_M, LARGEST_SIGMA_M = 0.005, 0.2
 """No scanner for roads is more exact, and none that is sold is worse."""
@@ -71,6 +77,7 @@ def estimate_range_sigma(
     noise, for the road's crown and the plane's error are common to both. A bearing that is off by d makes the plane's
     prediction wrong by k d, k = range / tan(grazing angle), so the variance of a residual is sigma_range^2 + k^2
     sigma_bearing^2. A line through the variances over k^2 separates the two; the medians in its bins leave kerbs out.
+    Where there are too few neighbours for that, it is `USUAL_SIGMA_M`, and a warning is logged.
 
     Raises
     ------
@@ -83,10 +90,14 @@ def estimate_range_sigma(
     ground = fit_ground(points, along, range_m * angle_sigma_rad, axes.up, settings)
     differences, leverage = np.concatenate([_differences(scan, ground) for scan in scans], axis=1)
     if len(differences) < _MIN_PAIRS:
-        raise GroundError(
-            f"{len(differences)} pairs of neighbouring points on the ground; needed are {_MIN_PAIRS} for "
-            "an estimate of the noise of ranges, or the noise itself"
+        log.warning(
+            "%d pairs of neighbouring points on the ground, needed are %d for an estimate of the noise of ranges: "
+            "it is taken as %.0f cm",
+            len(differences),
+            _MIN_PAIRS,
+            100 * USUAL_SIGMA_M,
         )
+        return USUAL_SIGMA_M
     # Of the steeper half, because far away the unevenness of the road counts; fine where the road is seen most steeply.
     edges = np.round(len(leverage) / 2 * np.linspace(0.0, 1.0, _BINS + 1) ** 2).astype(np.int64)
     bins = np.split(np.argsort(leverage)[: edges[-1]], edges[1:-1])

@@ -310,6 +310,41 @@ def test_the_second_best_is_said_in_words() -> None:
     assert math.isfinite(choice.log_likelihood_margin)
 
 
+BACK_AND_FORTH = Drive(
+    (5.0, 0.0), 20.0, speeds=((0.0, 4.0), (2.0, 0.0), (3.0, -3.0), (4.5, -3.0), (5.0, 0.0), (6.0, 4.0))
+)
+ROUND = Drive((0.0, 0.0), 0.0, ((200.0, 955.0),), ((0.0, 7.0),))
+"""Round and round, on a circle of 12 m."""
+
+
+def test_a_vehicle_that_reverses_is_found_by_its_path() -> None:
+    right = seen(BACK_AND_FORTH, noise_m=0.05)
+    assert np.linalg.norm(np.ptp(right.centres, axis=0)) < MatchSettings().min_path_m
+    assert choose_track([right, seen(STEADY, seed=1)], {42: vehicle(BACK_AND_FORTH)}).track is right
+
+
+def test_a_vehicle_that_hardly_moves_while_it_is_seen() -> None:
+    brief = seen(DRIVE, STAMPS[:10], noise_m=0.05)
+    with pytest.raises(
+        TrackError, match=r"the vehicle of station 42 moves \d\.\d m while it is seen; needed are 10\.0 m"
+    ):
+        choose_track([brief], {42: vehicle()}, MatchSettings(least_log_odds=-math.inf))
+
+
+def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:
+    # Two seconds later it is elsewhere on the circle, which the motion takes up.
+    other = seen(replace(ROUND, start_s=2.0), STAMPS[25:])
+    permissive = MatchSettings(least_log_odds=0.0)
+    assert "by chance" in choose_track([other], {42: vehicle(ROUND)}, permissive).doubt
+
+
+def test_a_drive_of_its_own_leaves_no_doubt() -> None:
+    slows = replace(DRIVE, speeds=((0.0, 9.0), (2.0, 9.0), (4.0, 5.0)))
+    choice = choose_track([seen(slows), seen(STEADY, seed=1)], {42: vehicle(slows)})
+    assert choice.doubt == ""
+    assert misplaced_m(choice) < 0.5
+
+
 # live traffic
 
 
@@ -349,12 +384,12 @@ def test_thirty_vehicles_at_a_crossing(senders: int, settings: MatchSettings) ->
 
 @pytest.mark.parametrize(("senders", "needed"), [(1, 0), (3, 2)])
 def test_thirty_vehicles_on_a_straight_road(senders: int, needed: int) -> None:
-    # One sender among cars of nearly its speed is often undecided, but never wrong; three tell one another apart.
+    # One sender among cars of nearly its speed is often undecided, but never wrong unsaid; three tell each other apart.
     right = 0
     for seed in range(3):
         scene = traffic(seed, STRAIGHT_ROAD)
         choice = chosen(scene, passing(scene, seed, senders), 0.0, MatchSettings())
         if choice is not None:
-            assert misplaced_m(choice) < 1.0
-            right += 1
+            assert misplaced_m(choice) < 1.0 or choice.doubt
+            right += misplaced_m(choice) < 1.0
     assert right >= needed

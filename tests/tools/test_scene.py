@@ -8,12 +8,13 @@ import pytest
 pytest.importorskip("embreex")
 
 from laci_lidar.settings import LidarSettings
+from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.frames import invert, transform
-from tools.scenes.disparity import StereoFlaws, match_frame, reproject, stereo_camera
+from tools.scenes.disparity import SURFACES, Mounted, StereoFlaws, match_frame, reproject, stereo_camera
 from tools.scenes.geometry import Body, Material, Mesh, RayCaster
-from tools.scenes.scene import SENSORS, Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
+from tools.scenes.scene import Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
 from tools.scenes.sensors import LIDARS, LidarFlaws, lidar, sweep
 from tools.scenes.world import LAYOUTS, draw_road, still
 from tools.scenes.write import pcd, write_scene
@@ -82,7 +83,7 @@ def test_rain_is_near_and_as_frequent_as_stated():
     assert drops.sum() == pytest.approx(expected, abs=5 * np.sqrt(expected))
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("sensor", ["lidar_16", "lidar_rosette", "stereo_05"])
 def test_scenes_follow_their_seed_and_show_the_sender(sensor):
     one, two, other = draw_scene(2, sensor), draw_scene(2, sensor), draw_scene(3, sensor)
     np.testing.assert_array_equal(one.T_utm_sensor, two.T_utm_sensor)
@@ -124,7 +125,8 @@ def test_what_is_set_is_so():
     assert scene.T_world_sensor[2, 2] < 0.0
 
 
-def test_an_impossible_scene_is_refused():
+def test_an_impossible_scene_is_refused(monkeypatch):
+    monkeypatch.setattr("tools.scenes.scene.TRIES", 3)
     with pytest.raises(SceneError, match="does not fit"):
         draw_scene(0, "lidar_16", drive="roundabout", layout="cross")
     with pytest.raises(SceneError, match="in view"):
@@ -164,25 +166,59 @@ def test_a_lidars_points_lie_on_what_they_hit(hanging):
     assert np.abs(own[:, 1]).max() < scene.vehicle.mirror_width_m / 2 + 0.15
 
 
-def test_disparity_of_a_plane_is_exact_without_flaws_and_scatters_as_stated():
-    camera = stereo_camera("stereo_05", 1000.0)
-    facing = Mesh(WALL.vertices[:, [1, 2, 0]] * [1.0, 1.0, 2.0], WALL.triangles, WALL.material)
-    # Texture belongs to triangles: many small ones.
-    caster = RayCaster([Body("wall", finer(finer(finer(facing))), still(np.eye(4)), True)])
-    exact = match_frame(camera, StereoFlaws((0.0, 0.0), 0.0, 0.0, 0.0, 0.0), caster, np.eye(4), 0.0, (1, 2))
-    points = reproject(camera, exact, np.ones_like(exact.moving))[0]
+SHARP = StereoFlaws(noise=0.0, bleed_px=0.0, gross=0.0, open_=0.0)
+
+
+def facing_a_patchwork(material, flaws):
+    """Look at a wall 20 m away of 512 bodies, for texture belongs to bodies and triangles; return it and its errors."""
+    corners = np.array([[-14.0, -8.0, 20.0], [-14.0, 8.0, 20.0], [14.0, -8.0, 20.0], [14.0, 8.0, 20.0]])
+    cut = finer(finer(Mesh(corners, WALL.triangles, WALL.material)))
+    pieces = [
+        Mesh(cut.vertices[three], np.arange(3)[None], np.array([material], dtype=np.int64)) for three in cut.triangles
+    ]
+    bodies = [Body(f"piece {number}", mesh, still(np.eye(4)), True) for number, mesh in enumerate(pieces)]
+    mounted = Mounted(stereo_camera("stereo_05", 1000.0), RayCaster(bodies), np.eye(4))
+    matched = match_frame(mounted, flaws, 0.0, (1, 2))
+    return mounted, matched, matched.disparity_px - 1000.0 * 0.5 / 20.0
+
+
+def test_disparity_of_a_plane_is_exact_without_flaws():
+    mounted, exact, _ = facing_a_patchwork(Material.WALL, SHARP)
+    points = reproject(mounted.camera, exact, np.ones_like(exact.moving))[0]
     np.testing.assert_allclose(points[:, 2], 20.0, atol=1e-9)
-    noisy = match_frame(camera, StereoFlaws((0.2, 0.2), 0.6, 0.0, 0.0, 0.0), caster, np.eye(4), 0.0, (1, 2))
-    known = np.isfinite(noisy.disparity_px)
-    error = noisy.disparity_px - 1000.0 * 0.5 / 20.0
-    # Some 10,000 independent windows of 11 px.
-    assert error[known].std() == pytest.approx(0.2, rel=0.05)
-    assert (noisy.sigma_px[known] == 0.2).all()
-    beside = known[:, 1:] & known[:, :-1]
-    shared = (error[:, 1:] * error[:, :-1])[beside].mean() / 0.04
-    assert 0.4 < shared < 0.6
-    # Untextured: the share stated for a wall, and none is lost at the right border.
-    assert 1 - known[:, 40:].mean() == pytest.approx(0.3, abs=0.04)
+    # Only what is to the left of the right image's border has no partner: 25 px.
+    assert np.isfinite(exact.disparity_px[:, 9:]).mean() > 0.999
+
+
+def test_disparity_scatters_as_the_material_does_and_over_windows():
+    _, noisy, error = facing_a_patchwork(Material.CAR_PAINT, replace(SHARP, noise=0.3))
+    known = np.isfinite(error)
+    # The mean logarithm of a normal number's size is -(0.577 + ln 2) / 2. 512 bodies and as many triangles, a third of
+    # the logarithm's variance of 0.36 each: 0.02.
+    middle = np.exp(np.log(np.abs(error[known])).mean() + (np.euler_gamma + np.log(2.0)) / 2)
+    assert middle == pytest.approx(0.3 * SURFACES[Material.CAR_PAINT].sigma_px, rel=0.08)
+    # What is told is the floor of 0.1 px, and half of the rest.
+    scaled = error / (2 * np.sqrt(noisy.sigma_px**2 - 0.01))
+    assert np.nanstd(scaled) == pytest.approx(1.0, abs=0.05)
+    for cells, expected in ((1, 0.87), (3, 0.28)):
+        beside = np.nanmean(scaled[:, cells:] * scaled[:, :-cells]) / np.nanvar(scaled)
+        assert beside == pytest.approx(expected, abs=0.05)
+
+
+def test_as_much_is_open_and_gross_as_the_material_says():
+    glass = SURFACES[Material.GLASS]
+    _, gaps, _ = facing_a_patchwork(Material.GLASS, replace(SHARP, open_=1.0, noise=0.3))
+    assert np.isnan(gaps.disparity_px[:, 9:]).mean() == pytest.approx(glass.open_, abs=0.05)
+    _, _, error = facing_a_patchwork(Material.GLASS, replace(SHARP, gross=1.0))
+    far_off = np.abs(error[np.isfinite(error)]) >= 1.0
+    # Some 3000 patches of 5 px.
+    assert far_off.mean() == pytest.approx(glass.gross, abs=0.02)
+    # Of what is matched the middle one has the noise that is stated, whatever share is open; half of it is told.
+    noise = 2 * np.sqrt(gaps.sigma_px[np.isfinite(gaps.sigma_px)] ** 2 - 0.01)
+    assert np.median(noise) == pytest.approx(0.3 * glass.sigma_px, rel=0.08)
+    # The speckle filter drops what is smaller than 100 px: mismatches come in patches, not alone.
+    wrong = np.nan_to_num(np.abs(error)) >= 1.0
+    assert (wrong[:, 1:] & wrong[:, :-1]).sum() > 0.5 * wrong.sum()
 
 
 def test_what_a_near_thing_hides_from_the_right_camera_is_not_matched():
@@ -191,8 +227,7 @@ def test_what_a_near_thing_hides_from_the_right_camera_is_not_matched():
     back = Mesh(quad * [2.0, 2.0, 4.0], WALL.triangles, np.full(2, Material.FOLIAGE, dtype=np.int64))
     post = Mesh(quad * [0.01, 1.0, 1.0], WALL.triangles, np.full(2, Material.FOLIAGE, dtype=np.int64))
     caster = RayCaster([Body(name, mesh, still(np.eye(4)), True) for name, mesh in (("back", back), ("post", post))])
-    flaws = StereoFlaws((0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
-    matched = match_frame(camera, flaws, caster, np.eye(4), 0.0, (1, 2))
+    matched = match_frame(Mounted(camera, caster, np.eye(4)), SHARP, 0.0, (1, 2))
     open_share = np.isnan(matched.disparity_px).mean(axis=0)
     u = camera.pixels[0][0]
     # The post spans u from -50 to 50 at 100 px; the wall has 25 px: it is hidden for 75 px to the left of the post.
@@ -209,8 +244,7 @@ def test_bleeding_makes_near_things_grow():
     caster = RayCaster([Body(name, mesh, still(np.eye(4)), True) for name, mesh in (("back", back), ("post", post))])
     widths = []
     for bleed in (0.0, 3.0):
-        flaws = StereoFlaws((0.0, 0.0), 0.0, 0.0, bleed, 0.0)
-        matched = match_frame(camera, flaws, caster, np.eye(4), 0.0, (1, 2))
+        matched = match_frame(Mounted(camera, caster, np.eye(4)), replace(SHARP, bleed_px=bleed), 0.0, (1, 2))
         widths.append((matched.disparity_px > 40.0).sum() / len(matched.disparity_px) * camera.stride)
     # By the bleeding on either side.
     assert widths[1] - widths[0] == pytest.approx(6.0, abs=1.0)
@@ -230,7 +264,7 @@ def test_an_easy_scene_is_calibrated_to_a_part_of_a_car(sensor):
 def test_errors_of_the_truth_are_nothing():
     class Exact:
         world = type("World", (), {"crs": ""})()
-        quality = type("Quality", (), {"track_xy_sigma_m": 0.1})()
+        quality = type("Quality", (), {"track_xy_sigma_m": 0.1, "yaw_sigma_deg": 0.2, "tilt_sigma_deg": 0.1})()
 
     scene = draw_scene(7, "lidar_16")
     exact = Exact()
@@ -242,6 +276,11 @@ def test_errors_of_the_truth_are_nothing():
     turned[0, 3] += 0.05
     exact.T_utm_sensor = turned
     assert errors_of(exact, scene).track_xy_cm == pytest.approx(5.0, abs=1e-3)
+    for turn, ratio in ((np.array([0.0, 0.0, 1.0]), 5.0), (np.array([0.6, 0.8, 0.0]), 10.0)):
+        R = Rotation.from_rotvec(turn, degrees=True).as_matrix()
+        exact.T_utm_sensor = scene.T_utm_sensor.copy()
+        exact.T_utm_sensor[:3, :3] = R @ scene.T_utm_sensor[:3, :3]
+        assert errors_of(exact, scene).rotation_ratio == pytest.approx(ratio, rel=1e-3)
 
 
 def test_a_data_set_is_what_was_simulated(tmp_path: Path):

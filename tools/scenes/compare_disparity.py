@@ -1,4 +1,4 @@
-"""Prints how the tool's stereo matching errs on rendered pairs, whose disparity is known, and how the fast simulation.
+"""Prints how the tool's stereo matching errs on rendered pairs, whose disparity is known, beside the fast simulation.
 
 Run from the repository's root: ``python -m tools.scenes.compare_disparity --seeds 3 --frames 3``; with
 ``--crossing FOLDER`` also for the road of a data set of path-traced images with a ``truth.json``.
@@ -18,12 +18,12 @@ import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, transform
 from laci_stereo.io.images import ImageFolder
-from laci_stereo.io.stereo_calibration import Lens, StereoRig, read_stereo_calibration
+from laci_stereo.io.stereo_calibration import read_stereo_calibration
 from laci_stereo.stereo.disparity import Region, match
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.rectify import Rectification, rectify
 from laci_stereo.stereo.settings import StereoSettings
-from tools.scenes.disparity import STEREOS, StereoCamera, StereoName, match_frame
+from tools.scenes.disparity import STEREOS, Mounted, StereoCamera, StereoName, match_frame
 from tools.scenes.geometry import Material, RayCaster
 from tools.scenes.render import Look, random_look, write_stereo
 from tools.scenes.scene import Scene, draw_scene
@@ -137,27 +137,44 @@ def errors_in(values: FloatArray, sigma: FloatArray, true: FloatArray, where: Bo
     return Errors(error[matched], sigma[matched], int((where & ~matched).sum()), products)
 
 
-def described(name: str, errors: Errors) -> str:
-    """Return a line of the table."""
-    if len(errors.error) < 100:
-        return f"{name:<24}{errors.count:>9}   too few are matched: {len(errors.error)}"
-    good = np.abs(errors.error) < GROSS_PX
-    bias = float(np.median(errors.error[good]))
-    apart = np.abs(errors.error[good] - bias)
-    sigma = 1.4826 * float(np.median(apart))
-    normalised = 1.4826 * float(np.median(apart / errors.claimed[good]))
-    low, high = np.quantile(errors.claimed, [0.1, 0.9])
-    return (
-        f"{name:<24}{errors.count:>9}{100 * errors.open_ / errors.count:>8.1f}{100 * np.mean(~good):>8.2f}{bias:>8.3f}"
-        f"{sigma:>8.3f}{np.sqrt(np.mean(apart**2)):>8.3f}{low:>8.3f}{high:>6.3f}{normalised:>8.2f}"
-        f"{correlation_length(errors.products):>8.1f}"
+def described(name: str, rendered: Errors, simulated: Errors) -> str:
+    """Return a line of the table, each figure of the rendered pairs and, after a slash, of the simulation."""
+    both = [measures(errors) for errors in (rendered, simulated)]
+    columns = [
+        "-" if one is None and other is None else "/".join("-" if text is None else text for text in (one, other))
+        for one, other in zip(*both, strict=True)
+    ]
+    return f"{name:<22}{rendered.count:>9}" + "".join(
+        f"{text:>{width}}" for text, width in zip(columns, WIDTHS, strict=True)
     )
 
 
-HEADER = (
-    f"{'':<24}{'pixels':>9}{'gaps %':>8}{'gross %':>8}{'bias':>8}{'sigma':>8}{'rms':>8}{'claimed 10..90':>14}"
-    f"{'e/claim':>8}{'corr px':>8}"
-)
+def measures(errors: Errors) -> tuple[str | None, ...]:
+    """Return one text for each of `MEASURES`; None where too few are matched."""
+    gaps = f"{100 * errors.open_ / errors.count:.1f}"
+    good = np.abs(errors.error) < GROSS_PX
+    if good.sum() < FEWEST:
+        return (gaps, *(None for _ in MEASURES[1:]))
+    bias = float(np.median(errors.error[good]))
+    apart = np.abs(errors.error[good] - bias)
+    low, high = np.quantile(errors.claimed, [0.1, 0.9])
+    return (
+        gaps,
+        f"{100 * np.mean(~good):.2f}",
+        f"{bias:.2f}",
+        f"{1.4826 * float(np.median(apart)):.3f}",
+        f"{np.sqrt(np.mean(apart**2)):.3f}",
+        f"{low:.2f}..{high:.2f}",
+        f"{1.4826 * float(np.median(apart / errors.claimed[good])):.2f}",
+        f"{correlation_length(errors.products):.1f}",
+    )
+
+
+MEASURES = ("gaps %", "gross %", "bias", "sigma", "rms", "claimed", "e/claim", "corr px")
+WIDTHS = (13, 12, 12, 13, 13, 23, 11, 12)
+HEADER = f"{'':<22}{'pixels':>9}" + "".join(f"{name:>{width}}" for name, width in zip(MEASURES, WIDTHS, strict=True))
+FEWEST = 100
+"""So many matched pixels tell a scatter to 7 %."""
 
 
 def correlation_length(products: FloatArray) -> float:
@@ -208,7 +225,8 @@ def border_of(values: FloatArray, truth: Truth, body: int) -> Border:
     near, far = np.asarray(cv2.dilate(near, window)), np.asarray(cv2.erode(far, window))
     apart = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     outside = ~inside & (apart <= REACH_PX) & (near - truth.disparity > JUMP_PX) & truth.shared
-    within = inside & (truth.disparity - far > JUMP_PX) & (far > 0)
+    # What glass mirrors is far too, wherever the outline is.
+    within = inside & (truth.disparity - far > JUMP_PX) & (far > 0) & (truth.material != Material.GLASS)
     grown = outside & (np.abs(values - near) < np.abs(values - truth.disparity))
     worn = within & (values < (truth.disparity + far) / 2)
     rings = [outside & (apart > k) & (apart <= k + 1) for k in range(REACH_PX)]
@@ -273,15 +291,6 @@ def contrast_of(image: Raster) -> FloatArray:
     return contrast
 
 
-def ideal_rig(camera: StereoCamera) -> StereoRig:
-    """Return the rig whose raw images are the simulated camera's rectified ones."""
-    width, height = camera.size_px
-    f = camera.focal_px
-    K = np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
-    lens = Lens(K, np.zeros(5), camera.size_px, "pinhole")
-    return StereoRig(lens, lens, np.eye(3), np.array([-camera.baseline_m, 0.0, 0.0]))
-
-
 def matched_frames(
     folder: Path, indices: IntArray
 ) -> Iterator[tuple[int, Rectification, Raster, FloatArray, FloatArray]]:
@@ -305,6 +314,9 @@ def of_scene(scene: Scene, look: Look, frames: int) -> tuple[Figures, Figures]:
     """Return the figures of matching on rendered pairs, and of the fast simulation, of the same frames."""
     camera = replace(scene.sensor, stride=1) if isinstance(scene.sensor, StereoCamera) else None
     assert camera is not None, scene.sensor_kind
+    mounted = Mounted(camera, scene.caster, scene.T_world_sensor)
+    # The rig of the rendered pairs is known exactly.
+    flaws = replace(scene.stereo_flaws, offset_px=0.0)
     sender = len(scene.bodies) - 1
     # The middle third of a recording: the sender is near.
     times = scene.times_s[(np.linspace(0.35, 0.65, frames) * (len(scene.times_s) - 1)).astype(np.int64)]
@@ -312,15 +324,12 @@ def of_scene(scene: Scene, look: Look, frames: int) -> tuple[Figures, Figures]:
     simulated: list[Figures] = []
     with tempfile.TemporaryDirectory() as name:
         stamps = [10**18 + round(1e9 * time_s) for time_s in times.tolist()]
-        rig = ideal_rig(camera)
-        write_stereo(scene.bodies, rig, scene.T_world_sensor, times, stamps, Path(name), look, scene.seed)
+        write_stereo(scene.bodies, camera.rig, scene.T_world_sensor, times, stamps, Path(name), look, scene.seed)
         for index, plane, left, values, sigma in matched_frames(Path(name), np.arange(frames)):
             time_s = float(times[index])
             truth = exact_truth(scene.caster, plane, scene.T_world_sensor, time_s)
             rendered.append(figures(values, sigma, truth, sender, left))
-            fast = match_frame(
-                camera, scene.stereo_flaws, scene.caster, scene.T_world_sensor, time_s, (scene.seed, index)
-            )
+            fast = match_frame(mounted, flaws, time_s, (scene.seed, index))
             simulated.append(figures(fast.disparity_px, fast.sigma_px, truth, sender, left))
     return summed(rendered), summed(simulated)
 
@@ -357,13 +366,14 @@ def road_of_crossing(folder: Path) -> tuple[Errors, FloatArray]:
     return errors_in(values, sigma, disparity, where), contrast_of(left)[where][::50]
 
 
-def print_figures(title: str, found: Figures) -> None:
-    """Print a table."""
-    print(f"\n{title}\n{HEADER}")
-    for name, errors in found.kinds:
-        if errors.count:
-            print(described(name, errors))
-    print(described_border("sender", found.border))
+def print_figures(rendered: Figures, simulated: Figures) -> None:
+    """Print the table."""
+    print(HEADER)
+    for (name, one), (_, other) in zip(rendered.kinds, simulated.kinds, strict=True):
+        if one.count:
+            print(described(name, one, other))
+    print(described_border("sender, rendered", rendered.border))
+    print(described_border("sender, simulated", simulated.border))
 
 
 def main() -> None:
@@ -382,12 +392,14 @@ def main() -> None:
         of_scene(draw_scene(seed, sensor), drawn_look(seed, arguments.right_gain), arguments.frames) for seed in seeds
     ]
     rendered = summed([one for one, _ in both])
-    print_figures("matching on rendered pairs", rendered)
+    print("rendered pairs, matched / fast simulation; pixels")
+    print_figures(rendered, summed([two for _, two in both]))
     print(f"contrast of the road in windows of 11 px: {100 * np.median(rendered.contrast):.1f} %")
-    print_figures("fast simulation", summed([two for _, two in both]))
     if arguments.crossing:
         errors, contrast = road_of_crossing(arguments.crossing)
-        print(f"\n{arguments.crossing}\n{HEADER}\n{described('road', errors)}")
+        print(
+            f"\n{arguments.crossing}, {HEADER.strip()}\nroad  {errors.count}  {'  '.join(map(str, measures(errors)))}"
+        )
         print(f"contrast of the road in windows of 11 px: {100 * np.median(contrast):.1f} %")
 
 

@@ -8,12 +8,14 @@ from typing import Literal, get_args
 
 import cv2
 import numpy as np
+from scipy.special import ndtri
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.io.stereo_calibration import Lens, StereoRig
 from laci_stereo.stereo.recording import POINTING_SIGMA_PX
 from laci_stereo.stereo.scene import BLEED_PX
 from laci_stereo.stereo.settings import StereoSettings
-from tools.scenes.geometry import Body, Hits, Material, RayCaster
+from tools.scenes.geometry import Hits, Material, RayCaster
 
 StereoName = Literal["stereo_02", "stereo_05", "stereo_10"]
 STEREOS: tuple[StereoName, ...] = get_args(StereoName)
@@ -24,27 +26,70 @@ EDGE_PX = 8
 JUMP_PX = 1.5
 """A larger step of disparity between neighbouring rays is a border between two surfaces."""
 
-UNTEXTURED = {
-    Material.ROAD: 0.15,
-    Material.PAINT: 0.1,
-    Material.KERB: 0.15,
-    Material.GRASS: 0.03,
-    Material.WALL: 0.3,
-    Material.FOLIAGE: 0.02,
-    Material.METAL: 0.4,
-    Material.CAR_PAINT: 0.45,
-    Material.GLASS: 0.6,
-    Material.TYRE: 0.4,
-    Material.CLOTH: 0.3,
-    Material.LAMP: 0.3,
+
+@dataclass(frozen=True)
+class Surface:
+    """What matching makes of a material.
+
+    Attributes
+    ----------
+    open_ : float
+        Share of its pixels without a disparity.
+    sigma_px : float
+        Standard deviation of a disparity, of what is matched: the middle one, as it varies with the texture.
+    gross : float
+        Share of the matched pixels that have something else's disparity.
+    """
+
+    open_: float
+    sigma_px: float
+    gross: float
+
+
+SURFACES = {
+    Material.ROAD: Surface(0.002, 0.07, 0.0002),
+    Material.PAINT: Surface(0.3, 0.09, 0.0),
+    Material.KERB: Surface(0.1, 0.08, 0.0),
+    Material.GRASS: Surface(0.001, 0.05, 0.0002),
+    Material.WALL: Surface(0.005, 0.09, 0.0001),
+    Material.FOLIAGE: Surface(0.003, 0.08, 0.0),
+    Material.METAL: Surface(0.1, 0.1, 0.01),
+    Material.CAR_PAINT: Surface(0.3, 0.16, 0.02),
+    Material.GLASS: Surface(0.5, 0.16, 0.06),
+    Material.TYRE: Surface(0.1, 0.08, 0.0),
+    Material.CLOTH: Surface(0.0, 0.09, 0.0),
+    Material.LAMP: Surface(0.1, 0.1, 0.01),
 }
-"""Share of a surface that block matching leaves open: as the tool's own matcher does on rendered images, roughly."""
+"""Measured on rendered pairs, matched by the tool itself: ``python -m tools.scenes.compare_disparity`` with ``--first
+100 --seeds 3 --frames 3`` and with ``--first 200 --seeds 4 --frames 2``, the scenes' mean, rounded. Scenes differ: car
+paint is open by 0.08 to 0.48, glass by 0.24 to 0.61, painted lines by 0 to 0.64 where they are overexposed; up to 0.09
+of paint and 0.25 of glass is gross. Lamps, which were too small, are taken for metal."""
 
-LEAST_SIGMA_PX = 0.02
-"""What is told of the noise even where there is none."""
+SKY = Surface(1.0, 0.1, 0.0)
 
-GLOSSY = 0.3
-"""Of the glass that is matched, so much shows what it mirrors."""
+MOST_OPEN = 0.99
+"""Where more is open, as in the sky, nothing that is matched is left whose texture could be told."""
+
+SPREAD = 0.6
+"""Standard deviation of the logarithm of sigma within a material; the same comparison: the root mean square is 1.4
+times the middle one, exp(SPREAD^2)."""
+
+TOLD = 0.5
+"""Share of sigma that the matcher claims, besides its floor; the same comparison: 0.103 to 0.130 px on the road, 0.103
+to 0.205 px on paint, the lowest and highest tenth left out."""
+
+WINDOW_SIGMA_PX = 4.0
+"""Noise is smooth over this: its correlation falls to 1 / e at twice as much; the same comparison: at 7 to 8 px."""
+
+GROSS_SIGMA_PX = 5.0
+"""Mismatches are smooth over this: the matcher drops islands of less than 100 pixels."""
+
+GROSS_PX = (1.0, 2.0)
+"""By so much they are too far at least, and so much more, as a standard deviation; the same comparison: medians of 1.3
+to 1.9 px on paint and 1 to 5 px on glass, which shows what it mirrors."""
+
+BESIDE_PX, BESIDE_OPEN = 6, 0.2
+"""So far outside of a near outline this share at least is open; the same comparison: 0.1 to 0.4."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +128,21 @@ class StereoCamera:
         u, v = self.pixels
         return np.column_stack([u.ravel() / self.focal_px, v.ravel() / self.focal_px, np.ones(u.size)])
 
+    @cached_property
+    def ray_lengths(self) -> FloatArray:
+        """Distance over depth on each ray, shape (rows * columns,)."""
+        lengths: FloatArray = np.linalg.norm(self.rays, axis=1)
+        return lengths
+
+    @property
+    def rig(self) -> StereoRig:
+        """The rig whose raw images are the rectified ones."""
+        width, height = self.size_px
+        f = self.focal_px
+        K = np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
+        lens = Lens(K, np.zeros(5), self.size_px, "pinhole")
+        return StereoRig(lens, lens, np.eye(3), np.array([-self.baseline_m, 0.0, 0.0]))
+
     def sees(self, points: FloatArray) -> BoolArray:
         """Tell which points, shape (n, 3), in the sensor frame, are in the field of view."""
         depth = np.maximum(points[:, 2], 1e-6)
@@ -98,28 +158,67 @@ def stereo_camera(name: StereoName, focal_px: float = 1100.0) -> StereoCamera:
 
 
 @dataclass(frozen=True)
+class Mounted:
+    """A camera that hangs in a scene; what stands still is met by the same rays in every frame.
+
+    Attributes
+    ----------
+    camera : StereoCamera
+    caster : RayCaster
+    T_world_sensor : ndarray, shape (4, 4)
+    """
+
+    camera: StereoCamera
+    caster: RayCaster
+    T_world_sensor: FloatArray
+
+    @cached_property
+    def directions(self) -> FloatArray:
+        """Of each ray in the world, unit, shape (rows * columns, 3)."""
+        unit = self.camera.rays / self.camera.ray_lengths[:, None]
+        turned: FloatArray = unit @ self.T_world_sensor[:3, :3].T
+        return turned
+
+    @cached_property
+    def moving(self) -> BoolArray:
+        """Tell which bodies, and last the sky, show as a change; swaying leaves do all the time, and pass for noise."""
+        leafy = (bool((body.mesh.material == Material.FOLIAGE).any()) for body in self.caster.bodies)
+        moving = [not body.static and not leaves for body, leaves in zip(self.caster.bodies, leafy, strict=True)]
+        return np.array([*moving, False])
+
+    def hits(self, time_s: float) -> Hits:
+        """Return what the rays meet."""
+        return self.caster.before(self._still, self.T_world_sensor[:3, 3], self.directions, time_s)
+
+    @cached_property
+    def _still(self) -> Hits:
+        return self.caster.still(self.T_world_sensor[:3, 3], self.directions)
+
+
+@dataclass(frozen=True)
 class StereoFlaws:
     """How disparities differ from the truth.
 
     Attributes
     ----------
-    sigma_px : tuple of float
-        Smallest and largest standard deviation of a disparity: the better the texture, the smaller.
-    correlated : float
-        Share of its variance that neighbours within a window have in common: windows of 11 px overlap.
+    noise : float
+        Scales the standard deviation of disparities.
     offset_px : float
         Of all disparities: rectification keeps 0.03 to 0.05 px.
     bleed_px : float
-        By so much a near surface grows at its borders.
+        By so much a near surface grows at its borders; 0.3 to 1.7 in the comparison of
+        `SURFACES`, where a fifth of what has grown is open.
     gross : float
-        Share of plain mismatches.
+        Scales the share of mismatches.
+    open_ : float
+        Scales the share of pixels without a disparity.
     """
 
-    sigma_px: tuple[float, float] = (0.1, 0.25)
-    correlated: float = 0.6
+    noise: float = 1.0
     offset_px: float = 0.0
-    bleed_px: float = 2.0
-    gross: float = 0.004
+    bleed_px: float = 1.25
+    gross: float = 1.0
+    open_: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -142,49 +241,44 @@ class Matched:
     body: IntArray
 
 
-def match_frame(
-    camera: StereoCamera,
-    flaws: StereoFlaws,
-    caster: RayCaster,
-    T_world_sensor: FloatArray,
-    time_s: float,
-    seed: tuple[int, int],
-) -> Matched:
+def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple[int, int]) -> Matched:
     """Simulate the disparities of the frame at ``time_s``.
 
     Parameters
     ----------
-    camera : StereoCamera
+    mounted : Mounted
     flaws : StereoFlaws
-    caster : RayCaster
-    T_world_sensor : ndarray, shape (4, 4)
     time_s : float
     seed : tuple of int
         Of the scene and of the frame.
     """
     rng = np.random.default_rng(seed)
+    camera, hits = mounted.camera, mounted.hits(time_s)
     shape = camera.pixels[0].shape
-    lengths = np.linalg.norm(camera.rays, axis=1)
-    directions = (camera.rays / lengths[:, None]) @ T_world_sensor[:3, :3].T
-    hits = caster.cast(T_world_sensor[:3, 3], directions, time_s)
-    true = (camera.focal_px * camera.baseline_m * lengths / hits.distance_m).reshape(shape)
-    moved = np.array([*map(_moves, caster.bodies), False])[hits.body].reshape(shape)
-    texture = _texture(caster, hits, shape, seed[0], rng)
+    faces = mounted.caster.faces(hits)
+    open_, sigma, gross = (values.reshape(shape) for values in _surfaces(mounted.caster, faces))
+    true = (camera.focal_px * camera.baseline_m * camera.ray_lengths / hits.distance_m).reshape(shape)
+    texture = _texture(mounted.caster, hits.body, faces, seed[0]).reshape(shape) + _smooth(shape, 4, rng)
+    texture /= np.sqrt(3.0)
     matched = _bled(true, flaws.bleed_px / camera.stride, rng)
-    low, high = flaws.sigma_px
-    sigma = low + (high - low) * (1.0 - texture)
+    beside = _bled(true, float(round(BESIDE_PX / camera.stride)), rng) > true
+    open_ = np.where(open_ < 1.0, flaws.open_ * open_, 1.0)
+    # The worst texture is open: what is matched has more than the middle of all.
+    middle = ndtri((1.0 + np.minimum(open_, MOST_OPEN)) / 2)
+    open_ = np.maximum(open_, np.where(beside, flaws.open_ * BESIDE_OPEN, 0.0))
     # Both images' near surfaces grow, so what has grown passes the check from right to left.
     hidden = _occluded(camera, true) & (matched <= true + JUMP_PX)
-    open_ = _open(caster, hits, texture, shape) | hidden | (true <= 0.5)
-    values = matched + flaws.offset_px + sigma * _noise(shape, flaws.correlated, camera.stride, rng)
-    glass = _of_material(caster, hits, Material.GLASS).reshape(shape)
-    gross = (rng.random(shape) < flaws.gross) | (glass & (rng.random(shape) < GLOSSY))
-    values = np.where(gross, values * rng.uniform(0.3, 1.2, shape), values)
-    reach = 2 * (BLEED_PX // camera.stride) + 1
-    moving = cv2.dilate(moved.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
-    known = ~open_ & (values > sigma) & (sigma <= StereoSettings().max_disparity_sigma_px)
+    sigma = flaws.noise * sigma * np.exp(SPREAD * (middle - texture))
+    told = np.hypot(StereoSettings().disparity_floor_px, TOLD * sigma)
+    values = matched + flaws.offset_px + sigma * _smooth(shape, WINDOW_SIGMA_PX / camera.stride, rng)
+    elsewhere = _smooth(shape, GROSS_SIGMA_PX / camera.stride, rng) > -ndtri(flaws.gross * gross)
+    too_far = GROSS_PX[0] + GROSS_PX[1] * np.abs(_smooth(shape, GROSS_SIGMA_PX / camera.stride, rng))
+    values = np.where(elsewhere, values - too_far, values)
+    known = (texture > ndtri(open_)) & ~hidden & (true > 0.5) & (values > told)
+    known &= told <= StereoSettings().max_disparity_sigma_px
     body = hits.body.reshape(shape)
-    told = np.maximum(sigma, LEAST_SIGMA_PX)
+    reach = 2 * (BLEED_PX // camera.stride) + 1
+    moving = cv2.dilate(mounted.moving[body].astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
     return Matched(np.where(known, values, np.nan), np.where(known, told, np.nan), moving, body)
 
 
@@ -211,44 +305,20 @@ def reproject(
     return points, along, depth * (POINTING_SIGMA_PX / camera.focal_px), edge
 
 
-def _moves(body: Body) -> bool:
-    """Tell whether a body shows as a change; swaying leaves do all the time, which a camera takes for noise."""
-    return not body.static and not bool((body.mesh.material == Material.FOLIAGE).any())
+def _surfaces(caster: RayCaster, faces: IntArray) -> tuple[FloatArray, ...]:
+    """Return share without a disparity, standard deviation and share of mismatches where rays meet triangles."""
+    kinds = [*(SURFACES[material] for material in Material), SKY]
+    table = np.array([(kind.open_, kind.sigma_px, kind.gross) for kind in kinds])
+    # A ray that meets nothing has the last number.
+    return tuple(table[np.append(caster.materials, len(Material))[faces]].T)
 
 
-def _of_material(caster: RayCaster, hits: Hits, material: Material) -> BoolArray:
-    found = np.zeros(len(hits.body), dtype=bool)
-    for index in np.unique(hits.body[hits.body >= 0]):
-        here = np.flatnonzero(hits.body == index)
-        found[here] = caster.bodies[index].mesh.material[hits.triangle[here]] == material
-    return found
-
-
-def _texture(
-    caster: RayCaster, hits: Hits, shape: tuple[int, ...], seed: int, rng: np.random.Generator
-) -> FloatArray:  # fmt: skip
-    """Return how well each pixel can be matched, 0 to 1: half of it belongs to the surface, half to the view."""
-    own = np.zeros(len(hits.body))
-    for index in np.unique(hits.body[hits.body >= 0]):
-        here = np.flatnonzero(hits.body == index)
-        faces = len(caster.bodies[index].mesh.material)
-        own[here] = np.random.default_rng([seed, int(index)]).random(faces)[hits.triangle[here]]
-    view = _smooth(shape, 4, rng)
-    # The normal distribution's own function would be exact; this is within 2 %.
-    rank = 1.0 / (1.0 + np.exp(-1.7 * view))
-    mixed: FloatArray = (own.reshape(shape) + rank) / 2
-    return mixed
-
-
-def _open(caster: RayCaster, hits: Hits, texture: FloatArray, shape: tuple[int, ...]) -> BoolArray:
-    """Tell where there is too little texture: the mean of two uniform numbers has the triangular distribution."""
-    share = np.ones(len(hits.body))  # the sky has none
-    table = np.array([UNTEXTURED[material] for material in Material])
-    for index in np.unique(hits.body[hits.body >= 0]):
-        here = np.flatnonzero(hits.body == index)
-        share[here] = table[caster.bodies[index].mesh.material[hits.triangle[here]]]
-    limit = np.where(share < 0.5, np.sqrt(share / 2), 1 - np.sqrt((1 - share) / 2))
-    return texture < limit.reshape(shape)
+def _texture(caster: RayCaster, body: IntArray, faces: IntArray, seed: int) -> FloatArray:
+    """Return how well a body and its triangles can be matched, a normal number each, their sum where rays meet them."""
+    rng = np.random.default_rng([seed, 5])
+    of_body, of_face = (np.append(rng.normal(size=n), 0.0) for n in (len(caster.bodies), len(caster.materials)))
+    sums: FloatArray = of_body[body] + of_face[faces]
+    return sums
 
 
 def _bled(true: FloatArray, cells: float, rng: np.random.Generator) -> FloatArray:
@@ -273,12 +343,6 @@ def _occluded(camera: StereoCamera, true: FloatArray) -> BoolArray:
     hidden[:, :-1] = beyond[:, 1:] < column[:, :-1] - 0.5
     outside: BoolArray = column < -camera.size_px[0] / 2
     return hidden | outside
-
-
-def _noise(shape: tuple[int, ...], correlated: float, stride: int, rng: np.random.Generator) -> FloatArray:
-    common = _smooth(shape, max(11 / stride / 3, 0.5), rng)
-    mixed: FloatArray = np.sqrt(correlated) * common + np.sqrt(1 - correlated) * rng.normal(size=shape)
-    return mixed
 
 
 def _smooth(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> FloatArray:

@@ -14,6 +14,7 @@ from laci_lidar.axes import forward_left_up
 from laci_lidar.recording import LidarRecording
 from laci_lidar.scan import Scan
 from laci_lidar.settings import LidarSettings
+from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.cam import CamLog
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
@@ -29,11 +30,12 @@ from laci_stereo.core.frames import (
     rotation_z,
     transform,
 )
-from laci_stereo.core.result import Calibration
+from laci_stereo.core.result import Calibration, Quality
 from tools.scenes.cams import EPOCH_NS, CamFlaws, ReceiverName, Rounding, cam_log, together
 from tools.scenes.disparity import (
     STEREOS,
     Matched,
+    Mounted,
     StereoCamera,
     StereoFlaws,
     StereoName,
@@ -120,7 +122,7 @@ class Factors:
     systematic : float
         Scales the sensors' errors that are common to many points.
     bleed_px, gross, focal_px
-        Of stereo cameras.
+        Of stereo cameras; ``gross`` scales the share of mismatches.
     """
 
     layout: LayoutKind | None = None
@@ -214,8 +216,8 @@ class Scene:
     stereo_flaws : StereoFlaws
     drive_kind : DriveKind
         Of the sender.
-    seen : int
-        Frames in which the sender is in view.
+    in_view : ndarray of bool, shape (n,)
+        In which frames the sender is in view, see `frames_in_view`.
     """
 
     seed: int
@@ -235,7 +237,12 @@ class Scene:
     lidar_flaws: LidarFlaws
     stereo_flaws: StereoFlaws
     drive_kind: DriveKind
-    seen: int = 0
+    in_view: BoolArray
+
+    @property
+    def seen(self) -> int:
+        """Number of frames in which the sender is in view."""
+        return int(self.in_view.sum())
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
@@ -281,6 +288,8 @@ class Errors:
     rotation_deg, position_cm : float
     sigma_ratio : float
         ``track_xy_cm`` over what the calibration claims.
+    rotation_ratio : float
+        The error of yaw, or of tilt where that is worse, over what is claimed of it.
     """
 
     track_xy_cm: float
@@ -288,6 +297,7 @@ class Errors:
     rotation_deg: float
     position_cm: float
     sigma_ratio: float
+    rotation_ratio: float
 
 
 def errors_of(calibration: Calibration, scene: Scene) -> Errors:
@@ -310,7 +320,14 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
         rotation_deg=float(np.degrees(2 * np.arcsin(min(apart, 1.0)))),
         position_cm=100 * float(np.linalg.norm((T_found - T_true)[:3, 3])),
         sigma_ratio=track_xy / max(calibration.quality.track_xy_sigma_m, 1e-9),
+        rotation_ratio=_rotation_ratio(T_found[:3, :3] @ T_true[:3, :3].T, calibration.quality),
     )
+
+
+def _rotation_ratio(R_error: FloatArray, quality: Quality) -> float:
+    x, y, z = np.degrees(Rotation.from_matrix(R_error).as_rotvec()).tolist()
+    yaw_ratio = abs(float(z)) / max(quality.yaw_sigma_deg, 1e-9)
+    return max(yaw_ratio, float(np.hypot(x, y)) / max(quality.tilt_sigma_deg, 1e-9))
 
 
 def draw_scene(seed: int, sensor_kind: SensorKind, **overrides: Any) -> Scene:
@@ -339,7 +356,7 @@ def draw_scene(seed: int, sensor_kind: SensorKind, **overrides: Any) -> Scene:
         xy = scene.sender.track(scene.times_s)[0]
         driven_m = float((np.linalg.norm(np.diff(xy, axis=0), axis=1) * in_view[1:]).sum())
         if seen >= factors.min_seen and driven_m >= factors.min_driven_m:
-            return replace(scene, seen=seen)
+            return replace(scene, in_view=in_view)
         most = max(most, seen)
     raise SceneError(
         f"seed {seed}: the sender is in view for {most} frames at most; needed are {factors.min_seen} frames, and "
@@ -430,6 +447,7 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
         lidar_flaws=_lidar_flaws(draw, factors, sensor),
         stereo_flaws=_stereo_flaws(draw, factors),
         drive_kind=kind,
+        in_view=np.zeros(frames, dtype=bool),
     )
 
 
@@ -551,10 +569,10 @@ def _lidar_flaws(draw: Draw, factors: Factors, sensor: Lidar | StereoCamera) -> 
 
 def _stereo_flaws(draw: Draw, factors: Factors) -> StereoFlaws:
     return StereoFlaws(
-        sigma_px=(0.1 * factors.noise, 0.25 * factors.noise),
+        noise=factors.noise,
         offset_px=factors.systematic * float(draw.rng("offset").normal(0.0, 0.04)),
-        bleed_px=draw.given(factors.bleed_px, "bleed", lambda rng: float(rng.uniform(0.5, 2.5))),
-        gross=draw.given(factors.gross, "gross", lambda rng: float(rng.uniform(0.0, 0.008))),
+        bleed_px=draw.given(factors.bleed_px, "bleed", lambda rng: float(rng.uniform(0.5, 2.0))),
+        gross=draw.given(factors.gross, "gross", lambda rng: float(rng.uniform(0.0, 2.0))),
     )
 
 
@@ -616,18 +634,17 @@ class Recorded:
         assert isinstance(scan, Scan)
         return scan
 
+    @cached_property
+    def _mounted(self) -> Mounted:
+        camera = self.scene.sensor
+        assert isinstance(camera, StereoCamera)
+        return Mounted(camera, self.scene.caster, self.scene.T_world_sensor)
+
     def _matched(self, index: int) -> Matched:
         if index not in self._frames:
-            scene, camera = self.scene, self.scene.sensor
-            assert isinstance(camera, StereoCamera)
-            self._frames[index] = match_frame(
-                camera,
-                scene.stereo_flaws,
-                scene.caster,
-                scene.T_world_sensor,
-                float(scene.times_s[index]),
-                (scene.seed, index),
-            )
+            scene = self.scene
+            time_s = float(scene.times_s[index])
+            self._frames[index] = match_frame(self._mounted, scene.stereo_flaws, time_s, (scene.seed, index))
         matched = self._frames[index]
         assert isinstance(matched, Matched)
         return matched

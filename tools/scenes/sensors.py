@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
-from tools.scenes.geometry import Body, Hits, Material, RayCaster
+from tools.scenes.geometry import Hits, Material, RayCaster
 
 LidarName = Literal["lidar_8", "lidar_16", "lidar_32", "lidar_64", "lidar_128", "lidar_rosette"]
 LIDARS: tuple[LidarName, ...] = get_args(LidarName)
@@ -243,7 +243,7 @@ def sweep(
     true = unit(azimuth + horizontal / np.cos(elevation), elevation + vertical) @ T_world_scanner[:3, :3].T
     times = first_s + index * scanner.period_s + scanner.offset_s
     hits = caster.sweep(T_world_scanner[:3, 3], true, times)
-    returned = rng.random(n) < _returned(scanner, caster.bodies, hits, true, seed)
+    returned = rng.random(n) < _returned(scanner, caster, hits, true, seed)
     lasers = np.random.default_rng([seed, 7]).normal(size=int(scanner.layer.max()) + 1)
     range_m = hits.distance_m + flaws.noise * scanner.range_sigma_m * rng.normal(size=n)
     range_m = range_m + flaws.bias_m + flaws.layer_sigma_m * lasers[scanner.layer]
@@ -256,21 +256,19 @@ def sweep(
 
 
 def _returned(
-    scanner: Lidar, bodies: tuple[Body, ...], hits: Hits, directions: FloatArray, seed: int
+    scanner: Lidar, caster: RayCaster, hits: Hits, directions: FloatArray, seed: int
 ) -> FloatArray:  # fmt: skip
     """Return the probability that a beam comes back: by the power that does, reflectivity * cos(angle) / distance^2."""
-    met = hits.body >= 0
-    power = np.zeros(len(hits.body))
+    met = np.flatnonzero(hits.body >= 0)
+    body, distance_m = hits.body[met], hits.distance_m[met]
+    material = caster.materials[caster.faces(hits)[met]]
     table = np.array([REFLECTIVITY[material] for material in Material])
-    low, high = PAINT_REFLECTIVITY
-    colour = np.random.default_rng([seed, 11]).uniform(low, high, len(bodies))
-    for index in np.unique(hits.body[met]):
-        here = np.flatnonzero(hits.body == index)
-        material = bodies[index].mesh.material[hits.triangle[here]]
-        reflectivity = np.where(material == Material.CAR_PAINT, colour[index], table[material])
-        cosine = np.abs(np.einsum("ij,ij->i", hits.normal[here], directions[here]))
-        rough = np.isin(material, ROUGH)
-        cosine = np.where(rough, ROUGH_COS * cosine + ROUGH_SIN2 * (1 - cosine**2), cosine)
-        power[here] = reflectivity * cosine / 0.1 * (scanner.reach_m / hits.distance_m[here]) ** 2
+    colour = np.random.default_rng([seed, 11]).uniform(*PAINT_REFLECTIVITY, len(caster.bodies))
+    reflectivity = np.where(material == Material.CAR_PAINT, colour[body], table[material])
+    cosine = np.abs(np.einsum("ij,ij->i", hits.normal[met], directions[met]))
+    rough = np.array([kind in ROUGH for kind in Material])[material]
+    cosine = np.where(rough, ROUGH_COS * cosine + ROUGH_SIN2 * (1 - cosine**2), cosine)
+    power = np.zeros(len(hits.body))
+    power[met] = reflectivity * cosine / 0.1 * (scanner.reach_m / distance_m) ** 2
     # Half at the threshold; noise of the detector blurs it over a factor of two or so.
     return power**3 / (1.0 + power**3)

@@ -1,0 +1,95 @@
+from dataclasses import asdict, replace
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex")
+
+from tools.bench_scenes import METHODS, Job, jobs_of, missing, run
+from tools.scenes.runs import Run, beyond, read_runs, recorded, table
+from tools.scenes.scene import draw_scene
+from tools.scenes.seeing import rendered
+
+DONE = Run("lidar_16", "joint", 1, good=True, verdict="pass", track_xy_cm=3.0, rotation_deg=0.1)
+DONE = replace(DONE, sigma_ratio=1.0, rotation_ratio=0.5)
+
+
+def cells(runs):
+    return [cell.strip() for cell in table(runs).splitlines()[2].split("|")[1:-1]]
+
+
+def test_one_scene_is_seen_once_for_both_methods():
+    runs = run(Job("detections", 9004, METHODS), {"density": 0.2})
+    assert [one.method for one in runs] == list(METHODS)
+    assert len({(one.seed, one.seen, one.good, one.draw_s, one.observe_s) for one in runs}) == 1
+    assert all(one.seen >= 40 for one in runs)
+    # Boxes good to 10 cm, some 90 of them.
+    assert runs[METHODS.index("joint")].track_xy_cm < 20.0
+
+
+def test_an_impossible_scene_is_no_refusal():
+    runs = run(Job("lidar_16", 0, METHODS), {"drive": "roundabout", "layout": "cross"})
+    assert not any(one.drawn for one in runs)
+    assert cells([*runs, replace(DONE, method=runs[0].method)])[2:4] == ["1", "0/1 0%"]
+
+
+def test_what_fails_or_is_refused_counts_as_refused_and_its_errors_do_not():
+    runs = [
+        DONE,
+        replace(DONE, seed=2, sigma_ratio=4.0, track_xy_cm=5.0, verdict="warn"),
+        replace(
+            DONE, seed=3, good=False, refused="verdict fail: x", verdict="fail", track_xy_cm=900.0, sigma_ratio=9.0
+        ),
+        Run("lidar_16", "joint", 4, good=True, refused="TrackError: x"),
+        replace(DONE, seed=5, sigma_ratio=6.0, track_xy_cm=7.0, rotation_ratio=5.5),
+    ]
+    found = cells(runs)
+    assert found[2:8] == ["5", "2/5 40%", "1/4 25%", "3 (2)", "1/3 33%", "1/3 33%"]
+    assert found[8] == "5.0"
+    assert found[10] == "7.0"
+    assert found[14] == "1/3 33%"
+    assert beyond(runs) == ("  lidar_16 joint: 2 (xy 4.0, rotation 0.5, warn), 5 (xy 6.0, rotation 5.5, pass)")
+
+
+def test_runs_survive_their_file_and_an_interruption(tmp_path):
+    path = tmp_path / "scenes.csv"
+    before = [DONE, Run("lidar_16", "paper", 1, refused='MatchError: "a, b"\n')]
+    coming = recorded(iter([[replace(DONE, seed=2)], [replace(DONE, seed=3)]]), path, before)
+    next(coming)
+    # Interrupted here: what has come stands in the file.
+    assert [one.seed for one in read_runs(path)] == [1, 1, 2]
+    coming.close()
+    for one, other in zip(read_runs(path), [*before, replace(DONE, seed=2)], strict=True):
+        assert str(asdict(one)) == str(asdict(other))
+    whole = path.read_text()
+    path.write_text(whole[:-20])
+    assert [one.seed for one in read_runs(path)] == [1, 1]
+
+
+def test_only_what_is_missing_is_run_again():
+    jobs = jobs_of(["lidar_16", "stereo_05"], range(5, 7), METHODS, rendered=1)
+    assert [(job.sensor, job.seed, job.way) for job in jobs] == [
+        ("lidar_16", 5, "simulated"),
+        ("lidar_16", 6, "simulated"),
+        ("stereo_05_rendered", 5, "rendered"),
+        ("stereo_05", 6, "simulated"),
+    ]
+    assert {job.kind for job in jobs} == {"lidar_16", "stereo_05"}
+    there = [replace(DONE, seed=5, method=method) for method in METHODS] + [replace(DONE, seed=6)]
+    left = missing(jobs, there)
+    assert left[0] == Job("lidar_16", 6, tuple(name for name in METHODS if name != "joint"))
+    assert left[1:] == jobs[2:]
+
+
+def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
+    scene = draw_scene(3, "stereo_05", density=0.0, parked=0)
+    small = replace(scene.sensor, size_px=(96, 64), focal_px=80.0)
+    scene = replace(scene, sensor=small)
+    images = rendered(scene, tmp_path, step=60)
+    assert [pair.stamp_ns for pair in images.pairs] == scene.stamps_ns[::60].tolist()
+    assert images.rectification.baseline_m == pytest.approx(small.baseline_m)
+    assert images.rectification.focal_px == pytest.approx(small.focal_px)
+    first, later = (cv2.imread(str(pair.left), cv2.IMREAD_GRAYSCALE).astype(np.float64) for pair in images.pairs[:2])
+    assert first.shape == (64, 96)
+    assert np.abs(first - later).max() > 10.0  # something has moved

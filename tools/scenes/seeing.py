@@ -1,0 +1,89 @@
+"""What the tool sees of a scene: by the fast simulation, in rendered images, or by a detector's boxes."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from laci_stereo.core.calibrate import locate, vehicles_of, world_around
+from laci_stereo.core.cam import FRONT, VehicleTrack
+from laci_stereo.core.detections import observe_detections
+from laci_stereo.core.observe import Observation, observe
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import Settings
+from laci_stereo.core.world import World
+from laci_stereo.io.images import ImageFolder, pair_images
+from laci_stereo.stereo.recording import StereoRecording
+from laci_stereo.stereo.settings import StereoSettings
+from tools.scenes.detector import detect
+from tools.scenes.disparity import StereoCamera
+from tools.scenes.render import random_look, write_stereo
+from tools.scenes.scene import Recorded, Scene
+
+Way = Literal["simulated", "rendered", "detections"]
+
+RENDERED_STEP = 2
+"""Of the frames every second is rendered, 5 per second."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """All that a calibration starts from; one serves several methods.
+
+    Attributes
+    ----------
+    observation : Observation
+    vehicles : dict of int to VehicleTrack
+    world : World
+    """
+
+    observation: Observation
+    vehicles: dict[int, VehicleTrack]
+    world: World
+
+    def locate(self, settings: Settings) -> Calibration:
+        """Calibrate."""
+        return locate(self.observation, self.vehicles, self.world, settings)
+
+
+def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
+    """Observe a scene, and lay out where the senders were.
+
+    Raises
+    ------
+    CalibrationError, InputError
+        As `calibrate` does.
+    """
+    settings = settings or Settings()
+    if way == "detections":
+        log = detect(scene)
+        return _beside(scene, observe_detections(log, scene.axes, settings), log.span_ns)
+    if way == "rendered":
+        with tempfile.TemporaryDirectory() as folder:
+            images = rendered(scene, Path(folder))
+            return _beside(scene, observe(images, settings), images.span_ns)
+    source = Recorded(scene)
+    return _beside(scene, observe(source, settings), source.span_ns)
+
+
+def _beside(scene: Scene, observation: Observation, span_ns: tuple[int, int]) -> Seen:
+    messages = scene.messages.between(*span_ns)
+    world = world_around(messages, scene.crs)
+    return Seen(observation, vehicles_of(messages, world, span_ns[0], FRONT), world)
+
+
+def rendered(scene: Scene, folder: Path, step: int = RENDERED_STEP) -> StereoRecording:
+    """Render a stereo camera's images of every ``step``-th frame into a folder, and open them as a user's."""
+    camera = scene.sensor
+    assert isinstance(camera, StereoCamera), scene.sensor_kind
+    look = random_look(np.random.default_rng(scene.seed))
+    stamps = scene.stamps_ns[::step].tolist()
+    write_stereo(
+        scene.bodies, camera.rig, scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed
+    )
+    pairs = pair_images(ImageFolder.open(folder / "left"), ImageFolder.open(folder / "right"))
+    return StereoRecording(pairs.pairs, camera.rig, StereoSettings(workers=1))
