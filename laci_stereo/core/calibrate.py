@@ -13,7 +13,7 @@ from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, ve
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import CamError, MatchError, TrackError
 from laci_stereo.core.frames import planar
-from laci_stereo.core.observe import Observation, observe
+from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.placement import place_by_paper, place_jointly
 from laci_stereo.core.quality import Placement, covariance_of, judge
 from laci_stereo.core.result import Calibration
@@ -37,7 +37,8 @@ def calibrate(
     Parameters
     ----------
     source : PointCloudSource
-        The recording. It is read twice: a survey of whole frames, then every frame once.
+        The recording. It is read twice: a survey of whole frames, then every frame once; and so once more where the
+        sender's way shows that the ground found first is not the road.
     messages : CamLog
         Of one station or several; the one whose track fits is taken.
     settings : Settings
@@ -62,8 +63,8 @@ def calibrate(
     messages = messages.between(*source.span_ns)
     world = world_around(messages, crs)
     vehicles = vehicles_of(messages, world, epoch_ns, reference)
-
-    return locate(observe(source, settings), vehicles, world, settings)
+    seen = on_the_road(observe(source, settings), source, vehicles, settings)
+    return locate(seen, vehicles, world, settings)
 
 
 def locate(

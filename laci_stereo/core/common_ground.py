@@ -14,6 +14,7 @@ from laci_stereo.core.box import Box
 from laci_stereo.core.errors import CombineError
 from laci_stereo.core.frames import FloatArray, invert, planar, transform, wrap
 from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.tracking import Track
@@ -45,38 +46,13 @@ def merge_grounds(passages: Sequence[Passage]) -> GroundPlane:
     first = passages[0].ground
     if len(passages) == 1:
         return first
-    across = _across(first.normal)
-    values = np.array([[*(passage.ground.normal @ across), passage.ground.height_m] for passage in passages])
-    covariances = np.array([_ground_covariance(passage.ground, across) for passage in passages])
+    chart = Chart.around(first)
+    values = chart.values([passage.ground for passage in passages])
+    sway = np.diag([SWAY_RAD, SWAY_RAD, GROWTH_M]) ** 2
+    covariances = np.array([chart.covariance(passage.ground) + sway for passage in passages])
     _check_unmoved(passages, values, covariances)
     mean, covariance = weighted_mean(values, covariances)
-    normal = _unit(first.normal + across @ (mean[:2] - first.normal @ across))
-    to_turn = np.zeros((4, 3))
-    to_turn[:3, :2] = np.cross(across.T, normal).T
-    to_turn[3, 2] = 1.0
-    common = len(passages) * to_turn @ covariance @ to_turn.T
-    return replace(first, normal=normal, height_m=float(mean[2]), covariance_sensor=common)
-
-
-def _across(normal: FloatArray) -> FloatArray:
-    """Return two unit vectors along the plane, shape (3, 2)."""
-    one = _unit(np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())]))
-    return np.column_stack([one, np.cross(normal, one)])
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    unit: FloatArray = vector / np.linalg.norm(vector)
-    return unit
-
-
-def _ground_covariance(ground: GroundPlane, across: FloatArray) -> FloatArray:
-    """Return the covariance of (normal along ``across``, height), shape (3, 3), with what a mast does."""
-    # A turn by r moves the normal by normal x r; see `fit_ground`.
-    by = np.zeros((3, 4))
-    by[:2, :3] = across.T @ np.cross(ground.normal, np.eye(3)).T
-    by[2, 3] = 1.0
-    covariance: FloatArray = by @ ground.covariance_sensor @ by.T + np.diag([SWAY_RAD, SWAY_RAD, GROWTH_M]) ** 2
-    return covariance
+    return chart.plane(mean, len(passages) * covariance)
 
 
 def _check_unmoved(passages: Sequence[Passage], values: FloatArray, covariances: FloatArray) -> None:

@@ -17,10 +17,10 @@ from laci_stereo.core.frames import FloatArray
 # l: a road falls from its crown to its gutter, so its height is common to about as much as half its width.
 REACH_M = 7.0
 # Class B, a good paved road: G = 64e-6 m^3.
-_CLASS_B_M = float(np.sqrt(np.pi**2 * REACH_M * 0.1**2 * 64e-6))
+CLASS_B_M = float(np.sqrt(np.pi**2 * REACH_M * 0.1**2 * 64e-6))
 # With each class G is four times as large. Paved roads are of class A to C, which is taken as one standard deviation.
 _CLASSES = np.arange(-3.0, 3.1, 0.5)
-_TRIED_M = _CLASS_B_M * 2.0**_CLASSES
+_TRIED_M = CLASS_B_M * 2.0**_CLASSES
 # So many patches are each much smaller than what is in view.
 _PATCHES = 100
 # Degrees of freedom that let one patch in twenty be an outlier.

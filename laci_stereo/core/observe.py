@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from laci_stereo.core.association import choose_track
 from laci_stereo.core.background import Background, learn_background
+from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
-from laci_stereo.core.errors import GroundError
+from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, transform
 from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground_road import road_ground
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
 from laci_stereo.core.tracking import Track, link_tracks
@@ -36,12 +39,15 @@ class Observation:
     background : Background
     tracks : tuple of Track
         Everything that may have moved, in the level frame, the one with most sightings first.
+    survey : tuple of PointCloud
+        Thinned, which the ground was fitted to.
     """
 
     axes: Axes
     ground: GroundPlane
     background: Background
     tracks: tuple[Track, ...]
+    survey: tuple[PointCloud, ...] = ()
 
     @cached_property
     def T_level_sensor(self) -> FloatArray:
@@ -49,7 +55,9 @@ class Observation:
         return self.ground.T_level_sensor(self.axes)
 
 
-def observe(source: PointCloudSource, settings: Settings | None = None) -> Observation:
+def observe(
+    source: PointCloudSource, settings: Settings | None = None, ground: GroundPlane | None = None
+) -> Observation:
     """Find the ground, the background and the moving objects of a recording (paper sections III-A to III-C).
 
     Parameters
@@ -57,6 +65,8 @@ def observe(source: PointCloudSource, settings: Settings | None = None) -> Obser
     source : PointCloudSource
         It is read twice: a survey of whole frames, then every frame once.
     settings : Settings
+    ground : GroundPlane
+        Where it is known already.
 
     Raises
     ------
@@ -65,7 +75,8 @@ def observe(source: PointCloudSource, settings: Settings | None = None) -> Obser
     """
     settings = settings or Settings()
     survey = list(source.survey())
-    ground = _ground(survey, source.axes, settings)
+    thinned = _thinned(survey)
+    ground = ground or _ground(thinned, source.axes, settings)
     T_level_sensor = ground.T_level_sensor(source.axes)
     background = learn_background(
         [transform(T_level_sensor, cloud.points) for cloud in survey],
@@ -81,17 +92,47 @@ def observe(source: PointCloudSource, settings: Settings | None = None) -> Obser
         find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings)
         for cloud in source
     )
-    return Observation(source.axes, ground, background, tuple(link_tracks(sightings, settings.track)))
+    tracks = tuple(link_tracks(sightings, settings.track))
+    return Observation(source.axes, ground, background, tracks, tuple(thinned))
+
+
+def on_the_road(
+    seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings | None = None
+) -> Observation:
+    """Hold the ground against the road below the sender, and observe again where it is another one.
+
+    Parameters
+    ----------
+    seen : Observation
+    source : PointCloudSource
+        What it was made from.
+    vehicles : mapping of int to VehicleTrack
+        By station.
+    settings : Settings
+    """
+    settings = settings or Settings()
+    try:
+        track = choose_track(seen.tracks, vehicles, settings.match).track
+    except CalibrationError:
+        return seen  # and it will be said why
+    ground = road_ground(seen.survey, seen.axes, seen.ground, track, settings.ground)
+    if np.array_equal(ground.normal, seen.ground.normal):
+        return replace(seen, ground=ground)
+    return observe(source, settings, ground)
+
+
+def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
+    step = max(1, -(-sum(map(len, survey)) // GROUND_POINTS))
+    return [cloud[np.arange(0, len(cloud), step)] for cloud in survey]
 
 
 def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    step = max(1, -(-sum(map(len, survey)) // GROUND_POINTS))
     ground = fit_ground(
-        np.concatenate([cloud.points[::step] for cloud in survey]),
-        np.concatenate([cloud.sigma_along_m[::step] for cloud in survey]),
-        np.concatenate([cloud.sigma_across_m[::step] for cloud in survey]),
+        np.concatenate([cloud.points for cloud in survey]),
+        np.concatenate([cloud.sigma_along_m for cloud in survey]),
+        np.concatenate([cloud.sigma_across_m for cloud in survey]),
         axes.up,
         settings.ground,
     )

@@ -11,8 +11,9 @@ import numpy as np
 
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.cam import FRONT, VehicleTrack
+from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.detections import observe_detections
-from laci_stereo.core.observe import Observation, observe
+from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.world import World
@@ -61,19 +62,23 @@ def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
     settings = settings or Settings()
     if way == "detections":
         log = detect(scene)
-        return _beside(scene, observe_detections(log, scene.axes, settings), log.span_ns)
+        vehicles, world = _senders(scene, log.span_ns)
+        return Seen(observe_detections(log, scene.axes, settings), vehicles, world)
     if way == "rendered":
         with tempfile.TemporaryDirectory() as folder:
-            images = rendered(scene, Path(folder))
-            return _beside(scene, observe(images, settings), images.span_ns)
-    source = Recorded(scene)
-    return _beside(scene, observe(source, settings), source.span_ns)
+            return _watched(scene, rendered(scene, Path(folder)), settings)
+    return _watched(scene, Recorded(scene), settings)
 
 
-def _beside(scene: Scene, observation: Observation, span_ns: tuple[int, int]) -> Seen:
+def _watched(scene: Scene, source: PointCloudSource, settings: Settings) -> Seen:
+    vehicles, world = _senders(scene, source.span_ns)
+    return Seen(on_the_road(observe(source, settings), source, vehicles, settings), vehicles, world)
+
+
+def _senders(scene: Scene, span_ns: tuple[int, int]) -> tuple[dict[int, VehicleTrack], World]:
     messages = scene.messages.between(*span_ns)
     world = world_around(messages, scene.crs)
-    return Seen(observation, vehicles_of(messages, world, span_ns[0], FRONT), world)
+    return vehicles_of(messages, world, span_ns[0], FRONT), world
 
 
 def rendered(scene: Scene, folder: Path, step: int = RENDERED_STEP) -> StereoRecording:

@@ -1,0 +1,120 @@
+"""The ground where vehicles drive: the road, and not the land, the verge or the pavement beside it.
+
+The plane that most of the view speaks for need not be the road's, which may be a narrow strip in it. Once something has
+driven through the scene it is known where the road is: below its wheels.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.errors import GroundError
+from laci_stereo.core.frames import Axes, FloatArray, transform
+from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground_merge import Chart
+from laci_stereo.core.ground_uneven import CLASS_B_M
+from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.tracking import Track
+
+log = logging.getLogger(__name__)
+
+REACHES_M = (8.0, 5.0)
+"""So far beside a way there is road: a carriageway of two lanes, or a lane and a half."""
+
+ONE_SURFACE_M = 2.0 * CLASS_B_M
+"""A paved road of class C by ISO 8608 is as uneven; what is more so is more than one surface."""
+
+STEP_M = 0.5
+
+FALSE_ALARM = 0.05
+"""Probability that a ground is replaced although it is the road: that costs accuracy, and to take land for the road
+costs more."""
+
+CROWN_RAD = np.radians(0.4)
+"""By how much a lane may be tilted against its carriageway, one standard deviation: roads fall by 2.5 % = 1.4 deg on
+either side of the crown, of which a strip that is wider than the lane has less than half."""
+
+
+def road_ground(
+    survey: Sequence[PointCloud], axes: Axes, ground: GroundPlane, track: Track, settings: GroundSettings
+) -> GroundPlane:
+    """Hold a ground against the road around the way of a vehicle.
+
+    A ground that is one even surface is the road. One that is not may be off by what a lane and its carriageway are,
+    which is added to its doubt; where the road is off by more, and is one surface, that is returned in its place.
+
+    Parameters
+    ----------
+    survey : sequence of PointCloud
+    axes : Axes
+    ground : GroundPlane
+    track : Track
+        Of a vehicle, in the level frame of this ground.
+    settings : GroundSettings
+    """
+    if ground.unevenness_m <= ONE_SURFACE_M:
+        return ground
+    way = _places(track)
+    chart = Chart.around(ground)
+    crown = _crown(chart, ground, axes, way.mean(axis=0))
+    whole = chart.covariance(ground)
+    road = _along(way, survey, ground.T_level_sensor(axes), axes, settings)
+    if road is not None:
+        strip = chart.covariance(road) + crown
+        value, of_road = chart.values([ground, road])
+        off = of_road - value
+        if off @ np.linalg.solve(whole + strip, off) > chi2.isf(FALSE_ALARM, 3):
+            log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
+            return chart.plane(of_road, strip)
+    return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], whole + crown).covariance_sensor)
+
+
+def _places(track: Track) -> FloatArray:
+    """Return where a vehicle was, level frame, shape (n, 2), each place once, however long it stood there."""
+    cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / STEP_M)
+    return (np.unique(cells, axis=0) + 0.5) * STEP_M
+
+
+def _along(
+    way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: FloatArray, axes: Axes, settings: GroundSettings
+) -> GroundPlane | None:
+    """Fit a plane to what is near the way; None where too little is seen of it, or more than one surface."""
+    tree = cKDTree(way)
+    away = [
+        tree.query(transform(T_level_sensor, cloud.points)[:, :2], distance_upper_bound=max(REACHES_M))[0]
+        for cloud in survey
+    ]
+    for reach_m in REACHES_M:
+        parts = [cloud[np.flatnonzero(each < reach_m)] for cloud, each in zip(survey, away, strict=True)]
+        try:
+            road = fit_ground(
+                np.concatenate([part.points for part in parts]),
+                np.concatenate([part.sigma_along_m for part in parts]),
+                np.concatenate([part.sigma_across_m for part in parts]),
+                axes.up,
+                settings,
+            )
+        except GroundError as error:
+            log.debug("road within %g m of the way: %s", reach_m, error)
+        else:
+            if road.unevenness_m <= ONE_SURFACE_M:
+                return road
+    return None
+
+
+def _crown(chart: Chart, ground: GroundPlane, axes: Axes, middle: FloatArray) -> FloatArray:
+    """Return the covariance of a strip's plane that is turned about the middle of the way, in the chart."""
+    R = ground.T_level_sensor(axes)[:3, :3]
+    by = np.zeros((3, 2))
+    for axis, turn in enumerate(np.eye(3)[:2]):
+        by[:2, axis] = chart.across.T @ np.cross(ground.normal, R.T @ turn)
+        by[2, axis] = -np.cross(turn[:2], middle)
+    crown: FloatArray = CROWN_RAD**2 * by @ by.T
+    return crown
