@@ -47,8 +47,9 @@ def road_ground(
 ) -> GroundPlane:
     """Hold a ground against the road around the way of a vehicle.
 
-    A ground that is one even surface is the road. One that is not may be off by what a lane and its carriageway are,
-    which is added to its doubt; where the road is off by more, and is one surface, that is returned in its place.
+    Where the road is one even surface and another plane than the ground, by more than a lane and its carriageway are,
+    it is returned in its place. Otherwise the ground stays; where it is more than one surface, what a lane and its
+    carriageway differ by is added to its doubt.
 
     Parameters
     ----------
@@ -59,8 +60,6 @@ def road_ground(
         Of a vehicle, in the level frame of this ground.
     settings : GroundSettings
     """
-    if ground.unevenness_m <= ONE_SURFACE_M:
-        return ground
     way = _places(track)
     chart = Chart.around(ground)
     crown = _crown(chart, ground, axes, way.mean(axis=0))
@@ -73,6 +72,8 @@ def road_ground(
         if off @ np.linalg.solve(whole + strip, off) > chi2.isf(FALSE_ALARM, 3):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
             return chart.plane(of_road, strip)
+    if ground.unevenness_m <= ONE_SURFACE_M:
+        return ground
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], whole + crown).covariance_sensor)
 
 
@@ -113,8 +114,8 @@ def _crown(chart: Chart, ground: GroundPlane, axes: Axes, middle: FloatArray) ->
     """Return the covariance of a strip's plane that is turned about the middle of the way, in the chart."""
     R = ground.T_level_sensor(axes)[:3, :3]
     by = np.zeros((3, 2))
-    for axis, turn in enumerate(np.eye(3)[:2]):
-        by[:2, axis] = chart.across.T @ np.cross(ground.normal, R.T @ turn)
-        by[2, axis] = -np.cross(turn[:2], middle)
+    for axis in range(2):
+        by[:2, axis] = chart.across.T @ np.cross(ground.normal, R[axis])
+    by[2] = -middle[1], middle[0]
     crown: FloatArray = CROWN_RAD**2 * by @ by.T
     return crown

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.frames import Axes, FloatArray
+from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground_road import CROWN_RAD, road_ground
+from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.tracking import Track
+from tests.core.tracks import sighting
+
+AXES = Axes(forward=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
+HEIGHT_M, SIGMA_M = 6.0, 0.02
+ROAD_HALF_M = 7.0
+"""The vehicle drives along y = 15 m, in the middle of a road that is 14 m wide."""
+ROAD_Y_M = 15.0
+
+
+def seen(land_slope: float) -> PointCloud:
+    """Return rays to a level road with land on either side of it that falls in one direction, as a LiDAR sees it."""
+    rng = np.random.default_rng(0)
+    azimuth, down = np.meshgrid(np.radians(np.arange(-80.0, 81.0, 0.5)), np.radians(np.arange(6.0, 45.0, 0.4)))
+    azimuth, down = (angle.ravel() + rng.uniform(-0.003, 0.003, angle.size) for angle in (azimuth, down))
+    ray = np.column_stack([np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)])
+    # The land: z = slope (y - road); so the ray's height -H + slope ... is linear in the range.
+    land = (HEIGHT_M + land_slope * ROAD_Y_M) / (land_slope * ray[:, 1] - ray[:, 2])
+    road = -HEIGHT_M / ray[:, 2]
+    on_road = np.abs(road * ray[:, 1] - ROAD_Y_M) < ROAD_HALF_M
+    range_m = np.where(on_road, road, land)
+    kept = (range_m > 3.0) & (range_m < 50.0)
+    points = ray[kept] * (range_m[kept] + rng.normal(0.0, SIGMA_M, kept.sum()))[:, None]
+    noise = np.full(len(points), SIGMA_M)
+    return PointCloud(0, points, noise, 0.1 * noise, np.zeros(len(points), dtype=bool))
+
+
+def fitted(cloud: PointCloud) -> GroundPlane:
+    return fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, AXES.up)
+
+
+def way() -> Track:
+    return Track(tuple(sighting(0.1 * i, np.array([x, ROAD_Y_M])) for i, x in enumerate(np.arange(-20.0, 30.0, 1.0))))
+
+
+def tilt_deg(ground: GroundPlane) -> float:
+    return float(np.degrees(np.arccos(min(1.0, ground.normal[2]))))
+
+
+def tilt_sigma_deg(ground: GroundPlane) -> float:
+    covariance: FloatArray = ground.covariance_level(AXES)[:2, :2]
+    return float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
+
+
+@pytest.mark.parametrize("land_slope", [-0.05, 0.05])
+def test_land_is_not_taken_for_the_road(land_slope: float) -> None:
+    cloud = seen(land_slope)
+    ground = fitted(cloud)
+    assert tilt_deg(ground) > 2.0
+    road = road_ground([cloud], AXES, ground, way(), GroundSettings())
+    assert tilt_deg(road) < 0.1
+    assert road.height_m == pytest.approx(HEIGHT_M, abs=0.05)
+    assert tilt_sigma_deg(road) > np.degrees(CROWN_RAD)
+
+
+def test_a_ground_that_is_one_surface_is_the_road() -> None:
+    cloud = seen(0.0)
+    ground = fitted(cloud)
+    assert road_ground([cloud], AXES, ground, way(), GroundSettings()) is ground
+    assert tilt_deg(ground) < 0.05
+
+
+def test_where_no_road_is_seen_the_doubt_of_an_uneven_ground_grows() -> None:
+    cloud = seen(0.05)
+    ground = replace(fitted(cloud), unevenness_m=0.02)
+    away = Track(tuple(sighting(0.1 * i, np.array([-90.0 + i, -90.0])) for i in range(20)))
+    kept = road_ground([cloud], AXES, ground, away, GroundSettings())
+    assert (kept.normal == ground.normal).all()
+    assert tilt_sigma_deg(kept) > np.degrees(CROWN_RAD)
