@@ -21,8 +21,9 @@ _PARTIAL = _SHAPE + len(outline.SHAPE)
 _KNOTS = _PARTIAL + 1
 _STEP_S = 0.02
 
-TAIL = 2.0
-"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small."""
+TAIL = 4.0
+"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
+that err together must not pull the messages with them."""
 
 FINEST_M = 0.01
 """No position is better than that: its last digit in the message is a centimetre."""

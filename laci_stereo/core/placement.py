@@ -19,6 +19,9 @@ from laci_stereo.core.quality import Doubt, Placement, doubt_of
 from laci_stereo.core.settings import MatchSettings, Settings
 from laci_stereo.core.tracking import Track
 
+LEAST_EXPLAINED = 0.5
+"""Of the points; where the outline stands for fewer, it is something else that was registered."""
+
 
 def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Placement:
     """Match the boxes' centres with the positions of the messages (paper section III-D).
@@ -82,7 +85,7 @@ def place(
     Raises
     ------
     MatchError
-        If too few frames show anything of the outline.
+        If too few frames show anything of the outline, or it explains too little of what they show.
     OpenError
         If the drives leave a direction open.
     """
@@ -90,6 +93,11 @@ def place(
         raise MatchError(
             f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
             f"{settings.match.min_frames}"
+        )
+    if fit.explained < LEAST_EXPLAINED:
+        raise MatchError(
+            f"the outline that the messages tell explains {fit.explained:.0%} of the vehicle's points; needed are "
+            f"{LEAST_EXPLAINED:.0%}: something else is seen with it, or its messages are wrong"
         )
     middles = np.concatenate([drive.middles for drive in drives])
     doubt = Doubt(fit.covariance, rotate_xy(fit.match.yaw_rad, middles - fit.centre_level))
