@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from laci_stereo.core.errors import CombineError
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -108,7 +108,7 @@ def _apart(one: int, others: Sequence[int], values: FloatArray, covariances: Flo
 
 def _gate(count: int) -> float:
     """Return the distance, in sigma, that is beyond chance for any of so many drives (Bonferroni; yaw, x and y)."""
-    return float(np.sqrt(chi2.isf(FALSE_ALARM / count, 3)))
+    return float(np.sqrt(chdtri(3, FALSE_ALARM / count)))
 
 
 def _left_out(name: str, one: int, kept: Sequence[int], values: FloatArray, covariances: FloatArray) -> LeftOut:

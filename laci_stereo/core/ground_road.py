@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import GroundError
@@ -70,7 +70,7 @@ def road_ground(
         strip = chart.covariance(road)
         value, of_road = chart.values([ground, road])
         off = of_road - value
-        if off @ np.linalg.solve(whole + strip + crown, off) > chi2.isf(FALSE_ALARM, 3):
+        if off @ np.linalg.solve(whole + strip + crown, off) > chdtri(3, FALSE_ALARM):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
             return chart.plane(of_road, strip + crown)
         doubt = whole + strip + crown * min(1.0, float(off[:2] @ off[:2]) / CROWN_RAD**2)

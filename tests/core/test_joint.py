@@ -50,6 +50,7 @@ def test_a_poor_start_ends_in_the_same_place(yaw_deg: float, x: float, y: float)
     assert poor.match(poor.centre_level[None]) == pytest.approx(good.match(good.centre_level[None]), abs=5e-3)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_the_errors() -> None:
     # The messages' bias and the sensor's noise are drawn anew each time, as the settings have them.
     settings = JointSettings(position_sigma_m=0.05)
