@@ -48,8 +48,8 @@ def road_ground(
     """Hold a ground against the road around the way of a vehicle.
 
     Where the road is one even surface and another plane than the ground, by more than a lane and its carriageway are,
-    it is returned in its place. Otherwise the ground stays; where it is more than one surface, its doubt grows by what
-    the road differs from it, or, where that is not known, by what a lane and its carriageway do.
+    it is returned in its place. Otherwise the ground stays, and its doubt grows by what the road differs from it, or,
+    where that is not known, by what a lane and its carriageway do.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def road_ground(
     crown = _crown(chart, ground, axes, way.mean(axis=0))
     whole = chart.covariance(ground)
     road = _along(way, survey, ground.T_level_sensor(axes), axes, settings)
-    doubt = whole + crown
+    turned = 1.0
     if road is not None:
         strip = chart.covariance(road)
         value, of_road = chart.values([ground, road])
@@ -73,9 +73,8 @@ def road_ground(
         if off @ np.linalg.solve(whole + strip + crown, off) > chdtri(3, FALSE_ALARM):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
             return chart.plane(of_road, strip + crown)
-        doubt = whole + strip + crown * min(1.0, float(off[:2] @ off[:2]) / CROWN_RAD**2)
-    if ground.unevenness_m <= ONE_SURFACE_M:
-        return ground
+        turned = min(1.0, float(np.linalg.norm(off[:2])) / CROWN_RAD)
+    doubt = whole + turned**2 * crown
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
 
 
