@@ -138,10 +138,12 @@ def mean_squared(fits: list[tuple[GroundScene, GroundPlane]]) -> float:
     return float(np.mean([np.sum(standardised_error(scene, plane) ** 2) for scene, plane in fits]))
 
 
+@pytest.mark.slow
 def test_covariance_is_not_optimistic(clean_fits: list[tuple[GroundScene, GroundPlane]]) -> None:
     assert 0.3 < mean_squared(clean_fits) < 3.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_covariance_tells_the_unevenness_of_a_road(kind: str) -> None:
     """Also where the noise hides it, but not where less is in view than one wave: there the plane is the wave's."""
@@ -183,6 +185,7 @@ def test_unevenness_is_recovered_where_the_noise_lets_it_show() -> None:
         assert np.sqrt(np.mean(claimed) / np.trace(true)) == pytest.approx(1.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_covariance_tells_an_error_that_all_points_share(clean_fits: list[tuple[GroundScene, GroundPlane]]) -> None:
     """A bias of one standard deviation, to either side; what is claimed for unevenness does not cover it."""
     most = 4.0
