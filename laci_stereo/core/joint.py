@@ -33,6 +33,10 @@ FREE_M = 100.0
 COARSE_ROWS = 1500
 """Points that compare the starts; a few per frame and side say which is best."""
 
+FINE_ROWS = 10_000
+"""Points of a drive that are registered in the end, some 50 per second and side of a long one: what points on one side
+of a frame have in common makes any number of them weigh as much as four."""
+
 
 @dataclass(frozen=True)
 class JointFit:
@@ -102,7 +106,7 @@ def fit_jointly(
     begin = _around(start, centre)
     thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings)
     _, best = max((thinned.descend(x) for x in _starts(thinned, offsets)), key=lambda found: found[0])
-    problem = _Problem(drives, begin, centre, settings)
+    problem = _Problem([drive.thinned(FINE_ROWS) for drive in drives], begin, centre, settings)
     return _fit(problem, problem.solve(best), centre)
 
 
@@ -172,11 +176,17 @@ class _Problem:
         return float(sum(each.log_likelihood for each in fitness) - away @ self.precision @ away / 2), x
 
     def solve(self, x: FloatArray) -> _Solved:
-        """Descend to the end from a start nearby."""
+        """Descend to the end from a start nearby.
+
+        Points at corners change sides; where whole steps swing about such a place, they are halved.
+        """
         shares = [model.shares() for model in self.models]
+        pace, step = 1.0, np.zeros(self.size)
         for _ in range(MAX_ITERATIONS):
             information, gradient, fitness = self._sum(x, 0.0, shares)
-            step = np.linalg.solve(information, gradient)
+            before, step = step, np.linalg.solve(information, gradient)
+            pace *= 0.5 if before @ information @ step < 0.0 else 1.0
+            step *= pace
             x = x - step
             shares = [each.shares for each in fitness]
             self.loosen(x)

@@ -13,6 +13,7 @@ from laci_stereo.core.association import choose_track
 from laci_stereo.core.background import Background, learn_background
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
+from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, transform
 from laci_stereo.core.ground import GroundPlane, fit_ground
@@ -23,7 +24,7 @@ from laci_stereo.core.tracking import Track, link_tracks
 
 log = logging.getLogger(__name__)
 
-GROUND_POINTS = 300_000
+GROUND_POINTS = 100_000
 """So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
 
 
@@ -92,7 +93,7 @@ def observe(
         find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings)
         for cloud in source
     )
-    tracks = tuple(link_tracks(sightings, settings.track))
+    tracks = tuple(deskewed(track, settings) for track in link_tracks(sightings, settings.track))
     return Observation(source.axes, ground, background, tracks, tuple(thinned))
 
 

@@ -49,6 +49,8 @@ class Sighting:
         Typical noise of its points along the line of sight.
     radial_mps : float or None
         How fast it moves away from the sensor, where that was measured.
+    late_s : ndarray, shape (n,), or None
+        By how much later than its stamp each point was taken; None: not at all.
     """
 
     stamp_s: float
@@ -62,6 +64,7 @@ class Sighting:
     flaw: Flaw | None
     sigma_m: float = 0.0
     radial_mps: float | None = None
+    late_s: FloatArray | None = None
 
 
 def find_vehicles(
@@ -123,6 +126,17 @@ def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:
     return keep
 
 
+def box_around(points: FloatArray, settings: Settings) -> Box:
+    """Fit a box to the outline of a cluster, shape (n, 3), level frame.
+
+    Raises
+    ------
+    BoxError
+        If nothing of it is dense enough.
+    """
+    return fit_box(points[dense(points[:, :2], settings.vehicle), :2], settings.box)
+
+
 def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: Settings) -> Sighting | None:
     limits = settings.vehicle
     sigma_m = float(np.median(cloud.sigma_along_m))
@@ -134,17 +148,15 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
     elif len(points) < limits.min_points:
         flaw = "thin"
     try:
-        outline = dense(points[:, :2], limits)
-        box = fit_box(points[outline, :2], settings.box)
+        box = box_around(points, settings)
     except BoxError:
         return None
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
     kept = np.unique(np.linspace(0, len(points) - 1, KEPT_POINTS).round().astype(int))
-    # A scanner passes a vehicle in milliseconds, so one time serves all of its points.
-    stamp_s = frame_s if cloud.offset_s is None else frame_s + float(np.median(cloud.offset_s))
+    late_s = 0.0 if cloud.offset_s is None else float(np.median(cloud.offset_s))
     return Sighting(
-        stamp_s=stamp_s,
+        stamp_s=frame_s + late_s,
         frame_s=frame_s,
         points=points[kept],
         sigma_along_m=cloud.sigma_along_m[kept],
@@ -154,4 +166,5 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
         box=box,
         flaw=flaw,
         sigma_m=sigma_m,
+        late_s=None if cloud.offset_s is None else cloud.offset_s[kept] - late_s,
     )

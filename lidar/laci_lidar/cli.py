@@ -44,6 +44,14 @@ def cli() -> None:
     "stamp is, ccw or cw seen from above, turns in a second; such as start,cw,10.",
 )
 @click.option(
+    "--accumulate",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Scans gathered into one frame, for patterns that need several to fill the view; what moves is compensated.",
+)
+@click.option(
     "--background",
     metavar="START..END|PATH",
     help="Scans without moving objects: numbers from 0, or a folder or bag [default: found].",
@@ -58,6 +66,7 @@ def calibrate(
     range_sigma: float | None,
     angle_sigma: float | None,
     sweep: str | None,
+    accumulate: int,
     background: str | None,
 ) -> Job:
     """Calibrate a LiDAR.
@@ -74,6 +83,7 @@ def calibrate(
             range_sigma_m=range_sigma,
             angle_sigma_rad=None if angle_sigma is None else math.radians(angle_sigma),
             sweep=parse_sweep(sweep),
+            accumulate=accumulate,
             axes=parse_axes(axes),
             workers=asked.workers,
         ),
