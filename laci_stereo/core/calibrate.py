@@ -89,6 +89,8 @@ def locate(
     choice = choose_track(seen.tracks, vehicles, settings.match)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
+    for remark in vehicle.remarks:
+        log.warning("%s", remark)
     paper = _paper(choice.track, vehicle, settings)
     if settings.method == "joint" or paper is None:
         placement = place_jointly(choice, vehicle, seen.ground.height_m, settings)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
+from laci_stereo.core.cam_repair import dimensions, fitting, usual_speed
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.world import World
@@ -115,6 +116,10 @@ class VehicleTrack:
         The point that the messages' positions are of, vehicle frame.
     position_sigma_m : float
         Of these positions, one standard deviation along each axis; NaN where no message tells.
+    guessed_m : tuple of float
+        Standard deviations of length and width beyond those of told ones, where they had to be assumed.
+    remarks : tuple of str
+        What was assumed or left out.
     """
 
     stamps_s: FloatArray
@@ -125,6 +130,8 @@ class VehicleTrack:
     width_m: float
     reference: tuple[float, float] = (0.0, 0.0)
     position_sigma_m: float = float("nan")
+    guessed_m: tuple[float, float] = (0.0, 0.0)
+    remarks: tuple[str, ...] = ()
 
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
@@ -177,7 +184,8 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     Raises
     ------
     CamError
-        If there are fewer than two messages with a position, or the vehicle's dimensions or heading were never sent.
+        If there are fewer than two messages with a position, or fewer than half fit one another, or the heading was
+        never sent.
     TrackError
         If the vehicle stands still.
     """
@@ -185,16 +193,50 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     log = log[located]
     if len(log) < 2:
         raise CamError(f"{len(log)} CAMs with a position while it is recorded; needed are at least 2")
-    length = _dimension(log.length_m, "length")
-    width = _dimension(log.width_m, "width")
-    xy_reference = world.from_geodetic(log.latitude_deg, log.longitude_deg)
+    (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
+    xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
+    x, y = reference.offset(float(length)).tolist()
+    fits = _fitting(log, world, xy, float(np.hypot(x, y)))
+    if not fits.all():
+        left_out = f"{np.count_nonzero(~fits)} of {len(fits)} messages of station {log.station_id[0]} are left out"
+        remarks += (f"{left_out}: their positions do not follow from the others by speed and heading",)
+    log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
-    offset = reference.offset(length)
-    xy = xy_reference - rotate_xy(yaw, np.tile(offset, (len(log), 1)))
+    xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     return VehicleTrack(
-        stamps_s, epoch_ns, xy, yaw, length, width, (float(offset[0]), float(offset[1])), _position_sigma(log)
+        stamps_s=stamps_s,
+        epoch_ns=epoch_ns,
+        xy=xy,
+        yaw_rad=yaw,
+        length_m=float(length),
+        width_m=float(width),
+        reference=(x, y),
+        position_sigma_m=_position_sigma(log),
+        guessed_m=(float(guessed[0]), float(guessed[1])),
+        remarks=remarks,
     )
+
+
+def _fitting(log: CamLog, world: World, xy: FloatArray, lever_m: float) -> BoolArray:
+    """Tell which messages, whose positions are ``xy``, fit one another.
+
+    Raises
+    ------
+    CamError
+        If fewer than half do: then it is not some messages that are wrong, but what all tell.
+    """
+    stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
+    yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
+    fits = fitting(stamps_s, xy, yaw, log.speed_mps, lever_m, _position_sigma(log), MAX_GAP_S)
+    if 2 * np.count_nonzero(fits) < len(fits):
+        told = np.nanmedian(log.speed_mps) if np.isfinite(log.speed_mps).any() else float("nan")
+        raise CamError(
+            f"the messages of station {log.station_id[0]} contradict one another: {np.count_nonzero(fits)} of "
+            f"{len(fits)} positions follow from the one before by speed and heading, needed is half; the speed told is "
+            f"{told:.1f} m/s, the positions move at {np.median(usual_speed(stamps_s, xy)):.1f} m/s (medians)"
+        )
+    return fits
 
 
 def _position_sigma(log: CamLog) -> float:
@@ -202,13 +244,6 @@ def _position_sigma(log: CamLog) -> float:
     area = log.semi_major_95_m * log.semi_minor_95_m
     known = area[np.isfinite(area)]
     return float(np.sqrt(np.median(known))) / ELLIPSE_SIGMAS if len(known) else float("nan")
-
-
-def _dimension(values_m: FloatArray, what: str) -> float:
-    known = values_m[np.isfinite(values_m)]
-    if len(known) == 0:
-        raise CamError(f"the vehicle's {what} is in none of the {len(values_m)} messages; needed is at least one")
-    return float(np.median(known))
 
 
 def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:

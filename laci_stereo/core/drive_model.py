@@ -161,8 +161,7 @@ class DriveModel:
                 np.radians(settings.heading_sigma_deg),
                 settings.lever_sigma_m,
                 settings.lever_sigma_m,
-                settings.size_sigma_m,
-                settings.size_sigma_m,
+                *np.hypot(settings.size_sigma_m, drive.vehicle.guessed_m),
             ]
         )
         self.mean = np.zeros(self.own)

@@ -181,10 +181,11 @@ class _Problem:
         Points at corners change sides; where whole steps swing about such a place, they are halved.
         """
         shares = [model.shares() for model in self.models]
-        pace, step = 1.0, np.zeros(self.size)
+        pace = 1.0
+        step: FloatArray = np.zeros(self.size)
         for _ in range(MAX_ITERATIONS):
             information, gradient, fitness = self._sum(x, 0.0, shares)
-            before, step = step, np.linalg.solve(information, gradient)
+            before, step = step, np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
             pace *= 0.5 if before @ information @ step < 0.0 else 1.0
             step *= pace
             x = x - step

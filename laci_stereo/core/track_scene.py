@@ -186,7 +186,6 @@ def _knots(tracks: Sequence[Track]) -> Knots:
 
 
 def _sender(station: int, vehicle: VehicleTrack) -> Sender:
-    vehicle = _without_jumps(vehicle)
     first_s, last_s = float(vehicle.stamps_s[0]), float(vehicle.stamps_s[-1])
     steps = np.arange(max(2, math.ceil((last_s - first_s) / TABLE_S) + 1), dtype=np.float64)
     grid = first_s + TABLE_S * steps
@@ -208,29 +207,6 @@ def _slip(yaw: FloatArray, path_m: FloatArray, length_m: float) -> FloatArray:
     curvature = np.abs(yaw[after] - yaw[before]) / np.maximum(path_m[after] - path_m[before], 1.0)
     slip: FloatArray = np.arcsin(np.minimum(LEVER_SHARE * length_m * curvature, 1.0))
     return slip
-
-
-def _without_jumps(vehicle: VehicleTrack) -> VehicleTrack:
-    """Leave out messages whose position is off a line through those around it, by the medians of its parts."""
-    t, reach_m = vehicle.stamps_s, math.hypot(vehicle.length_m, vehicle.width_m) / 2
-    good = np.ones(len(t), dtype=bool)
-    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
-    chord = vehicle.xy[:-2] * (1 - share) + vehicle.xy[2:] * share
-    odd = t[1:-1][np.linalg.norm(vehicle.xy[1:-1] - chord, axis=1) > reach_m / 2]
-    for i in np.flatnonzero([np.abs(odd - stamp).min(initial=math.inf) < 0.5 for stamp in t]):
-        first, last = np.searchsorted(t, (t[i] - 1.0, t[i] + 1.0))
-        if last - first < 7:  # too few to outvote what is wrong
-            continue
-        time, xy = t[first:last] - t[i], vehicle.xy[first:last]
-        a, b = np.triu_indices(last - first, (last - first) // 2)
-        slope = np.median((xy[b] - xy[a]) / (time[b] - time[a])[:, None], axis=0)
-        expected = np.median(xy - time[:, None] * slope, axis=0)
-        good[i] = np.linalg.norm(vehicle.xy[i] - expected) <= reach_m
-    if good.sum() < 2:
-        return vehicle
-    return VehicleTrack(
-        t[good], vehicle.epoch_ns, vehicle.xy[good], vehicle.yaw_rad[good], vehicle.length_m, vehicle.width_m
-    )
 
 
 def extent(xy: FloatArray) -> float:

@@ -52,7 +52,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "epoch_ns": ("i", ()),
     "message_stamps_s": ("f", ("messages",)),
     "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
-    "vehicle": ("f", (5,)),  # length, width, reference x and y, sigma of the positions (NaN: not told)
+    "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
     "middles": ("f", ("frames", 2)),
@@ -194,7 +194,7 @@ def _to_arrays(passage: Passage) -> Arrays:
     noise = [(each.sigma_m, np.nan if each.radial_mps is None else each.radial_mps) for each in sightings]
     counts = [(each.count, len(each.points), FLAWS.index(each.flaw)) for each in sightings]
     sigmas = [np.column_stack([each.sigma_along_m, each.sigma_across_m]) for each in sightings]
-    size = (vehicle.length_m, vehicle.width_m, *vehicle.reference, vehicle.position_sigma_m)
+    size = (vehicle.length_m, vehicle.width_m, *vehicle.reference, *vehicle.guessed_m, vehicle.position_sigma_m)
     return {
         "name": np.array(passage.name),
         "crs": np.array(passage.world.crs),
@@ -234,7 +234,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
     _check(path, found)
     *origin, scale = found["world"].tolist()
     forward, up = (tuple(axis) for axis in found["axes"].tolist())
-    length_m, width_m, x, y, sigma_m = found["vehicle"].tolist()
+    length_m, width_m, x, y, *guessed, sigma_m = found["vehicle"].tolist()
     yaw, match_x, match_y, offset_s, clock_sigma_s = found["own"].tolist()
     return Passage(
         world=World(str(found["crs"]), (origin[0], origin[1]), scale),
@@ -251,6 +251,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
             width_m=width_m,
             reference=(x, y),
             position_sigma_m=sigma_m,
+            guessed_m=(guessed[0], guessed[1]),
         ),
         station_id=int(found["station_id"]),
         match=PlanarMatch(yaw, np.array([match_x, match_y])),
@@ -276,7 +277,7 @@ def _check(path: Path, found: Arrays) -> None:
         "ground's height, above 0": plane[3] > 0.0,
         "ground's covariance, symmetric and not negative": np.allclose(covariance, covariance.T)
         and np.linalg.eigvalsh(covariance)[0] > -1e-6 * max(float(np.trace(covariance)), 0.0) - 1e-15,
-        "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all(),
+        "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all() and (found["vehicle"][4:6] >= 0.0).all(),
         "clock sigma, above 0": found["own"][4] > 0.0,
         "messages' stamps, at least 2 and ascending": len(found["message_stamps_s"]) > 1
         and (np.diff(found["message_stamps_s"]) > 0.0).all(),

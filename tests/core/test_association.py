@@ -203,19 +203,6 @@ def test_near_sides_alone_do_not_move_the_motion() -> None:
     assert np.linalg.norm(choice.fit(rear) - xy, axis=1).min() > 1.5
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3])
-def test_wrong_positions_of_the_sender(share: float) -> None:
-    told = vehicle()
-    rng = np.random.default_rng(3)
-    wrong = rng.random(len(told.stamps_s)) < share
-    xy = told.xy + np.where(wrong[:, None], rng.uniform(-15.0, 15.0, told.xy.shape), 0.0)
-    other = seen(replace(DRIVE, legs=((15.0, 0.0), (16.0, -60.0))))
-    right = seen()
-    choice = choose_track([other, right], {42: replace(told, xy=xy)})
-    assert choice.track is right
-    assert choice.fit(right.centres) == pytest.approx(TRUTH(right.centres), abs=0.6)
-
-
 # what tells one from another
 
 

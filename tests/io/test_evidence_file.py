@@ -41,7 +41,7 @@ def passage() -> Passage:
             sigma_m=0.02 * i,
             radial_mps=-3.5 if i == 2 else None,
         )
-    vehicle = replace(made.vehicle, reference=(2.2, -0.1), position_sigma_m=0.03)
+    vehicle = replace(made.vehicle, reference=(2.2, -0.1), position_sigma_m=0.03, guessed_m=(0.4, 0.0))
     return replace(made, track=Track(tuple(sightings)), vehicle=vehicle, time_offset_s=-0.012, name="monday")
 
 

@@ -1,0 +1,201 @@
+"""What of a log is wrong: messages that do not fit the others, and dimensions that cannot be a body's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from laci_stereo.core.errors import CamError
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+
+POSITION_SIGMA_M = 0.1
+"""Of a position against those before and after it, at the least: receivers with corrections tell 1 to 3 cm and switch
+between satellites now and then."""
+
+SPEED_SIGMA_MPS = 0.1
+"""Of a speed: ETSI's step is 1 cm/s, wheels and Doppler tell 5 to 10 cm/s."""
+
+DIRECTION_SIGMA_RAD = 0.05
+"""Of the direction of motion against the heading that is told: a body slips by up to 5 deg in a turn."""
+
+PASSED_OVER = -math.log(0.1)
+"""What it costs to take a message for wrong: in a log that is worth anything nine of ten are right."""
+
+JUMPED = -math.log(0.002)
+"""What it costs to take a step for a jump: one in five hundred, which is one in a minute. It is 3.5 sigma, so that a
+tenth of a second at 10 m/s leaves 0.5 m."""
+
+TIGHTEST_M = 5.0
+"""Radius of the tightest bend: turning circles of passenger cars are 10 m and more."""
+
+NEIGHBOURS = 5
+"""Messages on either side whose median tells a speed that is not sent, in spite of some that are wrong."""
+
+WIDEST_M = 2.6
+"""No vehicle may be wider without a permit (2.55 m, refrigerated ones 2.60 m: Directive 96/53/EC; 102 inches = 2.59 m:
+23 CFR 658.15), mirrors excepted. More is told by those who count the mirrors; their bodies are as wide as allowed."""
+
+USUAL_WIDTH_M, USUAL_WIDTH_SIGMA_M = 1.80, 0.08
+"""Of passenger cars (the mean of those sold in Europe since 2018; 1.6 m is a small one, 2.0 m a large one)."""
+
+USUAL_LENGTH_M, USUAL_LENGTH_SIGMA_M = 4.4, 0.4
+"""Of passenger cars: small ones are 3.6 m long, large ones 5.2 m."""
+
+LONGEST_CAR_M = 6.0
+"""What is longer and tells no width is a lorry or a bus."""
+
+HEAVY_WIDTH_M, HEAVY_WIDTH_SIGMA_M = 2.55, 0.05
+
+
+def fitting(
+    stamps_s: FloatArray,
+    xy: FloatArray,
+    yaw_rad: FloatArray,
+    speed_mps: FloatArray,
+    lever_m: float,
+    sigma_m: float,
+    longest_s: float,
+) -> BoolArray:
+    """Tell which messages fit one another.
+
+    One follows from another if its position is where both speeds and directions lead in the time between. Of all ways
+    to go through a log from message to message, passing over some and taking some steps for jumps, the likeliest is
+    taken; of what jumps divide, the part with most messages is kept.
+
+    Parameters
+    ----------
+    stamps_s : ndarray, shape (n,)
+        Ascending.
+    xy : ndarray, shape (n, 2)
+        Positions in the world, metres.
+    yaw_rad : ndarray, shape (n,)
+        Directions that were told; NaN where none was. Whoever reverses may tell the opposite one.
+    speed_mps : ndarray, shape (n,)
+        NaN where none was told.
+    lever_m : float
+        From the middle of the vehicle to the point whose position is told: in a bend that goes elsewhere than ahead.
+    sigma_m : float
+        What the messages tell of their positions; NaN where nothing.
+    longest_s : float
+        What is on both sides of a longer gap cannot be compared.
+    """
+    speed = np.abs(np.where(np.isfinite(speed_mps), speed_mps, usual_speed(stamps_s, xy)))
+    direction = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+    onwards = np.nanmedian(np.einsum("nkj,nj->nk", _rates(stamps_s, xy), np.nan_to_num(direction)), axis=1)
+    velocity = np.where(onwards < 0.0, -speed, speed)[:, None] * direction
+    white = np.sqrt(2.0) * np.nanmax([POSITION_SIGMA_M, sigma_m])
+
+    def strain(i: int, j: IntArray) -> FloatArray:
+        """Return how much less likely it is that i follows from each of j than in the best case."""
+        passed = stamps_s[i] - stamps_s[j]
+        way, fast = xy[i] - xy[j], (speed[i] + speed[j]) / 2
+        off = np.linalg.norm(way - (velocity[i] + velocity[j]) / 2 * passed[:, None], axis=1)
+        off = np.where(np.isfinite(off), off, np.abs(np.linalg.norm(way, axis=1) - fast * passed))
+        turned = np.abs((yaw_rad[i] - yaw_rad[j] + np.pi / 2) % np.pi - np.pi / 2)
+        swing = lever_m * np.fmin(turned, fast * passed / TIGHTEST_M)
+        off = np.maximum(off - swing, 0.0)
+        squared: FloatArray = (off / np.hypot(white, (SPEED_SIGMA_MPS + DIRECTION_SIGMA_RAD * fast) * passed)) ** 2
+        return squared / 2
+
+    keep = np.zeros(len(stamps_s), dtype=bool)
+    gaps = np.flatnonzero(np.diff(stamps_s) > longest_s) + 1
+    for part in np.split(np.arange(len(stamps_s)), gaps):
+        starts = np.searchsorted(stamps_s, stamps_s[part] - longest_s).clip(part[0])
+        keep[_likeliest(part, starts, strain)] = True
+    return keep
+
+
+def _likeliest(part: IntArray, starts: IntArray, strain: Callable[[int, IntArray], FloatArray]) -> IntArray:
+    """Return the longest piece without a jump of the likeliest way through a part of a log (dynamic programming).
+
+    Parameters
+    ----------
+    part : ndarray, shape (n,)
+        Consecutive indices of messages.
+    starts : ndarray, shape (n,)
+        The first message that each can follow from.
+    strain : callable
+    """
+    first = int(part[0])
+    cost = PASSED_OVER * np.arange(len(part), dtype=np.float64)
+    before = np.full(len(part), -1)
+    jumped = np.zeros(len(part), dtype=bool)
+    for i in range(1, len(part)):
+        j = np.arange(starts[i] - first, i)
+        bent = strain(first + i, first + j)
+        total = cost[j] + PASSED_OVER * (i - 1 - j) + np.minimum(bent, JUMPED)
+        best = int(total.argmin())
+        if total[best] < cost[i]:
+            cost[i], before[i], jumped[i] = total[best], j[best], bent[best] > JUMPED
+    i = int((cost + PASSED_OVER * np.arange(len(part))[::-1]).argmin())
+    pieces: list[list[int]] = [[]]
+    while i >= 0:
+        pieces[-1].append(first + i)
+        if jumped[i]:
+            pieces.append([])
+        i = int(before[i])
+    return np.array(max(pieces, key=len))
+
+
+def usual_speed(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return how fast positions move, shape (n,), by the medians over some messages before and after."""
+    speed: FloatArray = np.nanmedian(np.linalg.norm(_rates(stamps_s, xy), axis=2), axis=1)
+    return speed
+
+
+def _rates(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return the velocity from each of n > 1 messages to its neighbours, shape (n, neighbours, 2); NaN beyond ends."""
+    around = np.concatenate([np.arange(-NEIGHBOURS, 0), np.arange(1, NEIGHBOURS + 1)])
+    other = np.arange(len(xy))[:, None] + around
+    beyond = (other < 0) | (other >= len(xy))
+    other = other.clip(0, len(xy) - 1)
+    passed = np.where(beyond, np.nan, stamps_s[other] - stamps_s[:, None])
+    rates: FloatArray = (xy[other] - xy[:, None]) / passed[..., None]
+    return rates
+
+
+def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+    """Return a vehicle's length and width, what they may be off by beyond what is usual, and remarks.
+
+    Parameters
+    ----------
+    length_m, width_m : ndarray, shape (n,)
+        As told; NaN where not.
+
+    Returns
+    -------
+    size, sigma : ndarray, shape (2,)
+        Metres.
+    remarks : tuple of str
+        What had to be assumed.
+    """
+    length, width = _told(length_m), _told(width_m)
+    sigma, remarks = np.zeros(2), []
+    if not np.isfinite(length):
+        if width > WIDEST_M - 2 * HEAVY_WIDTH_SIGMA_M:
+            raise CamError(
+                f"the vehicle's length is in none of the {len(length_m)} messages, and its width, {width:.2f} m, is "
+                "that of a lorry or a bus, which may be of any; needed is its length"
+            )
+        length, sigma[0] = USUAL_LENGTH_M, USUAL_LENGTH_SIGMA_M
+        remarks.append(f"the messages tell no length of the vehicle: taken as a car's, {length} +- {sigma[0]} m")
+    if not np.isfinite(width):
+        car = length <= LONGEST_CAR_M
+        width = USUAL_WIDTH_M if car else HEAVY_WIDTH_M
+        sigma[1] = USUAL_WIDTH_SIGMA_M if car else HEAVY_WIDTH_SIGMA_M
+        kind = "car" if car else "lorry"
+        remarks.append(f"the messages tell no width of the vehicle: taken as a {kind}'s, {width} +- {sigma[1]} m")
+    elif width > WIDEST_M:
+        remarks.append(
+            f"the messages tell a width of {width:.2f} m, more than roads allow ({WIDEST_M} m), so it is over "
+            f"the mirrors: taken as {HEAVY_WIDTH_M} +- {HEAVY_WIDTH_SIGMA_M} m"
+        )
+        width, sigma[1] = HEAVY_WIDTH_M, HEAVY_WIDTH_SIGMA_M
+    return np.array([length, width]), sigma, tuple(remarks)
+
+
+def _told(values_m: FloatArray) -> float:
+    known = values_m[np.isfinite(values_m)]
+    return float(np.median(known)) if len(known) else float("nan")

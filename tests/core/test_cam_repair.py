@@ -1,0 +1,155 @@
+"""Logs in which something is wrong, and what is made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.cam import CENTRE, FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.errors import CamError
+from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.core.world import World
+from tests.simulated import EPOCH_NS, SYDNEY, ULM, Drive, Place, cam_log, car
+
+TURN = Drive((0.0, 0.0), 200.0, ((20.0, 0.0), (15.0, 90.0)), ((0.0, 8.0), (4.0, 8.0), (6.0, 4.0)))
+STOP = Drive((0.0, 0.0), 30.0, speeds=((0.0, 9.0), (2.0, 9.0), (5.0, 0.0), (8.0, 0.0), (10.0, 5.0)))
+BEND = Drive((0.0, 0.0), 0.0, ((5.0, 0.0), (11.0, -90.0)), ((0.0, 6.0),))
+"""A radius of 7 m, in which the front goes 17 deg aside of where it points."""
+
+DRIVES = {"turn": TURN, "stop": STOP}
+
+
+def log_of(drive: Drive) -> CamLog:
+    return cam_log(ULM, car(drive), 12.0, reference=(0.0, 0.0))
+
+
+def track_of(log: CamLog, place: Place = ULM, reference: ReferencePoint = CENTRE) -> VehicleTrack:
+    return vehicle_track(log, World.around(place.latitude_deg, place.longitude_deg), EPOCH_NS, reference)
+
+
+def moved(log: CamLog, which: BoolArray, north_m: FloatArray | float, east_m: FloatArray | float) -> CamLog:
+    """Shift the positions of some messages."""
+    north, east = np.broadcast_to(north_m, len(log)), np.broadcast_to(east_m, len(log))
+    cos = np.cos(np.radians(log.latitude_deg))
+    return replace(
+        log,
+        latitude_deg=log.latitude_deg + np.where(which, north / 111_200, 0.0),
+        longitude_deg=log.longitude_deg + np.where(which, east / (111_200 * cos), 0.0),
+    )
+
+
+def error_m(track: VehicleTrack, drive: Drive, place: Place = ULM) -> FloatArray:
+    world = World.around(place.latitude_deg, place.longitude_deg)
+    error: FloatArray = np.linalg.norm(track.xy - world.from_utm(place.to_utm(drive.at(track.stamps_s)[0])), axis=1)
+    return error
+
+
+@pytest.mark.parametrize("place", [ULM, SYDNEY], ids=["Ulm", "Sydney"])
+@pytest.mark.parametrize("rate_hz", [10.0, 2.0])
+@pytest.mark.parametrize("drive", [TURN, STOP, BEND], ids=["turn", "stop", "bend"])
+def test_nothing_is_left_out_of_a_log_without_mistakes(drive: Drive, rate_hz: float, place: Place) -> None:
+    for reference in (CENTRE, FRONT):
+        log = cam_log(place, car(drive), 12.0, rate_hz, reference=(0.0, 0.0) if reference is CENTRE else None)
+        track = track_of(log, place, reference)
+        assert len(track.stamps_s) == len(log)
+        assert track.remarks == ()
+
+
+def test_a_vehicle_that_reverses_and_tells_where_its_body_points() -> None:
+    log = log_of(STOP)
+    back = log.stamps_ns > EPOCH_NS + int(6.5e9)
+    turned = replace(log, heading_deg=np.where(back, log.heading_deg + 180.0, log.heading_deg) % 360.0)
+    assert len(track_of(turned).stamps_s) == len(log)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
+def test_wrong_positions_in_a_third_of_the_messages(drive: Drive, seed: int) -> None:
+    log, rng = log_of(drive), np.random.default_rng(seed)
+    wrong = rng.random(len(log)) < 0.3
+    track = track_of(moved(log, wrong, *rng.uniform(-15.0, 15.0, (2, len(log)))))
+    assert len(track.stamps_s) >= np.count_nonzero(~wrong)
+    # What is as near as that to where it should be cannot be told from what a receiver does.
+    assert error_m(track, drive).max() < 0.8
+    assert f"of {len(log)} messages of station 42 are left out" in track.remarks[0]
+
+
+def test_half_of_the_messages_lost() -> None:
+    log = log_of(TURN)
+    got = log[np.random.default_rng(0).random(len(log)) < 0.5]
+    assert len(track_of(got).stamps_s) == len(got)
+
+
+@pytest.mark.parametrize("at_s", [3.0, 8.0])
+def test_after_a_jump_that_stays_the_longer_part_is_kept(at_s: float) -> None:
+    log = log_of(TURN)
+    later = log.stamps_ns > EPOCH_NS + int(at_s * 1e9)
+    track = track_of(moved(log, later, 0.8, -0.6))
+    longer = later if 2 * np.count_nonzero(later) > len(log) else ~later
+    assert np.array_equal((track.stamps_s * 1e9).round().astype(np.int64) + EPOCH_NS, log.stamps_ns[longer])
+
+
+def test_speeds_that_were_never_sent_are_not_missed() -> None:
+    log = log_of(TURN)
+    wrong = np.arange(len(log)) % 4 == 2
+    bad = moved(replace(log, speed_mps=np.full(len(log), np.nan)), wrong, 5.0, 5.0)
+    track = track_of(bad)
+    assert error_m(track, TURN).max() < 0.8
+    assert len(track.stamps_s) == np.count_nonzero(~wrong)
+
+
+@pytest.mark.parametrize(("change", "told"), [("speed_mps", 3.6), ("heading_deg", 0.0)])
+def test_messages_that_contradict_one_another(change: str, told: float) -> None:
+    log = log_of(TURN)
+    wrong = log.speed_mps * told if change == "speed_mps" else (log.heading_deg + 90.0) % 360.0
+    with pytest.raises(
+        CamError, match=r"station 42 contradict one another: .* needed is half; the speed told is .* m/s"
+    ):
+        track_of(replace(log, **{change: wrong}))
+
+
+# dimensions
+
+
+def test_a_car_without_dimensions_is_taken_for_a_usual_one() -> None:
+    log = log_of(TURN)
+    unknown = np.full(len(log), np.nan)
+    track = track_of(replace(log, length_m=unknown, width_m=unknown))
+    assert track.guessed_m[0] > 0.2 > track.guessed_m[1] > 0.05
+    # Half of a metre on either side are the cars of every day.
+    for length_m, width_m in ((3.7, 1.65), (4.4, 1.8), (5.1, 1.95)):
+        assert abs(track.length_m - length_m) < 2.0 * track.guessed_m[0]
+        assert abs(track.width_m - width_m) < 2.0 * track.guessed_m[1]
+    assert [("length" in remark, "width" in remark) for remark in track.remarks] == [(True, False), (False, True)]
+
+
+def test_a_lorry_without_width_is_as_wide_as_allowed() -> None:
+    log = log_of(TURN)
+    track = track_of(replace(log, length_m=np.full(len(log), 11.8), width_m=np.full(len(log), np.nan)))
+    assert (track.length_m, track.width_m, track.guessed_m[0]) == (11.8, 2.55, 0.0)
+    assert "lorry" in track.remarks[0]
+
+
+def test_a_width_over_the_mirrors_is_none_of_a_body() -> None:
+    log = log_of(TURN)
+    track = track_of(replace(log, width_m=np.full(len(log), 2.9)))
+    assert track.width_m == 2.55
+    assert "2.90 m, more than roads allow (2.6 m)" in track.remarks[0]
+    allowed = track_of(replace(log, width_m=np.full(len(log), 2.6)))
+    assert (allowed.width_m, allowed.guessed_m, allowed.remarks) == (2.6, (0.0, 0.0), ())
+
+
+def test_a_bus_without_length_is_refused() -> None:
+    log = log_of(TURN)
+    bus = replace(log, length_m=np.full(len(log), np.nan), width_m=np.full(len(log), 2.55))
+    with pytest.raises(CamError, match=r"length is in none of the \d+ messages, and its width, 2\.55 m"):
+        track_of(bus)
+
+
+def test_a_wrong_row_does_not_change_the_dimensions() -> None:
+    log = log_of(TURN)
+    length = log.length_m.copy()
+    length[3] = 42.0
+    assert track_of(replace(log, length_m=length)).length_m == 4.4
