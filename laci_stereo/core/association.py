@@ -8,10 +8,11 @@ because what is visible of a vehicle changes only as it moves, so everything is 
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
 from laci_stereo.core.track_scene import Scene, extent, lay_out
 from laci_stereo.core.tracking import Track
 
+log = logging.getLogger(__name__)
+
 SILENT = -math.log(0.05)
 """The most that another sender can cost by not being seen: one in twenty is no vehicle that a sensor detects.
 
@@ -31,6 +34,15 @@ So likely it is, too, that none of the tracks is the sender's."""
 
 MAX_GOOD_SIGMA = 2.0
 """The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
+
+
+GATE = 3.0
+
+BODY_REACH = 10.0
+"""What bodies can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
+
+MOST_BODIES = 4
+"""So many hypotheses are held against the bodies at the most: of those far down there are always more."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +90,22 @@ class _Hypothesis:
     value: float
 
 
+Likeness = Callable[[Track, int, PlanarMatch, float], float]
+"""Log odds that a track's body is a station's vehicle, given the motion into the world and the clock offset."""
+
+
+def no_likeness(_track: Track, _station: int, _fit: PlanarMatch, _time_offset_s: float) -> float:
+    """Know nothing of bodies."""
+    return 0.0
+
+
 def choose_track(
-    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: MatchSettings | None = None
+    tracks: Sequence[Track],
+    vehicles: Mapping[int, VehicleTrack],
+    settings: MatchSettings | None = None,
+    likeness: Likeness = no_likeness,
 ) -> Choice:
-    """Find which track is which sender's: the one whose motion is most likely the vehicle's.
+    """Find which track is which sender's: the one whose motion, and whose body, is most likely the vehicle's.
 
     Each pair of a track and a station is brought together by a rigid motion and a clock offset. Each such hypothesis is
     then held against everything that was seen, and all tracks that it puts onto the vehicle are joined.
@@ -92,6 +116,8 @@ def choose_track(
     vehicles : mapping of int to VehicleTrack
         By station.
     settings : MatchSettings
+    likeness : callable
+        Asked of the few whose motion comes into question.
 
     Raises
     ------
@@ -110,7 +136,21 @@ def choose_track(
     if not hypotheses:
         raise MatchError(_no_fit(seeds, vehicles, settings))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
-    return _decide(scene, hypotheses, far)
+    return _decide(scene, _weighed(scene, hypotheses, likeness), far)
+
+
+def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness) -> list[_Hypothesis]:
+    """Add what bodies tell to the hypotheses that it could decide between."""
+    ordered = sorted(hypotheses, key=lambda one: -one.value)
+    weighed = []
+    for rank, one in enumerate(ordered):
+        if rank < MOST_BODIES and one.value > ordered[0].value - BODY_REACH:
+            fit = PlanarMatch(float(one.motion.yaw_rad), one.motion.shift)
+            body = likeness(_on_vehicle(scene, one), one.account.station, fit, float(one.motion.offset_s))
+            log.debug("station %d: motion %.1f, body %.1f (log odds)", one.account.station, one.value, body)
+            one = replace(one, value=one.value + body)
+        weighed.append(one)
+    return weighed
 
 
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
@@ -127,7 +167,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         if account is not best.account and mine & set(account.tracks)
     ]
     margin, second = min(claims, key=lambda claim: claim[0], default=(math.inf, None))
-    track = _joined(scene, best.account)
+    track = _on_vehicle(scene, best)
     if second is not None and margin < scene.settings.least_log_odds:
         needed = math.exp(scene.settings.least_log_odds)
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {needed:.0f} to 1")
@@ -187,6 +227,19 @@ def _joined(scene: Scene, account: Account) -> Track:
         if first.disjoint(other):
             first = first.joined(other)
     return first
+
+
+def _on_vehicle(scene: Scene, best: _Hypothesis) -> Track:
+    """Return a hypothesis' track without what cannot be its vehicle, such as what it was confused with at its ends."""
+    track, sender = _joined(scene, best.account), scene.senders[best.account.station]
+    poses = sender.at(np.array([one.stamp_s for one in track.sightings]) + best.motion.offset_s)
+    off = best.motion.place(np.array([one.middle for one in track.sightings])) - poses.xy
+    sigma = np.hypot(scene.settings.position_sigma_m, [one.sigma_m for one in track.sightings])
+    near = np.linalg.norm(off, axis=1) <= sender.reach_m + GATE * sigma
+    kept = near | ~poses.known
+    if kept.all():
+        return track
+    return Track(tuple(one for one, is_near in zip(track.sightings, kept, strict=True) if is_near))
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

@@ -13,9 +13,11 @@ from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, ve
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import CamError, MatchError, TrackError
 from laci_stereo.core.frames import planar
+from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.placement import place_by_paper, place_jointly
 from laci_stereo.core.quality import Placement, covariance_of, judge
+from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.tracking import Track
@@ -86,7 +88,11 @@ def locate(
         If they do not determine a transform.
     """
     settings = settings or Settings()
-    choice = choose_track(seen.tracks, vehicles, settings.match)
+
+    def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> float:
+        return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
+
+    choice = choose_track(seen.tracks, vehicles, settings.match, likeness)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     for remark in vehicle.remarks:

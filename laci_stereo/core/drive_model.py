@@ -50,11 +50,14 @@ class Correction:
         One of `CORRECTED`.
     value, sigma : float
         The correction, and the standard deviation that was to be expected.
+    after : float
+        The standard deviation that is left.
     """
 
     what: str
     value: float
     sigma: float
+    after: float = float("nan")
 
 
 def _corrected(own: int) -> FloatArray:
@@ -116,6 +119,28 @@ class _Poses:
     known: BoolArray
 
 
+_Placed = tuple[FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The points that are held against the outline.
+
+    Attributes
+    ----------
+    points : ndarray of int, shape (n,)
+        Which of the drive's.
+    share : ndarray, shape (n,)
+        How much each weighs, since it shares its noise with others.
+    """
+
+    points: IntArray
+    share: FloatArray
+
+    def __getitem__(self, keep: BoolArray) -> Chosen:
+        return Chosen(self.points[keep], self.share[keep])
+
+
 @dataclass(frozen=True)
 class Rows:
     """Distances from the outline, with their derivatives by the first parameters, up to the knots.
@@ -125,6 +150,8 @@ class Rows:
     distance, variance : ndarray, shape (n,)
     jacobian : ndarray, shape (n, 17)
     face, frame : ndarray of int, shape (n,)
+    share : ndarray, shape (n,)
+        How much each weighs, since it shares its noise with others.
     """
 
     distance: FloatArray
@@ -132,6 +159,7 @@ class Rows:
     jacobian: FloatArray
     face: IntArray
     frame: IntArray
+    share: FloatArray
 
 
 class DriveModel:
@@ -142,8 +170,7 @@ class DriveModel:
         self.centre = centre
         self.settings = settings
         self.size = (drive.vehicle.length_m, drive.vehicle.width_m)
-        heavy = self.size[1] >= outline.HEAVY_WIDTH_M
-        self.highest_m = outline.HEAVY_HIGHEST_M if heavy else outline.HIGHEST_M
+        self.highest_m = outline.highest_of(self.size[1])
         first, last = drive.stamps_s[[0, -1]] if len(drive) else (0.0, 0.0)
         knots = max(2, int(np.ceil((last - first) / (settings.bias_time_s / 4))) + 1)
         self.knots_s = np.linspace(first, max(last, first + 1e-3), knots)
@@ -208,30 +235,46 @@ class DriveModel:
         precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         return precision, self.mean
 
-    def corrections(self, own: FloatArray) -> tuple[Correction, ...]:
-        """Return by how much the messages had to be corrected, against what was to be expected."""
-        values = _corrected(self.own) @ (own - self.mean)
+    def corrections(self, own: FloatArray, covariance: FloatArray) -> tuple[Correction, ...]:
+        """Return by how much the messages had to be corrected, against what was to be expected.
+
+        Parameters
+        ----------
+        own : ndarray, shape (own,)
+            The drive's own parameters.
+        covariance : ndarray, shape (own, own)
+        """
+        by = _corrected(self.own)
+        values, after = by @ (own - self.mean), np.sqrt(np.einsum("ij,jk,ik->i", by, covariance, by))
         return tuple(
-            Correction(what, float(value), float(sigma))
-            for what, value, sigma in zip(CORRECTED, values, self.sigmas, strict=True)
+            Correction(what, float(value), float(sigma), float(left))
+            for what, value, sigma, left in zip(CORRECTED, values, self.sigmas, after, strict=True)
         )
 
     def shares(self) -> FloatArray:
         """Return the mixture's shares to begin with."""
         return mixture.first_shares(len(self.drive) * outline.FACES)
 
-    def weigh(self, x: FloatArray, softening_m: float, shares: FloatArray) -> Fitness:
+    def weigh(self, x: FloatArray, softening_m: float, shares: FloatArray, chosen: Chosen | None = None) -> Fitness:
         """Return information and gradient at some parameters, shape (4 + own,).
 
-        Points on one side in one frame share a part of their noise, so that many weigh no more than a few
-        (Kish's design effect, 1 + (n - 1) rho).
+        Parameters
+        ----------
+        x : ndarray, shape (4 + own,)
+        softening_m : float
+            Added to the noise.
+        shares : ndarray
+            See `mixture.Mixture`.
+        chosen : Chosen
+            The points that count; None: those that are on the wall at these parameters. Likelihoods can be compared
+            only if they are of the same points.
         """
-        rows = self.rows(x)
+        chosen = self.choose(x) if chosen is None else chosen
+        rows = self.rows(x, chosen)
         sigma = np.sqrt(rows.variance + softening_m**2)
         group = rows.frame * outline.FACES + rows.face
         mixed = mixture.weigh(rows.distance, sigma, group, shares)
-        together = np.bincount(group, mixed.surface, len(shares))[group]
-        share = 1.0 / (1.0 + np.maximum(together - 1.0, 0.0) * self.settings.shared_noise_share)
+        share = rows.share
         weight = share * mixed.surface / sigma**2
         jacobian = self._by_all(rows)
         scores = jacobian * (mixed.slope * share)[:, None]
@@ -251,10 +294,33 @@ class DriveModel:
             frames=int(held.sum()),
         )
 
-    def rows(self, x: FloatArray) -> Rows:
-        """Return the distances at some parameters."""
+    def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
+        """Return the distances at some parameters, of the points chosen, or of those on the wall."""
         poses = self._poses(x)
-        return self._outline_rows(x, poses) if len(self.drive.points) else self._centre_rows(x, poses)
+        if not len(self.drive.points):
+            return self._centre_rows(x, poses)
+        chosen = self.choose(x) if chosen is None else chosen
+        return self._outline_rows(x, poses, chosen[poses.known[self.drive.frame[chosen.points]]])
+
+    def choose(self, x: FloatArray) -> Chosen:
+        """Return which points meet the outline where it is upright, at some parameters, and how much each weighs.
+
+        Points on one side in one frame share a part of their noise, so that many weigh no more than a few
+        (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the side that most are of.
+        """
+        drive, poses = self.drive, self._poses(x)
+        points = np.flatnonzero(poses.known[drive.frame])
+        hits, _, _ = self._hits(x, poses, points)
+        z, sigma_z = drive.points[points, 2], drive.sigma_z_m[points]
+        wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, self.highest_m)
+        points, face = points[wall], hits.face[wall]
+        together = np.zeros((len(drive), outline.FACES))
+        np.add.at(together, (drive.frame[points], face), 1.0)
+        side = np.where(face < outline.SIDES, face, together[:, : outline.SIDES].argmax(axis=1)[drive.frame[points]])
+        together[:] = 0.0
+        np.add.at(together, (drive.frame[points], side), 1.0)
+        most = together[drive.frame[points], side]
+        return Chosen(points, 1.0 / (1.0 + (most - 1.0) * self.settings.shared_noise_share))
 
     def _by_all(self, rows: Rows) -> FloatArray:
         """Append the derivatives by the knots: a bias of the messages moves the vehicle on the map."""
@@ -280,9 +346,7 @@ class DriveModel:
             known=known,
         )
 
-    def _into_vehicle(
-        self, x: FloatArray, poses: _Poses, frame: IntArray, arm: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _into_vehicle(self, x: FloatArray, poses: _Poses, frame: IntArray, arm: FloatArray) -> _Placed:
         """Map points, given from ``centre`` in level axes, into the vehicle frame.
 
         Returns
@@ -303,26 +367,23 @@ class DriveModel:
         origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre) + shift)
         return xy, origin[frame], yaw[frame]
 
-    def _outline_rows(self, x: FloatArray, poses: _Poses) -> Rows:
-        drive = self.drive
-        chosen = np.flatnonzero(poses.known[drive.frame])
-        frame = drive.frame[chosen]
-        sight, along = self.sight[chosen], drive.sigma_along_m[chosen]
-        arm = drive.points[chosen, :2] - x[3] * along[:, None] * sight - self.centre
-        xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
-        hits = outline.meet(xy, origin, along, drive.sigma_across_m[chosen], self.size, x[_SHAPE:_PARTIAL])
-        wall = outline.on_the_wall(
-            drive.height_m,
-            drive.points[chosen, 2],
-            hits.reach,
-            drive.sigma_z_m[chosen],
-            outline.LOWEST_M,
-            self.highest_m,
-        )
+    def _hits(self, x: FloatArray, poses: _Poses, points: IntArray) -> tuple[outline.Hits, FloatArray, _Placed]:
+        """Return what some points meet, where they are from ``centre`` in level axes, and in the vehicle frame."""
+        along = self.drive.sigma_along_m[points]
+        arm = self.drive.points[points, :2] - x[3] * along[:, None] * self.sight[points] - self.centre
+        placed = self._into_vehicle(x, poses, self.drive.frame[points], arm)
+        xy, origin, _ = placed
+        across = self.drive.sigma_across_m[points]
+        return outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL]), arm, placed
+
+    def _outline_rows(self, x: FloatArray, poses: _Poses, chosen: Chosen) -> Rows:
+        points, frame = chosen.points, self.drive.frame[chosen.points]
+        hits, arm, (xy, _, yaw) = self._hits(x, poses, points)
         jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, hits.normal)
-        jacobian[:, 3] = -along * (rotate_xy(-yaw, rotate_xy(x[0], sight)) * hits.normal).sum(axis=1)
+        sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
+        jacobian[:, 3] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
-        return Rows(hits.distance[wall], hits.variance[wall], jacobian[wall], hits.face[wall], frame[wall])
+        return Rows(hits.distance, hits.variance, jacobian, hits.face, frame, chosen.share)
 
     def _centre_rows(self, x: FloatArray, poses: _Poses) -> Rows:
         """Return how far a detector's centres are from the vehicle's, along and across it."""
@@ -343,7 +404,7 @@ class DriveModel:
             distance = xy[:, axis] - middle[axis] - x[_PARTIAL] * nearer[:, axis]
             spread = 1.4826 * np.median(np.abs(distance - np.median(distance))) if len(distance) else 0.0
             variance = np.full(len(frame), max(spread, outline.OUTLINE_SIGMA_M) ** 2)
-            parts.append(Rows(distance, variance, jacobian, np.full(len(frame), axis), frame))
+            parts.append(Rows(distance, variance, jacobian, np.full(len(frame), axis), frame, np.ones(len(frame))))
         return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
 
     def _jacobian(

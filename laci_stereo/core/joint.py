@@ -8,10 +8,10 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from laci_stereo.core.drive_model import FIRST_OWN, Correction, DriveModel, Fitness
+from laci_stereo.core.drive_model import FIRST_OWN, Chosen, Correction, DriveModel, Fitness
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
 
@@ -19,6 +19,13 @@ SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
 """Extra standard deviation in the first iterations: from beyond the error of a box's centre down to the noise."""
 
 MAX_ITERATIONS = 40
+ROUNDS = 3
+SETTLING = 3
+"""So often the shares of the mixture are taken anew before the first step, which would else be one of the shares."""
+
+TOLERATED = 0.1
+"""By so little may the log likelihood fall in a step: the shares of the mixture are taken from the step before."""
+
 CONVERGED = 1e-3
 """Squared step, in standard deviations, at which the iteration ends: a thirtieth of the error that is claimed."""
 
@@ -110,6 +117,22 @@ def fit_jointly(
     return _fit(problem, problem.solve(best), centre)
 
 
+def fit_roughly(
+    drive: Evidence, start: PlanarMatch, time_offset_s: float = 0.0, settings: JointSettings | None = None
+) -> JointFit:
+    """Estimate the same of one drive from some of its points and few starts, in a tenth of the time.
+
+    Parameters and errors are those of `fit_jointly`.
+    """
+    if not len(drive):
+        raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
+    centre = drive.middles.mean(axis=0)
+    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings or JointSettings())
+    turned = [x for x in _starts(problem, [time_offset_s]) if np.allclose(x[1:3], problem.mean[1:3])]
+    _, best = max((problem.descend(x) for x in turned), key=lambda found: found[0])
+    return _fit(problem, problem.solve(best), centre)
+
+
 def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
     return np.array([start.yaw_rad, *start(centre[None])[0], 0.0])
 
@@ -172,40 +195,67 @@ class _Problem:
             x = x - np.linalg.solve(information, gradient)
             shares = [each.shares for each in fitness]
         _, _, fitness = self._sum(x, SOFTENING_M[-1], shares)
-        away = x - self.mean
-        return float(sum(each.log_likelihood for each in fitness) - away @ self.precision @ away / 2), x
+        return self._value(x, fitness), x
 
     def solve(self, x: FloatArray) -> _Solved:
-        """Descend to the end from a start nearby.
-
-        Points at corners change sides; where whole steps swing about such a place, they are halved.
-        """
-        shares = [model.shares() for model in self.models]
-        pace = 1.0
-        step: FloatArray = np.zeros(self.size)
-        for _ in range(MAX_ITERATIONS):
-            information, gradient, fitness = self._sum(x, 0.0, shares)
-            before, step = step, np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-            pace *= 0.5 if before @ information @ step < 0.0 else 1.0
-            step *= pace
-            x = x - step
-            shares = [each.shares for each in fitness]
-            self.loosen(x)
-            if step @ information @ step < CONVERGED:
+        """Descend to the end from a start nearby; which points are on the wall is told anew after each time."""
+        shares: Sequence[FloatArray] = [model.shares() for model in self.models]
+        for _ in range(ROUNDS):
+            chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
+            for _ in range(SETTLING):
+                shares = [each.shares for each in self._sum(x, 0.0, shares, chosen)[2]]
+            before = x
+            x, shares = self._climb(x, shares, chosen)
+            information, _, fitness = self._sum(x, 0.0, shares, chosen)
+            if (x - before) @ information @ (x - before) < CONVERGED:
                 break
-        information, _, fitness = self._sum(x, 0.0, shares)
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         return _Solved(x, self._covariance(inverse, fitness), tuple(fitness), tuple(self.own))
 
+    def _climb(
+        self, x: FloatArray, shares: Sequence[FloatArray], chosen: Sequence[Chosen]
+    ) -> tuple[FloatArray, Sequence[FloatArray]]:
+        """Return the likeliest place near a start, and the shares there.
+
+        Points at corners change sides, about which whole steps swing, and beyond which what a step promises does not
+        hold; so a step that leads to a less likely place is shortened.
+        """
+        highest, best, pace = -np.inf, (x, shares), 1.0
+        step: FloatArray = np.zeros(self.size)
+        for _ in range(MAX_ITERATIONS):
+            information, gradient, fitness = self._sum(x, 0.0, shares, chosen)
+            value = self._value(x, fitness)
+            if value >= highest - TOLERATED:
+                shares = [each.shares for each in fitness]
+                highest, best = max(value, highest), (x, shares)
+                step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+                pace = min(1.0, 2.0 * pace)
+            else:
+                pace /= 4.0
+            if pace**2 * (step @ information @ step) < CONVERGED:
+                break
+            x = best[0] - pace * step
+            self.loosen(x)
+        return best
+
+    def _value(self, x: FloatArray, fitness: Sequence[Fitness]) -> float:
+        """Return the log posterior."""
+        away = x - self.mean
+        return float(sum(each.log_likelihood for each in fitness) - away @ self.precision @ away / 2)
+
+    def _places(self) -> list[IntArray]:
+        """Return where in the vector each drive's parameters are."""
+        return [np.r_[:FIRST_OWN, own] for own in self.own]
+
     def _sum(
-        self, x: FloatArray, soft: float, shares: Sequence[FloatArray]
+        self, x: FloatArray, soft: float, shares: Sequence[FloatArray], chosen: Sequence[Chosen] | None = None
     ) -> tuple[FloatArray, FloatArray, list[Fitness]]:
         information = self.precision.copy()
         gradient = self.precision @ (x - self.mean)
         fitness = []
-        for model, own, share in zip(self.models, self.own, shares, strict=True):
-            index = np.r_[:FIRST_OWN, own]
-            each = model.weigh(x[index], soft, share)
+        each_chosen: Sequence[Chosen | None] = chosen or [None] * len(self.models)
+        for model, index, share, some in zip(self.models, self._places(), shares, each_chosen, strict=True):
+            each = model.weigh(x[index], soft, share, some)
             information[np.ix_(index, index)] += each.information
             gradient[index] += each.gradient
             fitness.append(each)
@@ -218,8 +268,7 @@ class _Problem:
         successive frames agree more than the model has it, the covariance grows in that direction.
         """
         scatter = self.precision.copy()
-        for each, own in zip(fitness, self.own, strict=True):
-            index = np.r_[:FIRST_OWN, own]
+        for each, index in zip(fitness, self._places(), strict=True):
             scatter[np.ix_(index, index)] += each.block_scores.T @ each.block_scores
         robust = inverse @ scatter @ inverse
         root = np.linalg.cholesky(inverse)
@@ -241,7 +290,8 @@ def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:
         centre_level=centre,
         time_sigmas_s=tuple(float(sigma[own.start]) for own in solved.own),
         corrections=tuple(
-            model.corrections(solved.x[own]) for model, own in zip(problem.models, solved.own, strict=True)
+            model.corrections(solved.x[own], solved.covariance[own, own])
+            for model, own in zip(problem.models, solved.own, strict=True)
         ),
         residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
         frames=sum(each.frames for each in solved.fitness),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -112,8 +113,9 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
+    any_fit = replace(settings.match, least_log_odds=-math.inf)  # a stranger drives on the road as well
     try:
-        track = choose_track(seen.tracks, vehicles, settings.match).track
+        track = choose_track(seen.tracks, vehicles, any_fit).track
     except CalibrationError:
         return seen  # and it will be said why
     ground = road_ground(seen.survey, seen.axes, seen.ground, track, settings.ground)

@@ -23,7 +23,10 @@ HEAVY_WIDTH_M = 2.2
 """What is wider is a lorry or a bus (passenger cars end at 2.1 m without mirrors), whose walls are upright..."""
 
 HEAVY_HIGHEST_M = 3.0
-"""...up to their roofs, at 3 m and more."""
+"""...up to their roofs, at 3 m and more, ..."""
+
+HEAVY_FRONT_HIGHEST_M = 1.2
+"""...but in front only up to the windscreen, which stands back and begins at 1.2 m so that the driver sees the road."""
 
 BOW_POWER = 2
 TAPER_POWER = 4
@@ -39,7 +42,8 @@ SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.12, 0.12])
 wheel arches and bumper's edge; panels and bumpers stand back from that by up to 3 cm, ends and sides curve by as much,
 and the corners' radii are 0.1 m for a van and 0.5 m for a small car."""
 
-SMALLEST_RADIUS_M = 0.02
+SHARP_M = 0.05
+"""Below this a radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
 
 OUTLINE_SIGMA_M = 0.03
 """Standard deviation of a body about such an outline: wheel arches, handles, bumper grooves."""
@@ -50,7 +54,10 @@ CORNER_SIGMA_M = 0.05
 FACES = 5
 """Rear, front, right, left, and the corner that a line of sight passes by."""
 
-_PASSED = 4
+SIDES = 4
+"""The first four of them."""
+
+_FRONT, _PASSED = 1, 4
 
 
 @dataclass(frozen=True)
@@ -170,7 +177,8 @@ def meet(
     of_front = np.where(round_, outward[:, 0] > 0.0, ahead)
     of_end, of_side = round_ | at_end, round_ | ~at_end
     out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
-    by_radius = np.where(round_, np.abs(normal).sum(axis=1) - 1.0, 0.0)
+    fading = 1.0 / (1.0 + np.exp(-shape[7:] / SHARP_M))
+    by_radius = np.where(round_, np.abs(normal).sum(axis=1) - 1.0, 0.0) * np.where(of_front, *fading)
     return Hits(
         distance=distance,
         variance=variance,
@@ -203,18 +211,25 @@ def _leave(o_x: FloatArray, o_y: FloatArray, u: FloatArray, half: FloatArray) ->
 
 def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
     """Return where the four corners would be without their arcs, and their radii, shape (4, 3)."""
-    front, rear, side, lever_y, front_bow, rear_bow, taper, front_radius, rear_radius = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, *radii = shape
     x = np.array([half[0] + front - front_bow, -half[0] - rear + rear_bow])
     y = half[1] + side - taper
-    radius = np.clip([front_radius, rear_radius], SMALLEST_RADIUS_M, 0.9 * y)
+    radius = np.clip(SHARP_M * np.logaddexp(0.0, np.divide(radii, SHARP_M)), 1e-3, 0.9 * y)
     return np.array(
         [[x[end], lever_y + way * y, radius[end]] for end, way in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))]
     )
 
 
-def on_the_wall(
-    height_m: float, z: FloatArray, reach: FloatArray, sigma_z: FloatArray, lowest_m: float, highest_m: float
-) -> BoolArray:
+def highest_of(width_m: float) -> FloatArray:
+    """Return up to what height each side of a vehicle of this width is upright, shape (FACES,), metres."""
+    if width_m < HEAVY_WIDTH_M:
+        return np.full(FACES, HIGHEST_M)
+    highest = np.full(FACES, HEAVY_HIGHEST_M)
+    highest[[_FRONT, _PASSED]] = HEAVY_FRONT_HIGHEST_M
+    return highest
+
+
+def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray, highest_m: FloatArray) -> BoolArray:
     """Tell which lines of sight meet the outline at a height where it is upright.
 
     The height is taken where the ray meets the outline, not where the noisy point lies: selecting by the point's own
@@ -227,10 +242,11 @@ def on_the_wall(
     z, sigma_z : ndarray, shape (n,)
         Height of the points, and its noise. What lies within three sigma of the ground was taken for ground, so below
         five sigma the near half of the noise would be missing.
-    reach : ndarray, shape (n,)
-        See `Hits`.
-    lowest_m, highest_m : float
+    hits : Hits
+    highest_m : ndarray, shape (FACES,)
+        See `highest_of`.
     """
-    met = height_m + (z - height_m) * reach
-    chosen: BoolArray = (met > np.maximum(lowest_m, 3.0 * sigma_z) + 2.0 * sigma_z) & (met < highest_m)
+    met = height_m + (z - height_m) * hits.reach
+    lowest_m = np.maximum(LOWEST_M, 3.0 * sigma_z) + 2.0 * sigma_z
+    chosen: BoolArray = (met > lowest_m) & (met < highest_m[hits.face])
     return chosen

@@ -220,7 +220,7 @@ class MatchSettings:
     min_path_m: float = 10.0
     min_explained: float = 0.5
     clear_log_odds: float = math.log(100.0)
-    least_log_odds: float = math.log(10.0)
+    least_log_odds: float = math.log(3.0)
     clock_sigma_s: float = 0.010
     position_sigma_m: float = 0.3
     stretch_m: float = 10.0

@@ -65,7 +65,7 @@ def body_yaw(vehicle: VehicleTrack) -> BodyYaw:
     step = np.abs(step)
     psi = np.empty((len(LEVERS_M), len(stamps)))
     psi[:, 0] = theta[0]
-    rate = np.concatenate([[np.inf], 1.0 / LEVERS_M[1:]])
+    rate = np.concatenate([[0.0], 1.0 / LEVERS_M[1:]])  # without a lever the body is the heading, which is set below
     middle = (theta[1:] + theta[:-1]) / 2.0
     for i, ds in enumerate(step):
         # Along a straight step the tangent of half of the angle between body and motion decays with the lever.

@@ -1,15 +1,30 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.outline import SHAPE, SHAPE_MEAN, meet, on_the_wall
+from laci_stereo.core.outline import (
+    HEAVY_FRONT_HIGHEST_M,
+    HEAVY_HIGHEST_M,
+    HIGHEST_M,
+    LOWEST_M,
+    SHAPE,
+    SHAPE_MEAN,
+    SHARP_M,
+    highest_of,
+    meet,
+    on_the_wall,
+)
 from tests.core.outlines import SIZE, rectangle_points
 
-FLAT = np.zeros(len(SHAPE))
+FLAT = np.append(np.zeros(len(SHAPE) - 2), [-1.0, -1.0])
+"""With corners as sharp as they get."""
+
 places = st.tuples(st.floats(6.0, 60.0), st.floats(-3.1, 3.1), st.integers(0, 1000))
 
 
@@ -26,7 +41,7 @@ def met(xy: FloatArray, origin: FloatArray, shape: FloatArray = FLAT, sigma: flo
 def test_points_on_the_rectangle_are_on_it(place: tuple[float, float, int]) -> None:
     origin = sensor(place[0], place[1])
     hits = met(rectangle_points(origin, 50, np.random.default_rng(place[2])), origin)
-    assert hits.distance == pytest.approx(0.0, abs=0.01)  # the sharpest corners have a radius of 2 cm
+    assert hits.distance == pytest.approx(0.0, abs=0.001)  # the sharpest corners have a radius of 1 mm
     assert hits.reach == pytest.approx(1.0, abs=0.02)
 
 
@@ -48,7 +63,7 @@ def test_the_distance_is_measured_along_the_normal_of_the_side_that_is_met(
 @given(places, st.floats(0.1, 0.5))
 def test_points_on_a_round_corner_are_on_it(place: tuple[float, float, int], radius: float) -> None:
     shape = FLAT.copy()
-    shape[-2:] = radius
+    shape[-2:] = SHARP_M * np.log(np.expm1(radius / SHARP_M))
     centre = np.array(SIZE) / 2 - radius
     # A corner that the sensor sees all of, from somewhere in its own quadrant.
     bearing = 0.3 + (abs(place[1]) % 1.0)
@@ -109,8 +124,29 @@ def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_
     height, far, z_met = 6.0, 20.0, 0.5
     measured = far + off
     z = height + (z_met - height) * measured / far
-    chosen = on_the_wall(height, np.array([z]), np.array([far / measured]), np.array([sigma_z]), 0.25, 0.65)
-    assert chosen[0] == (z_met > max(0.25, 3 * sigma_z) + 2 * sigma_z)
+    hits = replace(met(np.array([[0.0, 0.9]]), np.array([0.0, 20.9])), reach=np.array([far / measured]))
+    chosen = on_the_wall(height, np.array([z]), hits, np.array([sigma_z]), highest_of(1.8))
+    assert chosen[0] == (z_met > max(LOWEST_M, 3 * sigma_z) + 2 * sigma_z)
+
+
+@pytest.mark.parametrize(
+    ("width_m", "origin", "highest_m"),
+    [
+        (1.8, (12.0, 0.0), HIGHEST_M),
+        (1.8, (0.0, 12.0), HIGHEST_M),
+        (2.5, (12.0, 0.0), HEAVY_FRONT_HIGHEST_M),
+        (2.5, (-12.0, 0.0), HEAVY_HIGHEST_M),
+        (2.5, (0.0, 12.0), HEAVY_HIGHEST_M),
+    ],
+    ids=["a car from ahead", "a car from the left", "a bus from ahead", "a bus from behind", "a bus from the left"],
+)
+def test_a_side_is_used_as_far_up_as_it_is_upright(
+    width_m: float, origin: tuple[float, float], highest_m: float
+) -> None:
+    z = np.array([highest_m - 0.1, highest_m + 0.1])
+    on_it = np.sign(origin) * np.array(SIZE) / 2
+    hits = met(np.array([on_it, on_it]), np.array(origin))
+    assert on_the_wall(highest_m, z, hits, np.full(2, 0.02), highest_of(width_m)).tolist() == [True, False]
 
 
 def test_a_turned_vehicle_is_met_alike() -> None:
