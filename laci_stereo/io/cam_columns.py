@@ -25,6 +25,8 @@ class Quantity(Column):
         The raw integer that says that the sender does not know.
     lowest, highest : float
         What the quantity can be, in ``unit``.
+    out_of_range : int or None
+        The raw integer that says that it is more than can be sent, if there is one.
     """
 
     unit: str
@@ -32,12 +34,19 @@ class Quantity(Column):
     unavailable: int
     lowest: float
     highest: float
+    out_of_range: int | None = None
 
-    def known(self, values: FloatArray) -> FloatArray:
-        """Return values with "unavailable" codes, raw or converted along with the others, replaced by NaN."""
-        codes = (self.unavailable, self.unavailable / self.etsi_per_unit)
-        unavailable = np.any([np.isclose(values, code, rtol=1e-12, atol=0.0) for code in codes], axis=0)
-        return np.where(unavailable, np.nan, values)
+    @property
+    def codes(self) -> Mapping[str, int]:
+        """The raw integers that are no values, by what they say."""
+        out_of_range = {} if self.out_of_range is None else {"out of range": self.out_of_range}
+        return {"unavailable": self.unavailable, **out_of_range}
+
+    def is_code(self, values: FloatArray, code: int) -> BoolArray:
+        """Return which values are such a raw integer, or were one before they were converted along with the others."""
+        both = (code, code / self.etsi_per_unit)
+        found: BoolArray = np.any([np.isclose(values, number, rtol=1e-12, atol=0.0) for number in both], axis=0)
+        return found
 
     @property
     def etsi_text(self) -> str:
@@ -71,24 +80,31 @@ HEADING = Quantity(
     "heading", ("headingdeg", "headingvalue", "course", "coursedeg", "cog"), "deg", 10, 3601, -180.0, 360.0
 )
 SPEED = Quantity(
-    "speed", ("speedmps", "speedms", "speedvalue", "velocity", "velocitymps"), "m/s", 100, 16383, 0.0, 130.0
+    "speed", ("speedmps", "speedms", "speedvalue", "velocity", "velocitymps"), "m/s", 100, 16383, 0.0, 130.0, 16382
 )
 LENGTH = Quantity(
-    "vehicle_length", ("vehiclelengthm", "vehiclelengthvalue", "length", "lengthm"), "m", 10, 1023, 0.5, 60.0
+    "vehicle_length", ("vehiclelengthm", "vehiclelengthvalue", "length", "lengthm"), "m", 10, 1023, 0.5, 60.0, 1022
 )
-WIDTH = Quantity("vehicle_width", ("vehiclewidthm", "width", "widthm"), "m", 10, 62, 0.3, 6.1)
+WIDTH = Quantity("vehicle_width", ("vehiclewidthm", "width", "widthm"), "m", 10, 62, 0.3, 6.1, 61)
 ALTITUDE = Quantity(
-    "altitude", ("altitudem", "altitudevalue", "alt", "altm", "elevation", "ele"), "m", 100, 800001, -1000.0, 9000.0
+    "altitude",
+    ("altitudem", "altitudevalue", "alt", "altm", "elevation", "ele"),
+    "m",
+    100,
+    800001,
+    -1000.0,
+    9000.0,
+    800000,
 )
 SEMI_MAJOR = Quantity(
     "semi_major_95",
     ("semimajor95m", "semimajoraxislength", "semimajorconfidence", "semimajor"),
-    *("m", 100, 4095, 0.0, 100.0),
+    *("m", 100, 4095, 0.0, 100.0, 4094),
 )
 SEMI_MINOR = Quantity(
     "semi_minor_95",
     ("semiminor95m", "semiminoraxislength", "semiminorconfidence", "semiminor"),
-    *("m", 100, 4095, 0.0, 100.0),
+    *("m", 100, 4095, 0.0, 100.0, 4094),
 )
 ELLIPSE_ORIENTATION = Quantity(
     "ellipse_orientation",
@@ -96,7 +112,7 @@ ELLIPSE_ORIENTATION = Quantity(
     *("deg", 10, 3601, -180.0, 360.0),
 )
 
-REQUIRED: tuple[Column, ...] = (TIMESTAMP, LATITUDE, LONGITUDE, HEADING, LENGTH, WIDTH)
+REQUIRED: tuple[Column, ...] = (TIMESTAMP, LATITUDE, LONGITUDE, HEADING)
 POSITION = (LATITUDE, LONGITUDE)
 DIMENSIONS = (LENGTH, WIDTH)
 QUANTITIES = (*POSITION, HEADING, SPEED, ALTITUDE, *DIMENSIONS, SEMI_MAJOR, SEMI_MINOR, ELLIPSE_ORIENTATION)

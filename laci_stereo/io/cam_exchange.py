@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 
 from laci_stereo.core.cam import MAX_GAP_S, CamLog
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import FloatArray, IntArray
 
 _METRES_PER_DEG = 111_195.0
 _MOVING_MPS = 2.0
@@ -19,25 +21,33 @@ def look_exchanged(log: CamLog) -> bool:
 
     False where the log does not tell: no speeds, no motion, or motion that fits to neither.
     """
-    errors = [_motion_errors(log.of(station)) for station in log.stations()]
-    as_given, exchanged = np.concatenate(errors, axis=1)
+    as_given, exchanged = _motion_errors(log)
     if len(as_given) < _FEWEST_STEPS:
         return False
     return bool(np.median(as_given) > _DISAGREES and np.median(exchanged) < _AGREES)
 
 
+def reordered(log: CamLog, order: IntArray) -> CamLog:
+    """Return the messages at indices, shape (n,), in that order."""
+    return CamLog(*(getattr(log, column.name)[order] for column in fields(log)))
+
+
 def _motion_errors(log: CamLog) -> FloatArray:
     """Return how far the motion is off the sent one, relative to its speed: as given and exchanged, shape (2, n)."""
     log = log[np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)]
-    step_s = np.diff(log.stamps_ns) / 1e9
+    log = reordered(log, np.lexsort((log.stamps_ns, log.station_id)))
+    # A step from one station's last message to another one's first is none.
+    step_s = np.where(np.diff(log.station_id) == 0, np.diff(log.stamps_ns) / 1e9, 0.0)
     speed = (log.speed_mps[1:] + log.speed_mps[:-1]) / 2
     heading = np.radians(log.heading_deg[1:])
     # Comparisons with NaN are False, so what was not sent drops out.
     usable = (step_s > 0) & (step_s <= MAX_GAP_S) & (speed >= _MOVING_MPS) & np.isfinite(heading)
     sent = np.stack([np.sin(heading), np.cos(heading)])
-    errors = []
+    errors, reversing = [], []
     for latitude, longitude in ((log.latitude_deg, log.longitude_deg), (log.longitude_deg, log.latitude_deg)):
         east = np.diff(longitude)[usable] * np.cos(np.radians(latitude[1:][usable]))
         moved = _METRES_PER_DEG * np.stack([east, np.diff(latitude)[usable]]) / (step_s * speed)[usable]
         errors.append(np.linalg.norm(moved - sent[:, usable], axis=0))
-    return np.stack(errors)
+        reversing.append(np.linalg.norm(moved + sent[:, usable], axis=0))
+    # Some drives backwards move like exchanged ones forwards.
+    return np.stack([np.minimum(errors[0], reversing[0]), errors[1]])

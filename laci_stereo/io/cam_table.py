@@ -40,10 +40,14 @@ def station_ids(table: Table) -> Parsed[IntArray]:
 def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:
     """Return a quantity's numbers, in whatever unit they are; NaN where they are missing."""
     found = table.numbers(quantity)
-    known = quantity.known(found.values)
-    unavailable = int((np.isnan(known) & ~np.isnan(found.values)).sum())
-    note = f'{quantity.name}: {unavailable} times {quantity.unavailable}, ETSI\'s "unavailable"; taken as missing'
-    return Parsed(known, found.problems, (note,) if unavailable else ())
+    known, notes = found.values, []
+    for meaning, code in quantity.codes.items():
+        coded = quantity.is_code(found.values, code)
+        known = np.where(coded, np.nan, known)
+        if coded.any():
+            times = f"{int(coded.sum())} times {code}"
+            notes.append(f'{quantity.name}: {times}, ETSI\'s "{meaning}"; taken as missing')
+    return Parsed(known, found.problems, tuple(notes))
 
 
 def _whole(text: str) -> int | None:

@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 
 from laci_stereo.core.errors import InputError
+from laci_stereo.io.file_content import read_content
 
 _LONGEST_QUOTE = 60
+_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_text(path: Path, error: type[InputError]) -> str:
-    """Return the content of a UTF-8 file, without a byte order mark.
+    """Return the content of a UTF-8 file, or of UTF-16 with a byte order mark, without that mark; gzip is unpacked.
 
     Raises
     ------
     InputError
         Of the class ``error``, if the file is missing, a folder, empty, unreadable or not text.
     """
+    content = read_content(path, error)
     try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise error(f"{path} does not exist; needed is a file") from None
-    except IsADirectoryError:
-        raise error(f"{path} is a folder; needed is a file") from None
-    except OSError as problem:
-        raise error(f"{path} cannot be read: {problem.strerror}; needed is a text file") from problem
-    except ValueError as problem:
-        raise error(f"{path} cannot be read: {problem}; needed is a text file") from problem
-    try:
-        text = content.decode("utf-8-sig")
+        text = content.decode("utf-16" if content.startswith(_UTF16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as problem:
         byte = f"byte {problem.start} is 0x{content[problem.start]:02x}"
         raise error(f"{path} is not a text file: {byte}; needed is UTF-8 text") from problem

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_lidar.bag_files import Bag, open_bag
-from laci_lidar.bag_records import CutOffError, Message, Topic
 from laci_lidar.errors import ScanError
 from laci_lidar.pointcloud2 import POINT_CLOUD, header_stamp_ns, is_known, read_message
 from laci_lidar.scan import Scan, scan_of
 from laci_lidar.sequence import counted
 from laci_stereo.core.frames import IntArray
+from laci_stereo.io.bag_files import Bag, open_bag
+from laci_stereo.io.bag_records import CutOffError, Message, Topic
 from laci_stereo.io.text_file import listed, quoted
 from laci_stereo.stereo.ahead import map_ahead
 
@@ -72,7 +72,7 @@ class BagScans:
             If it is no bag, the topic is missing, one of several, of another type or unknown definition, or holds
             no scan.
         """
-        bag = open_bag(path)
+        bag = open_bag(path, ScanError)
         chosen = _choose(bag.topics(), topic, path)
         if not is_known(chosen.ros1, chosen.definition, chosen.digest):
             raise ScanError(

@@ -341,6 +341,24 @@ def test_confidence_ellipses_are_read(tmp_path: Path) -> None:
     assert np.isnan(log.semi_minor_95_m).all()
 
 
+@pytest.mark.parametrize(
+    ("column", "code", "field"),
+    [
+        ("altitude", "800000", "altitude_m"),
+        ("speed", "16382", "speed_mps"),
+        ("vehicle_length", "1022", "length_m"),
+        ("vehicle_width", "61", "width_m"),
+        ("semiMajorConfidence", "4094", "semi_major_95_m"),
+        ("semiMinorConfidence", "4094", "semi_minor_95_m"),
+    ],
+)
+def test_what_is_too_large_to_be_sent_is_missing(tmp_path: Path, column: str, code: str, field: str) -> None:
+    columns: Columns = {**RAW, "semiMajorConfidence": lambda m: "120", "semiMinorConfidence": lambda m: "80"}
+    recording = read_cam_csv(write(tmp_path / "cam.csv", put(table(drive(), columns), column, code, 12)))
+    assert np.isnan(getattr(recording.log, field)).tolist() == [True] * 12 + [False] * 8
+    assert any(f'12 times {code}, ETSI\'s "out of range"; taken as missing' in note for note in recording.notes)
+
+
 def test_rows_are_sorted_and_doubled_ones_merged(tmp_path: Path, log: CamLog) -> None:
     rows = table(drive())
     lacking = put([rows[0], rows[5]], "speed", "", 1)[1]
@@ -378,11 +396,18 @@ def test_what_may_be_absent_is_noted(tmp_path: Path, column: str, note: str) -> 
     assert len(recording.log) == 20
 
 
-@pytest.mark.parametrize("column", ["timestamp", "latitude", "longitude", "heading", "vehicle_length", "vehicle_width"])
+@pytest.mark.parametrize("column", ["timestamp", "latitude", "longitude", "heading"])
 def test_what_may_not_be_absent_is_named(tmp_path: Path, column: str) -> None:
     columns = {name: cell for name, cell in CANONICAL.items() if name != column}
     with pytest.raises(CamError, match=rf"cam\.csv lacks the column {column}; needed are .*, it holds .*station_id"):
         read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns)))
+
+
+def test_dimensions_may_be_absent(tmp_path: Path) -> None:
+    columns = {name: cell for name, cell in CANONICAL.items() if not name.startswith("vehicle_")}
+    log = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns))).log
+    assert np.isnan(log.length_m).all()
+    assert np.isnan(log.width_m).all()
 
 
 @pytest.mark.parametrize(
@@ -482,7 +507,7 @@ def test_what_is_no_log(tmp_path: Path) -> None:
         (bytes(range(256)) * 4, "is not a text file"),
         (b"\x7fELF\0\0\0\0", "is not a text file: character 4 is NUL"),
         ("\n".join(",".join(row) for row in table(drive())[1:]).encode(), "begins with 1760000002.237000000, 4711"),
-        (b"hello\nworld\n", "lacks the column timestamp, latitude, longitude, heading, vehicle_length, vehicle_width"),
+        (b"hello\nworld\n", "lacks the column timestamp, latitude, longitude, heading"),
     ):
         if content is not None:
             path.write_bytes(content)

@@ -98,7 +98,10 @@ def test_two_scans_of_one_time(tmp_path: Path):
 
 def test_without_the_extra_for_bags_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = write_bag1(tmp_path / "a.bag", {"/points": SCANS})
-    for name in ("laci_lidar.bag", "laci_lidar.bag_files", "laci_lidar.bag_records", "laci_lidar.pointcloud2"):
+    for name in (
+        *("laci_lidar.bag", "laci_lidar.pointcloud2"),
+        *("laci_stereo.io.bag_files", "laci_stereo.io.bag_records"),
+    ):
         monkeypatch.delitem(sys.modules, name, raising=False)
     for name in ("rosbags.rosbag1", "rosbags.rosbag2", "rosbags.interfaces", "rosbags.typesys"):
         monkeypatch.setitem(sys.modules, name, None)

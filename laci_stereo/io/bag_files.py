@@ -14,8 +14,8 @@ from rosbags.rosbag2 import Reader as Reader2
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from laci_lidar.bag_records import ROS1_MAGIC, CutOffError, Message, Topic, begins, walk
-from laci_lidar.errors import ScanError
+from laci_stereo.core.errors import InputError
+from laci_stereo.io.bag_records import ROS1_MAGIC, CutOffError, Message, Topic, begins, walk
 from laci_stereo.io.text_file import quoted
 
 
@@ -38,20 +38,33 @@ class Bag(Protocol):
         """
 
 
-def open_bag(path: Path) -> Bag:
+def open_bag(path: Path, error: type[InputError]) -> Bag:
     """Open a ROS 1 bag, a folder that ROS 2 wrote, or one of its files.
+
+    Parameters
+    ----------
+    path : Path
+    error : type of InputError
+        What is raised if it is none of these.
 
     Raises
     ------
-    ScanError
-        If it is none of these.
+    InputError
+        Of the class ``error``.
     """
-    whole = WholeBag(path)
     try:
-        whole.topics()
-    except CutOffError:
-        return DamagedBag(path)
-    return whole
+        whole = WholeBag(path)
+        try:
+            whole.topics()
+        except CutOffError:
+            files = _storage_files(path)
+        else:
+            return whole
+    except OSError as problem:
+        raise error(f"{path} cannot be read: {problem.strerror}; needed is a bag") from problem
+    if not files:
+        raise error(f"{path} holds no .mcap or .db3 file; needed is a folder that ROS 2 recorded")
+    return DamagedBag(path, files)
 
 
 class WholeBag:
@@ -110,9 +123,9 @@ def _in_a_line(problem: Exception) -> str:
 class DamagedBag:
     """A bag that lost its index or its end: read from the start, record by record."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: Sequence[Path]) -> None:
         self._path = path
-        self._files = _storage_files(path)
+        self._files = files
 
     def topics(self) -> list[Topic]:
         """Return the topics that have a whole message, each once."""
@@ -159,8 +172,6 @@ def _storage_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3") and file.is_file()]
-    if not files:
-        raise ScanError(f"{path} holds no .mcap or .db3 file; needed is a folder that ROS 2 recorded")
     return sorted(
         files, key=lambda file: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
     )

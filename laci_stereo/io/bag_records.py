@@ -17,7 +17,6 @@ from urllib.parse import quote
 
 import lz4.frame
 
-from laci_lidar.errors import ScanError
 from laci_stereo.io.text_file import quoted
 
 if sys.version_info >= (3, 14):
@@ -106,11 +105,8 @@ def walk(file: Path) -> Iterator[Message]:
 
 def begins(file: Path, magic: bytes) -> bool:
     """Tell whether a file begins with some bytes."""
-    try:
-        with file.open("rb") as stream:
-            return stream.read(len(magic)) == magic
-    except OSError as problem:
-        raise ScanError(f"{file} cannot be read: {problem.strerror}; needed is a bag") from problem
+    with file.open("rb") as stream:
+        return stream.read(len(magic)) == magic
 
 
 @contextmanager

@@ -1,0 +1,65 @@
+"""``laci-stereo cam``: what a log of messages was understood to say, as words, a map, or another format."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import click
+import cv2
+
+from laci_stereo.core.cam import CamLog
+from laci_stereo.core.errors import OutputError
+from laci_stereo.io.cam_export import to_csv, to_geojson
+from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.report.cam_map import draw_log
+from laci_stereo.report.cam_summary import summarise_log
+
+Format: TypeAlias = Literal["csv", "geojson"]
+
+_WRITERS: Mapping[Format, Callable[[CamLog], str]] = {"csv": to_csv, "geojson": to_geojson}
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("log", type=_PATH)
+@click.option("--to", "form", type=click.Choice(["csv", "geojson"]), help="Convert, to standard output or into --out.")
+@click.option("--out", type=_PATH, help="File for the conversion; without --to, for a map (PNG).")
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there already.")
+def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> None:
+    """Show what a log of messages says, before any run, or convert it.
+
+    LOG is CSV, a packet capture (pcap, pcapng), a ROS or MCAP bag, lines of hexadecimal CAMs, V2AIX's JSON, NMEA or
+    GPX; its content tells which.
+    """
+    if out is not None and out.exists() and not overwrite:
+        raise OutputError(f"{out}: exists already; needed is another --out, or --overwrite to replace it")
+    recording = read_cam_log(log)
+    if form is None:
+        click.echo(summarise_log(recording, str(log)))
+        if out is not None:
+            _write(out, cv2.imencode(".png", draw_log(recording))[1].tobytes())
+            click.echo(f"{'Written':<11}{out}")
+        return
+    for note in recording.notes:
+        click.echo(f"note: {note}", err=True)
+    text = _WRITERS[form](recording.log)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        _write(out, text.encode())
+        click.echo(f"{'Written':<11}{out}", err=True)
+
+
+def _write(out: Path, content: bytes) -> None:
+    """Write a file as a whole, or leave what stood there."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=out.absolute().parent, prefix=f".{out.name}.", delete=False) as stream:
+            temporary = Path(stream.name)
+            stream.write(content)
+        temporary.chmod(0o644)  # the temporary file's own is for the user alone
+        temporary.replace(out)
+    except OSError as problem:
+        raise OutputError(f"{out}: cannot be written ({problem.strerror}); nothing was changed") from problem

@@ -1,0 +1,121 @@
+"""A CAM's quantities as ETSI TS 102 894-2 sends them, however they were serialised."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.io.cam_columns import (
+    ALTITUDE,
+    ELLIPSE_ORIENTATION,
+    HEADING,
+    LATITUDE,
+    LENGTH,
+    LONGITUDE,
+    SEMI_MAJOR,
+    SEMI_MINOR,
+    SPEED,
+    WIDTH,
+    Quantity,
+    Values,
+)
+
+_BACKWARD = 1
+"""What driveDirection says of a vehicle that reverses."""
+
+_PDU_KINDS: Mapping[int, str] = {
+    1: "DENM",
+    2: "CAM",
+    4: "SPATEM",
+    5: "MAPEM",
+    6: "IVIM",
+    9: "SREM",
+    10: "SSEM",
+    14: "CPM",
+    16: "VAM",
+}
+"""What messageID says (TS 102 894-2)."""
+
+
+class OtherKindError(Exception):
+    """Something that is whole and no CAM of a vehicle; the words are its kind."""
+
+
+class DamagedError(Exception):
+    """Something that should be a CAM, and cannot be read; the words are the reason."""
+
+
+class Cam(NamedTuple):
+    """What a vehicle's CAM says, each number as it is sent."""
+
+    station_id: int
+    delta_ms: int
+    latitude: int
+    longitude: int
+    semi_major: int
+    semi_minor: int
+    orientation: int
+    altitude: int
+    heading: int
+    speed: int
+    drive_direction: int
+    length: int
+    width: int
+
+
+_ELEMENTS: Mapping[Quantity, str] = {
+    LATITUDE: "latitude",
+    LONGITUDE: "longitude",
+    HEADING: "heading",
+    SPEED: "speed",
+    ALTITUDE: "altitude",
+    LENGTH: "length",
+    WIDTH: "width",
+    SEMI_MAJOR: "semi_major",
+    SEMI_MINOR: "semi_minor",
+    ELLIPSE_ORIENTATION: "orientation",
+}
+
+UNKNOWN = Cam(0, 0, 900000001, 1800000001, 4095, 4095, 3601, 800001, 3601, 16383, 2, 1023, 62)
+"""A message that tells nothing: all is "unavailable"."""
+
+
+def pdu_kind(message_id: int) -> str:
+    """Return what a message is by the ``messageID`` in its header."""
+    return _PDU_KINDS.get(message_id, f"ITS message {message_id}")
+
+
+def in_units(cams: Sequence[Cam]) -> Values:
+    """Return the messages' quantities in units, NaN where they are unavailable or out of range."""
+    raw = np.array(cams, dtype=np.float64).reshape(-1, len(Cam._fields))
+    return {quantity: _in_unit(quantity, raw[:, Cam._fields.index(element)]) for quantity, element in _ELEMENTS.items()}
+
+
+def _in_unit(quantity: Quantity, raw: FloatArray) -> FloatArray:
+    return np.where(np.isin(raw, list(quantity.codes.values())), np.nan, raw / quantity.etsi_per_unit)
+
+
+def value_notes(values: Values, good: BoolArray) -> list[str]:
+    """Return in what the quantities are sent, and which of them how often are not.
+
+    Parameters
+    ----------
+    values : mapping of Quantity to ndarray, shape (n,)
+        As from `in_units`.
+    good : ndarray of bool, shape (n,)
+        Which of the messages could be read.
+    """
+    sent = ", ".join(f"{quantity.name} {quantity.etsi_text}" for quantity in values)
+    missing = {quantity.name: int(np.isnan(found[good]).sum()) for quantity, found in values.items()}
+    lacking = ", ".join(f"{name} in {count}" for name, count in missing.items() if count)
+    said = f"unavailable or out of range, of {int(good.sum())} messages, taken as missing: {lacking}"
+    return [f"ETSI integers of {sent}", *([said] if lacking else [])]
+
+
+def direction_notes(cams: Sequence[Cam]) -> list[str]:
+    """Return a note on messages of vehicles that say they reverse."""
+    reversing = sum(cam.drive_direction == _BACKWARD for cam in cams)
+    return [f"{reversing} messages with driveDirection backward"] if reversing else []

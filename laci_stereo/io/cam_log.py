@@ -1,0 +1,73 @@
+"""Logs of Cooperative Awareness Messages in whatever format they were recorded; the content tells which."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from laci_stereo.core.errors import CamError
+from laci_stereo.io.cam_csv import read_cam_csv
+from laci_stereo.io.cam_gpx import looks_like_xml, read_cam_gpx
+from laci_stereo.io.cam_hex import looks_like_hex, read_cam_binary, read_cam_hex
+from laci_stereo.io.cam_json import looks_like_json, read_cam_json
+from laci_stereo.io.cam_nmea import looks_like_nmea, read_cam_nmea
+from laci_stereo.io.cam_pcap import read_cam_capture
+from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.cam_uper import is_cam
+from laci_stereo.io.file_content import read_content
+from laci_stereo.io.packet_capture import is_capture
+from laci_stereo.io.text_file import read_text
+
+_BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+_TEXTS = (
+    (looks_like_xml, read_cam_gpx),
+    (looks_like_nmea, read_cam_nmea),
+    (looks_like_hex, read_cam_hex),
+    (looks_like_json, read_cam_json),
+)
+
+
+def read_cam_log(path: Path) -> CamRecording:
+    """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, V2AIX's JSON, NMEA or GPX.
+
+    Parameters
+    ----------
+    path : Path
+        A file, which gzip may have packed, or the folder of a ROS 2 bag.
+
+    Raises
+    ------
+    CamError
+        If it is in none of these formats, or unusable.
+    """
+    if path.is_dir() or _head(path).startswith(_BAG_MAGICS):
+        return _read_bag(path)
+    content = read_content(path, CamError)
+    if is_capture(content):
+        return read_cam_capture(path, content)
+    if is_cam(content):
+        return read_cam_binary(path, content)
+    text = read_text(path, CamError)
+    for fits, read in _TEXTS:
+        if fits(text):
+            return read(path, text)
+    return read_cam_csv(path)
+
+
+def _head(path: Path) -> bytes:
+    """Return the first bytes of a file; none if it cannot be read, which whoever reads on will say."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(16)
+    except (OSError, ValueError):
+        return b""
+
+
+def _read_bag(path: Path) -> CamRecording:
+    try:
+        from laci_stereo.io.cam_bag import read_cam_bag
+    except ImportError as problem:
+        raise CamError(
+            f"{path}: reading bags needs the extra 'bag' ({problem.name} is not installed); "
+            "needed is pip install 'laci-stereo[bag]'"
+        ) from problem
+    return read_cam_bag(path)

@@ -1,0 +1,47 @@
+"""The bytes of a file, unpacked if they are gzip's."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from io import BytesIO
+from pathlib import Path
+
+from laci_stereo.core.errors import InputError
+
+GZIP_MAGIC = b"\x1f\x8b"
+
+LARGEST_UNPACKED = 1 << 28
+"""Bytes: an hour of a dozen senders' messages as text; what unpacks to more may be made to fill the memory."""
+
+
+def read_content(path: Path, error: type[InputError]) -> bytes:
+    """Return the content of a file; of one that gzip packed, what was packed.
+
+    Raises
+    ------
+    InputError
+        Of the class ``error``, if the file is missing, a folder, unreadable, or damaged or too large when unpacked.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise error(f"{path} does not exist; needed is a file") from None
+    except IsADirectoryError:
+        raise error(f"{path} is a folder; needed is a file") from None
+    except OSError as problem:
+        raise error(f"{path} cannot be read: {problem.strerror}; needed is a file") from problem
+    except ValueError as problem:
+        raise error(f"{path} cannot be read: {problem}; needed is a file") from problem
+    return _unpacked(path, content, error) if content.startswith(GZIP_MAGIC) else content
+
+
+def _unpacked(path: Path, packed: bytes, error: type[InputError]) -> bytes:
+    try:
+        with gzip.GzipFile(fileobj=BytesIO(packed)) as stream:
+            content = stream.read(LARGEST_UNPACKED + 1)
+    except (OSError, EOFError, zlib.error) as problem:
+        raise error(f"{path} is damaged: {problem}; needed is a whole gzip file") from problem
+    if len(content) > LARGEST_UNPACKED:
+        raise error(f"{path} unpacks to more than {LARGEST_UNPACKED} bytes; needed is a smaller file, or it unpacked")
+    return content

@@ -1,0 +1,84 @@
+"""A log of messages as a small map, north up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from laci_stereo.core.cam import MAX_GAP_S, CamLog
+from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.report.canvas import TEXT, Canvas, Entry
+from laci_stereo.report.mapview import MARGIN_SHARE, MapView, nice_step
+from laci_stereo.report.style import BLACK, BLUE, GREY, PURPLE, SKY_BLUE, VERMILLION, WHITE, Colour, Stroke
+
+SIZE = (1280, 960)
+"""Width and height, pixels."""
+
+_COLOURS: tuple[Colour, ...] = (BLUE, VERMILLION, PURPLE, SKY_BLUE, BLACK)
+_LEAST_EXTENT_M = 5.0
+_METRES_PER_DEG = 111_195.0
+_DOT, _LINE = 2.5, 2.0
+
+
+def draw_log(recording: CamRecording) -> Raster:
+    """Draw the messages' positions, in a colour for each of the stations with most messages.
+
+    Parameters
+    ----------
+    recording : CamRecording
+        At least one message with a position.
+
+    Returns
+    -------
+    ndarray of uint8, shape (h, w, 3)
+        Blue, green, red.
+    """
+    canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), WHITE)
+    log = recording.log[np.isfinite(recording.log.latitude_deg) & np.isfinite(recording.log.longitude_deg)]
+    xy = _metres(log)
+    view = _view(xy)
+    named = log.stations()[: len(_COLOURS)]
+    others = ~np.isin(log.station_id, named)
+    canvas.specks(view.pixels(xy[others]), GREY)
+    entries = [Entry("others", "dot", Stroke(GREY, _DOT))] if others.any() else []
+    for station, colour in reversed(list(zip(named, _COLOURS, strict=False))):
+        mine = log.station_id == station
+        for piece in _pieces(log.stamps_ns[mine] / 1e9, xy[mine]):
+            canvas.lines([view.pixels(piece)], Stroke(colour, _LINE))
+        canvas.dots(view.pixels(xy[mine]), colour, _DOT)
+        entries.insert(0, Entry(f"station {station}, {int(mine.sum())} messages", "dot", Stroke(colour, _DOT)))
+    margin = 1.5 * TEXT * canvas.unit_px
+    canvas.legend(entries, (margin, margin), BLACK)
+    _draw_scale(canvas, view, margin)
+    return canvas.image
+
+
+def _metres(log: CamLog) -> FloatArray:
+    """Return metres east and north of the middle position, shape (n, 2): good to look at over some kilometres."""
+    longitude = np.degrees(np.unwrap(np.radians(log.longitude_deg)))
+    latitude_deg, longitude_deg = np.median(log.latitude_deg), np.median(longitude)
+    east = (longitude - longitude_deg) * np.cos(np.radians(latitude_deg))
+    return _METRES_PER_DEG * np.column_stack([east, log.latitude_deg - latitude_deg])
+
+
+def _view(xy: FloatArray) -> MapView:
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    extent = np.maximum((1 + 2 * MARGIN_SHARE) * (high - low), _LEAST_EXTENT_M)
+    return MapView((low + high) / 2, float((np.array(SIZE) / extent).min()), (float(SIZE[0]), float(SIZE[1])))
+
+
+def _pieces(stamps_s: FloatArray, xy: FloatArray) -> Iterator[FloatArray]:
+    """Yield the parts of a track without gaps."""
+    yield from np.split(xy, np.flatnonzero(np.diff(stamps_s) > MAX_GAP_S) + 1)
+
+
+def _draw_scale(canvas: Canvas, view: MapView, margin: float) -> None:
+    """Draw a bar of a round length, and which way is north."""
+    length_m = nice_step(SIZE[0] / view.scale_px, 5)
+    x, y = margin, SIZE[1] - margin
+    end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
+    bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])
+    canvas.lines([bracket], Stroke(BLACK, _LINE))
+    canvas.text(f"{length_m:g} m, north is up", ((x + end) / 2, y - 2.6 * height), BLACK, align="centre")

@@ -1,0 +1,90 @@
+"""A log of messages in words: what was understood, before anything is calibrated with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from laci_stereo.core.cam import MAX_GAP_S, CamLog
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.stamps import iso_text
+
+MOST_STATIONS = 5
+"""A car park sends hundreds; whoever drove through the scene is among those with most messages."""
+
+_METRES_PER_DEG = 111_195.0
+
+
+def summarise_log(recording: CamRecording, name: str) -> str:
+    """Return what a log holds, of its stations those with most messages, and each interpretation in a line."""
+    return "\n".join([*_whole(recording, name), *_stations(recording), *(f"note: {note}" for note in recording.notes)])
+
+
+def _whole(recording: CamRecording, name: str) -> Iterator[str]:
+    log = recording.log
+    yield _line("Log", f"{name}: {recording.format}, {len(log)} messages")
+    yield _line("Time", _span(log))
+    reference = (
+        "antenna; --cam-reference X,Y tells where on the vehicle that is"
+        if recording.is_receiver
+        else "centre of the vehicle's front side (ETSI); if the sender does not comply, --cam-reference"
+    )
+    yield _line("Positions", f"of the {reference}")
+    stations = log.stations()
+    first = ", ".join(str(station) for station in stations[:MOST_STATIONS])
+    more = f" and {len(stations) - MOST_STATIONS} more" if len(stations) > MOST_STATIONS else ""
+    yield _line("Stations", f"{len(stations)}: {first}{more}")
+
+
+def _stations(recording: CamRecording) -> Iterator[str]:
+    for station in recording.log.stations()[:MOST_STATIONS]:
+        log = recording.log.of(station)
+        yield f"Station {station}"
+        yield _line("  Messages", f"{len(log)}, {_rate(log)}")
+        yield _line("  Time", _span(log))
+        yield _line("  Place", _place(log))
+        yield _line("  Speed", _range(log.speed_mps, "m/s", 2))
+        yield _line("  Vehicle", _sizes(log.length_m, log.width_m))
+        yield _line("  Accuracy", f"{_sizes(log.semi_major_95_m, log.semi_minor_95_m)}, axes of the 95 % ellipse")
+
+
+def _line(label: str, text: str) -> str:
+    return f"{label:<11}{text}"
+
+
+def _span(log: CamLog) -> str:
+    first, last = int(log.stamps_ns[0]), int(log.stamps_ns[-1])
+    return f"{iso_text(first)} to {iso_text(last)}, {(last - first) / 1e9:.1f} s"
+
+
+def _rate(log: CamLog) -> str:
+    steps_s = np.diff(log.stamps_ns) / 1e9
+    if len(steps_s) == 0:
+        return "a single one"
+    gaps = steps_s[steps_s > MAX_GAP_S]
+    longest = f", the longest {gaps.max():.1f} s" if len(gaps) else ""
+    return f"{1 / np.median(steps_s):.1f} per second (median), {len(gaps)} gaps over {MAX_GAP_S} s{longest}"
+
+
+def _place(log: CamLog) -> str:
+    log = log[np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)]
+    if len(log) == 0:
+        return "never sent"
+    north_m = _METRES_PER_DEG * np.diff(log.latitude_deg)
+    east_m = _METRES_PER_DEG * np.diff(log.longitude_deg) * np.cos(np.radians(log.latitude_deg[1:]))
+    driven_m = float(np.hypot(north_m, east_m).sum())
+    first, last = (f"{log.latitude_deg[i]:.7f}, {log.longitude_deg[i]:.7f}" for i in (0, -1))
+    return f"{first} to {last}, {driven_m:.0f} m driven"
+
+
+def _range(values: FloatArray, unit: str, digits: int) -> str:
+    known = values[np.isfinite(values)]
+    return f"{known.min():.{digits}f} to {known.max():.{digits}f} {unit}" if len(known) else "never sent"
+
+
+def _sizes(length_m: FloatArray, width_m: FloatArray) -> str:
+    """Return the median of what is known of two sizes."""
+    known = [values[np.isfinite(values)] for values in (length_m, width_m)]
+    return " x ".join(f"{np.median(values):.2f} m" if len(values) else "unknown" for values in known)
