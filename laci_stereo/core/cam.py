@@ -11,6 +11,7 @@ from scipy.interpolate import Akima1DInterpolator
 from laci_stereo.core.cam_repair import dimensions, fitting, usual_speed
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.slope import Slope, slope_of
 from laci_stereo.core.world import World
 
 MAX_GAP_S = 1.5
@@ -120,6 +121,10 @@ class VehicleTrack:
         Standard deviations of length and width beyond those of told ones, where they had to be assumed.
     remarks : tuple of str
         What was assumed or left out.
+    slope : Slope or None
+        Of the ground, where altitudes tell one; positions and yaws are then along the ground, not on the level map.
+    altitude_told : bool
+        Without altitudes nothing is known of a slope.
     """
 
     stamps_s: FloatArray
@@ -132,6 +137,8 @@ class VehicleTrack:
     position_sigma_m: float = float("nan")
     guessed_m: tuple[float, float] = (0.0, 0.0)
     remarks: tuple[str, ...] = ()
+    slope: Slope | None = None
+    altitude_told: bool = False
 
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
@@ -203,6 +210,9 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
+    slope = slope_of(xy_reference, log.altitude_m)
+    if slope is not None:
+        xy_reference, yaw = slope.along_ground(xy_reference), slope.yaw_along_ground(yaw)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     return VehicleTrack(
         stamps_s=stamps_s,
@@ -215,6 +225,8 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         position_sigma_m=_position_sigma(log),
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
+        slope=slope,
+        altitude_told=bool(np.isfinite(log.altitude_m).any()),
     )
 
 

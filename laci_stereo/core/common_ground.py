@@ -77,13 +77,16 @@ def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
     yaw = float(np.arctan2(T_own_world_level[1, 0], T_own_world_level[0, 0]))
     shift = _between_worlds(T_own_world_level[None, :2, 3], passage.world, world)[0]
     xy = _between_worlds(passage.vehicle.xy, passage.world, world)
+    slope = passage.vehicle.slope
+    if slope is not None:
+        slope = replace(slope, pivot=_between_worlds(slope.pivot[None], passage.world, world)[0])
     return replace(
         passage,
         world=world,
         ground=ground,
         background=_laid_background(passage.background, T_level_own),
         track=_laid_track(passage.track, T_level_own),
-        vehicle=replace(passage.vehicle, xy=xy),
+        vehicle=replace(passage.vehicle, xy=xy, slope=slope),
         match=PlanarMatch(yaw, shift),
     )
 

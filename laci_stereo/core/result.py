@@ -14,6 +14,7 @@ from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import Method
+from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
@@ -139,6 +140,28 @@ class Calibration:
         """The best rigid transform into UTM around the track, shape (4, 4)."""
         centre_sensor = transform(invert(self.T_world_sensor), self.centre_world[None])[0]
         return self.world.utm_from_sensor(self.T_world_sensor, centre_sensor)
+
+    @property
+    def slope(self) -> Slope | None:
+        """Of the ground, where the messages' altitudes tell one."""
+        return self.vehicle.slope
+
+    @property
+    def T_enu_sensor(self) -> FloatArray | None:
+        """The transform into east, north and up against gravity, shape (4, 4); None where no altitudes were told.
+
+        Its origin is the world's. On a level road it is ``T_world_sensor``.
+        """
+        if self.slope is not None:
+            return self.slope.T_enu_world @ self.T_world_sensor
+        return self.T_world_sensor if self.vehicle.altitude_told else None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was assumed of the messages, left out of them, or is not known from them."""
+        if self.vehicle.altitude_told:
+            return self.vehicle.remarks
+        return (*self.vehicle.remarks, "the messages tell no altitudes, so it is not known whether the road slopes")
 
     @property
     def paper_differs(self) -> tuple[float, float] | None:

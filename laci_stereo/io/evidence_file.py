@@ -26,6 +26,7 @@ from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.sighting import Flaw, Sighting
+from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
@@ -53,6 +54,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "message_stamps_s": ("f", ("messages",)),
     "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
     "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
+    "slope": ("f", (8,)),  # gradient, covariance xx, xy, yy, pivot; all 0 for none; 1 if altitudes were told
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
     "middles": ("f", ("frames", 2)),
@@ -210,6 +212,7 @@ def _to_arrays(passage: Passage) -> Arrays:
         "message_stamps_s": vehicle.stamps_s,
         "message_poses": np.column_stack([vehicle.xy, vehicle.yaw_rad]),
         "vehicle": np.array(size),
+        "slope": _of_slope(vehicle),
         "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
         "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
@@ -219,6 +222,20 @@ def _to_arrays(passage: Passage) -> Arrays:
         "points": np.concatenate([np.zeros((0, 3)), *(each.points for each in sightings)]).astype(np.float32),
         "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
     }
+
+
+def _of_slope(vehicle: VehicleTrack) -> FloatArray:
+    told = float(vehicle.altitude_told)
+    if vehicle.slope is None:
+        return np.append(np.zeros(7), told)
+    slope = vehicle.slope
+    return np.concatenate([slope.gradient, slope.covariance[[0, 0, 1], [0, 1, 1]], slope.pivot, [told]])
+
+
+def _slope(row: npt.NDArray[Any]) -> Slope | None:
+    if not row[:2].any():
+        return None
+    return Slope(row[:2], row[[2, 3, 3, 4]].reshape(2, 2), row[5:7])
 
 
 def _row(box: Box) -> tuple[float, float, float, float, float]:
@@ -252,6 +269,8 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
             reference=(x, y),
             position_sigma_m=sigma_m,
             guessed_m=(guessed[0], guessed[1]),
+            slope=_slope(found["slope"]),
+            altitude_told=bool(found["slope"][7]),
         ),
         station_id=int(found["station_id"]),
         match=PlanarMatch(yaw, np.array([match_x, match_y])),

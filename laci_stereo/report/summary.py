@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from laci_stereo.core.result import Calibration, Quality
 
 LEFT_OUT = {
@@ -43,7 +45,7 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
     lines = [
         ("Sensor", sensor),
         ("Position", place),
-        ("Height", f"{calibration.height_m:.2f} m above the ground"),
+        ("Height", f"{calibration.height_m:.2f} m above the ground{_slope(calibration)}"),
         ("Looks", looks),
         ("Vehicle", f"station {calibration.station_id}, {size}{_others(calibration)}, {_frames(quality)}"),
         ("Background", f"{len(static.boxes)} boxes, from {static.quiet_frames} frames at rest"),
@@ -53,6 +55,14 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
         ("Verdict", ": ".join([quality.verdict.upper(), "; ".join(quality.reasons)]).rstrip(": ")),
     ]
     return "\n".join(f"{name:<11}{text}" for name, text in lines)
+
+
+def _slope(calibration: Calibration) -> str:
+    if calibration.slope is None:
+        return ""
+    x, y = calibration.slope.gradient
+    towards = np.degrees(np.arctan2(y, x))
+    return f", which rises by {100 * np.hypot(x, y):.1f} % towards {towards:.0f} deg counter-clockwise from grid east"
 
 
 def _fit(calibration: Calibration) -> str:

@@ -17,11 +17,15 @@ from hypothesis import strategies as st
 from laci_stereo.core.box import Box
 from laci_stereo.core.errors import EvidenceError, InputError
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 from laci_stereo.io.evidence_file import LAYOUT, Kept, read_evidence, write_evidence
 from tests.report.support import calibration
 
 FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+SLOPE = Slope(np.array([0.05, -0.02]), np.array([[1e-4, 2e-5], [2e-5, 3e-4]]), np.array([4.0, -7.0]))
 
 
 def passage() -> Passage:
@@ -41,7 +45,14 @@ def passage() -> Passage:
             sigma_m=0.02 * i,
             radial_mps=-3.5 if i == 2 else None,
         )
-    vehicle = replace(made.vehicle, reference=(2.2, -0.1), position_sigma_m=0.03, guessed_m=(0.4, 0.0))
+    vehicle = replace(
+        made.vehicle,
+        reference=(2.2, -0.1),
+        position_sigma_m=0.03,
+        guessed_m=(0.4, 0.0),
+        slope=SLOPE,
+        altitude_told=True,
+    )
     return replace(made, track=Track(tuple(sightings)), vehicle=vehicle, time_offset_s=-0.012, name="monday")
 
 
