@@ -19,7 +19,10 @@ lever, the shape, how partial a detector's boxes are, and the knots of the GNSS 
 _CLOCK, _HEADING, _LEVER, _SHAPE = 4, 5, 6, 7
 _PARTIAL = _SHAPE + len(outline.SHAPE)
 _KNOTS = _PARTIAL + 1
-_STEP_S = 0.02
+
+RATE_S = 1.0
+"""Speeds and turning rates are taken over so long before and after: over less, the noise of two messages, 2 cm and
+0.1 deg, would look like a manoeuvre that tells the clocks' offset, and a steady drive tells none."""
 
 TAIL = 4.0
 """So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
@@ -330,19 +333,22 @@ class DriveModel:
     def _poses(self, x: FloatArray) -> _Poses:
         at = self.drive.stamps_s + x[_CLOCK]
         xy, heading, known = self.drive.vehicle.at(at)
-        before, heading_before, known_before = self.drive.vehicle.at(at - _STEP_S)
-        after, heading_after, known_after = self.drive.vehicle.at(at + _STEP_S)
-        both = known_before & known_after
+        first, last = self.drive.vehicle.stamps_s[[0, -1]]
+        earlier, later = (np.clip(at + shift, first, last) for shift in (-RATE_S, RATE_S))
+        before, heading_before, known_before = self.drive.vehicle.at(earlier)
+        after, heading_after, known_after = self.drive.vehicle.at(later)
+        both = known_before & known_after & (later > earlier)
+        passed = np.where(both, later - earlier, 1.0)
         turned, by_lever = self.body.at(at, x[_LEVER])
-        rate = heading_after + self.body.at(at + _STEP_S, x[_LEVER])[0]
-        rate -= heading_before + self.body.at(at - _STEP_S, x[_LEVER])[0]
+        rate = heading_after + self.body.at(later, x[_LEVER])[0]
+        rate -= heading_before + self.body.at(earlier, x[_LEVER])[0]
         return _Poses(
             xy=xy,
             heading=heading,
             yaw=heading + x[_HEADING] + turned,
             by_lever=by_lever,
-            velocity=np.where(both[:, None], after - before, 0.0) / (2 * _STEP_S),
-            yaw_rate=np.where(both, rate, 0.0) / (2 * _STEP_S),
+            velocity=np.where(both[:, None], after - before, 0.0) / passed[:, None],
+            yaw_rate=np.where(both, rate, 0.0) / passed,
             known=known,
         )
 
