@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from laci_stereo.core.cam_repair import dimensions, fitting, usual_speed
+from laci_stereo.core.cam_repair import REAR_AXLE_SHARE, dimensions, fitting, usual_speed
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.slope import Slope, slope_of
@@ -203,7 +204,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     x, y = reference.offset(float(length)).tolist()
-    fits = _fitting(log, world, xy, float(np.hypot(x, y)))
+    fits = _fitting(log, world, xy, [(0.0, 0.0), (x, y), (x - REAR_AXLE_SHARE * float(length), y)])
     if not fits.all():
         left_out = f"{np.count_nonzero(~fits)} of {len(fits)} messages of station {log.station_id[0]} are left out"
         remarks += (f"{left_out}: their positions do not follow from the others by speed and heading",)
@@ -230,7 +231,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     )
 
 
-def _fitting(log: CamLog, world: World, xy: FloatArray, lever_m: float) -> BoolArray:
+def _fitting(log: CamLog, world: World, xy: FloatArray, levers: Sequence[tuple[float, float]]) -> BoolArray:
     """Tell which messages, whose positions are ``xy``, fit one another.
 
     Raises
@@ -240,7 +241,7 @@ def _fitting(log: CamLog, world: World, xy: FloatArray, lever_m: float) -> BoolA
     """
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
-    fits = fitting(stamps_s, xy, yaw, log.speed_mps, lever_m, _position_sigma(log), MAX_GAP_S)
+    fits = fitting(stamps_s, xy, yaw, log.speed_mps, levers, _position_sigma(log), MAX_GAP_S)
     if 2 * np.count_nonzero(fits) < len(fits):
         told = np.nanmedian(log.speed_mps) if np.isfinite(log.speed_mps).any() else float("nan")
         raise CamError(

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from laci_stereo.core.errors import CamError
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 
-TOLD_SIGMA_M = 0.03
-"""Of a position against those before and after it, at the least, where messages tell how exact they are: what receivers
-with corrections tell, 1 to 3 cm, is of their place on the earth; from message to message they move by less."""
+TOLD_SIGMA_M = 0.05
+"""Of a position against those before and after it, at the least, where messages tell how exact they are: receivers with
+corrections tell 1 to 3 cm, and switch between satellites now and then."""
 
 UNTOLD_SIGMA_M = 0.1
 """The same where messages tell nothing: receivers without corrections smooth their positions to that."""
@@ -21,17 +21,18 @@ SPEED_SIGMA_MPS = 0.1
 """Of a speed: ETSI's step is 1 cm/s, wheels and Doppler tell 5 to 10 cm/s."""
 
 DIRECTION_SIGMA_RAD = 0.05
-"""Of the direction of motion against the heading that is told: a body slips by up to 5 deg in a turn."""
+"""Of the direction of motion against the heading that is told: receivers err by 0.5 deg, and the rear axle's place is
+guessed, which makes 3 deg in a tight bend."""
+
+REAR_AXLE_SHARE = -0.3
+"""Where the rear axle is, from the middle, over the length: cars and buses alike."""
 
 PASSED_OVER = -math.log(0.1)
 """What it costs to take a message for wrong: in a log that is worth anything nine of ten are right."""
 
 JUMPED = -math.log(0.002)
 """What it costs to take a step for a jump: one in five hundred, which is one in a minute. It is 3.5 sigma, so that a
-tenth of a second at 10 m/s leaves 0.26 m where exactness is told, and 0.54 m where not."""
-
-TIGHTEST_M = 5.0
-"""Radius of the tightest bend: turning circles of passenger cars are 10 m and more."""
+tenth of a second at 10 m/s leaves 0.3 m where exactness is told, and 0.5 m where not."""
 
 NEIGHBOURS = 5
 """Messages on either side whose median tells a speed that is not sent, in spite of some that are wrong."""
@@ -57,7 +58,7 @@ def fitting(
     xy: FloatArray,
     yaw_rad: FloatArray,
     speed_mps: FloatArray,
-    lever_m: float,
+    levers: Sequence[tuple[float, float]],
     sigma_m: float,
     longest_s: float,
 ) -> BoolArray:
@@ -77,8 +78,9 @@ def fitting(
         Directions that were told; NaN where none was. Whoever reverses may tell the opposite one.
     speed_mps : ndarray, shape (n,)
         NaN where none was told.
-    lever_m : float
-        From the middle of the vehicle to the point whose position is told: in a bend that goes elsewhere than ahead.
+    levers : sequence of tuple of float
+        To the point whose position is told, vehicle frame, from those that may go where the heading points in a bend:
+        the rear axle or the middle where a body's yaw is told, the point itself, (0, 0), where its own direction is.
     sigma_m : float
         What the messages tell of their positions; NaN where nothing.
     longest_s : float
@@ -90,15 +92,14 @@ def fitting(
     velocity = np.where(onwards < 0.0, -speed, speed)[:, None] * direction
     white = np.sqrt(2.0) * (max(TOLD_SIGMA_M, sigma_m) if np.isfinite(sigma_m) else UNTOLD_SIGMA_M)
 
+    points = np.stack([xy - rotate_xy(yaw_rad, np.tile(lever, (len(xy), 1))) for lever in levers])
+
     def strain(i: int, j: IntArray) -> FloatArray:
         """Return how much less likely it is that i follows from each of j than in the best case."""
-        passed = stamps_s[i] - stamps_s[j]
-        way, fast = xy[i] - xy[j], (speed[i] + speed[j]) / 2
-        off = np.linalg.norm(way - (velocity[i] + velocity[j]) / 2 * passed[:, None], axis=1)
-        off = np.where(np.isfinite(off), off, np.abs(np.linalg.norm(way, axis=1) - fast * passed))
-        turned = np.abs((yaw_rad[i] - yaw_rad[j] + np.pi / 2) % np.pi - np.pi / 2)
-        swing = lever_m * np.fmin(turned, fast * passed / TIGHTEST_M)
-        off = np.maximum(off - swing, 0.0)
+        passed, fast = stamps_s[i] - stamps_s[j], (speed[i] + speed[j]) / 2
+        expected = (velocity[i] + velocity[j]) / 2 * passed[:, None]
+        off = np.fmin.reduce(np.linalg.norm(points[:, i, None] - points[:, j] - expected, axis=2))
+        off = np.where(np.isfinite(off), off, np.abs(np.linalg.norm(xy[i] - xy[j], axis=1) - fast * passed))
         squared: FloatArray = (off / np.hypot(white, (SPEED_SIGMA_MPS + DIRECTION_SIGMA_RAD * fast) * passed)) ** 2
         return squared / 2
 

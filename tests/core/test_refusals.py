@@ -1,0 +1,143 @@
+"""What a drive leaves open is refused, and what its messages get wrong is said: each brought about by a scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.cam import CENTRE, CamLog
+from laci_stereo.core.errors import CamError, MatchError, OpenError
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
+from tests.core.test_calibrate import errors
+from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, cam_log, car, lidar, scene
+
+UNKNOWN_CLOCK = replace(
+    Settings(), match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0)
+)  # fmt: skip
+TURNING, STEADY = scene(LEFT_TURN, lidar()), scene(STRAIGHT, lidar())
+BRAKING = scene(replace(STRAIGHT, speeds=((0.0, 8.0), (2.0, 8.0), (4.0, 5.0))), lidar(), last_s=7.0)
+SLOWING = scene(replace(STRAIGHT, speeds=((0.0, 8.0), (2.0, 8.0), (4.0, 7.2))), lidar(), last_s=6.5)
+
+
+def late(log: CamLog, by_s: float) -> CamLog:
+    return replace(log, stamps_ns=log.stamps_ns + round(by_s * 1e9))
+
+
+def follower(length: float) -> Scene:
+    """A steady drive with another car 15 m behind at the same speed."""
+    behind = Drive((22.0, 37.0), -90.0, speeds=((0.0, 8.0),))
+    return scene(STRAIGHT, lidar(), others=[car(behind, length)])
+
+
+def covered(made: Scene, found: Calibration) -> None:
+    """The truth is within three sigma."""
+    error = errors(made, found)
+    assert error.track_xy_m < 3.0 * found.quality.track_xy_sigma_m
+    assert abs(error.yaw_deg) < 3.0 * found.quality.yaw_sigma_deg
+
+
+def reason(found: Calibration, part: str) -> str:
+    """The one reason for doubt that holds these words."""
+    assert found.quality.verdict == "warn"
+    (line,) = (line for line in found.quality.reasons if part in line)
+    return line
+
+
+# refused
+
+
+def test_a_steady_drive_does_not_tell_the_clock() -> None:
+    with pytest.raises(OpenError, match=r"weakest along the drive .* the clocks' offset, known to \d+ ms"):
+        calibrate(STEADY.recording, STEADY.messages, UNKNOWN_CLOCK)
+
+
+@pytest.mark.parametrize("by_s", [-0.3, 0.0, 0.3])
+@pytest.mark.parametrize("made", [BRAKING, SLOWING], ids=["brakes", "slows by a tenth"])
+def test_a_change_of_speed_does(made: Scene, by_s: float) -> None:
+    found = calibrate(made.recording, late(made.messages, by_s), UNKNOWN_CLOCK)
+    covered(made, found)
+    assert abs(found.time_offset_s - by_s) < 3.0 * found.time_sigma_s
+    assert found.time_sigma_s < 0.1
+
+
+def test_one_that_follows_at_the_same_speed_cannot_be_told_apart() -> None:
+    made = follower(4.4)
+    with pytest.raises(MatchError, match=r"two moving objects, .* fit equally well .* name the sender's station"):
+        calibrate(made.recording, made.messages)
+
+
+def test_unless_it_is_of_another_length() -> None:
+    made = follower(4.0)
+    found = calibrate(made.recording, made.messages)
+    covered(made, found)
+    assert errors(made, found).track_xy_m < 0.3
+
+
+def test_a_drive_that_is_seen_from_ahead_only() -> None:
+    towards = scene(Drive((60.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(), last_s=4.0)
+    with pytest.raises(MatchError, match=r"the vehicle's outline is seen in \d frames .* needed are 10"):
+        calibrate(towards.recording, towards.messages)
+
+
+def test_a_body_that_is_not_the_vehicles() -> None:
+    # The whole side is seen, and it is 0.6 m shorter than was told.
+    told = cam_log(ULM, STEADY.vehicle, 6.0, reference=(0.0, 0.0))
+    with pytest.raises(MatchError, match=r"station 42 fits one of 1 moving objects, .* but that may be by chance"):
+        calibrate(STEADY.recording, replace(told, length_m=told.length_m + 0.6), reference=CENTRE)
+
+
+def test_messages_that_contradict_one_another() -> None:
+    log = TURNING.messages
+    with pytest.raises(CamError, match="contradict one another"):
+        calibrate(TURNING.recording, replace(log, speed_mps=3.6 * log.speed_mps))
+
+
+# said
+
+
+def test_clocks_that_are_farther_apart_than_was_said() -> None:
+    found = calibrate(TURNING.recording, late(TURNING.messages, 0.1))
+    assert "where 10 ms were expected: --clock unknown" in reason(found, "the clocks are")
+    covered(TURNING, found)
+
+
+@pytest.mark.parametrize("off_deg", [-4.0, 4.0])
+def test_a_heading_that_is_not_the_bodys(off_deg: float) -> None:
+    log = TURNING.messages
+    found = calibrate(TURNING.recording, replace(log, heading_deg=(log.heading_deg + off_deg) % 360.0))
+    told = reason(found, "heading")
+    assert abs(float(told.split()[4]) - off_deg) < 1.0
+    covered(TURNING, found)
+
+
+def test_a_length_that_is_wrong() -> None:
+    told = cam_log(ULM, STEADY.vehicle, 6.0, reference=(0.0, 0.0))
+    found = calibrate(STEADY.recording, replace(told, length_m=told.length_m - 0.6), reference=CENTRE)
+    assert "+0.6" in reason(found, "the vehicle's length is")
+    covered(STEADY, found)
+
+
+def test_dimensions_that_were_not_told() -> None:
+    log = TURNING.messages
+    nothing = np.full(len(log), np.nan)
+    found = calibrate(TURNING.recording, replace(log, length_m=nothing, width_m=nothing))
+    covered(TURNING, found)
+    assert [("length" in line, "width" in line) for line in found.remarks[:2]] == [(True, False), (False, True)]
+
+
+def test_positions_that_are_wrong() -> None:
+    log, rng = TURNING.messages, np.random.default_rng(0)
+    wrong = rng.random(len(log)) < 0.3
+    off_deg = np.where(wrong, rng.uniform(-1e-4, 1e-4, len(log)), 0.0)
+    found = calibrate(TURNING.recording, replace(log, latitude_deg=log.latitude_deg + off_deg))
+    covered(TURNING, found)
+    assert f"of {len(log)} messages of station 42 are left out" in found.remarks[0]
+
+
+def test_messages_that_are_lost() -> None:
+    log = TURNING.messages
+    covered(TURNING, calibrate(TURNING.recording, log[np.random.default_rng(0).random(len(log)) < 0.5]))
