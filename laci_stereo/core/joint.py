@@ -18,6 +18,9 @@ from laci_stereo.core.settings import JointSettings
 SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
 """Extra standard deviation in the first iterations: from beyond the error of a box's centre down to the noise."""
 
+FIRST_STEPS, FOLLOWED = 3, 4
+"""After so many steps a good start is within half a metre, so that the best few of all are followed further."""
+
 MAX_ITERATIONS = 40
 ROUNDS = 3
 SETTLING = 3
@@ -112,7 +115,7 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings)
-    _, best = max((thinned.descend(x) for x in _starts(thinned, offsets)), key=lambda found: found[0])
+    best = thinned.best_of(_starts(thinned, offsets))
     problem = _Problem([drive.thinned(FINE_ROWS) for drive in drives], begin, centre, settings)
     return _fit(problem, problem.solve(best), centre)
 
@@ -129,8 +132,7 @@ def fit_roughly(
     centre = drive.middles.mean(axis=0)
     problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings or JointSettings())
     turned = [x for x in _starts(problem, [time_offset_s]) if np.allclose(x[1:3], problem.mean[1:3])]
-    _, best = max((problem.descend(x) for x in turned), key=lambda found: found[0])
-    return _fit(problem, problem.solve(best), centre)
+    return _fit(problem, problem.solve(problem.best_of(turned)), centre)
 
 
 def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
@@ -187,14 +189,20 @@ class _Problem:
             x[own.start] = offset
         return x
 
-    def descend(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Approach from a rough start, and tell how likely the place is that is reached."""
+    def best_of(self, starts: Sequence[FloatArray]) -> FloatArray:
+        """Approach from rough starts, from those that come closest all the way, and return the likeliest end."""
+        closest = sorted((self._descend(x, SOFTENING_M[:FIRST_STEPS]) for x in starts), key=lambda found: -found[0])
+        ends = [self._descend(x, SOFTENING_M[FIRST_STEPS:]) for _, x in closest[:FOLLOWED]]
+        return max(ends, key=lambda found: found[0])[1]
+
+    def _descend(self, x: FloatArray, softening_m: Sequence[float]) -> tuple[float, FloatArray]:
+        """Take a step at each softness, and tell how likely the place is that is reached."""
         shares = [model.shares() for model in self.models]
-        for soft in SOFTENING_M:
+        for soft in softening_m:
             information, gradient, fitness = self._sum(x, soft, shares)
             x = x - np.linalg.solve(information, gradient)
             shares = [each.shares for each in fitness]
-        _, _, fitness = self._sum(x, SOFTENING_M[-1], shares)
+        _, _, fitness = self._sum(x, softening_m[-1], shares)
         return self._value(x, fitness), x
 
     def solve(self, x: FloatArray) -> _Solved:
