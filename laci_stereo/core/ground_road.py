@@ -37,9 +37,12 @@ FALSE_ALARM = 0.05
 """Probability that a ground is replaced although it is the road: that costs accuracy, and to take land for the road
 costs more."""
 
-CROWN_RAD = np.radians(0.4)
-"""By how much a lane may be tilted against its carriageway, one standard deviation: roads fall by 2.5 % = 1.4 deg on
-either side of the crown, of which a strip that is wider than the lane has less than half."""
+FALL_RAD = float(np.arctan(0.025)) / np.sqrt(3.0)
+"""How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation. Of
+a plane that nothing else was held against nobody knows which side it is of, or whether of both."""
+
+CROWN_RAD = FALL_RAD / 2.0
+"""By how much a lane may be tilted against its carriageway: a strip that is wider than the lane has less than half."""
 
 
 def road_ground(
@@ -62,7 +65,8 @@ def road_ground(
     """
     way = _places(track)
     chart = Chart.around(ground)
-    crown = _crown(chart, ground, axes, way.mean(axis=0))
+    fall = _turned_by(FALL_RAD, chart, ground, axes, way.mean(axis=0))
+    crown = (CROWN_RAD / FALL_RAD) ** 2 * fall
     whole = chart.covariance(ground)
     road = _along(way, survey, ground.T_level_sensor(axes), axes, settings)
     turned = 1.0
@@ -72,9 +76,9 @@ def road_ground(
         off = of_road - value
         if off @ np.linalg.solve(whole + strip + crown, off) > chdtri(3, FALSE_ALARM):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
-            return chart.plane(of_road, strip + crown)
+            return chart.plane(of_road, strip + fall)
         turned = min(1.0, float(np.linalg.norm(off[:2])) / CROWN_RAD)
-    doubt = whole + turned**2 * crown
+    doubt = whole + turned**2 * fall
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
 
 
@@ -111,12 +115,12 @@ def _along(
     return None
 
 
-def _crown(chart: Chart, ground: GroundPlane, axes: Axes, middle: FloatArray) -> FloatArray:
-    """Return the covariance of a strip's plane that is turned about the middle of the way, in the chart."""
+def _turned_by(angle_rad: float, chart: Chart, ground: GroundPlane, axes: Axes, middle: FloatArray) -> FloatArray:
+    """Return the covariance of a plane that is turned by some angle about the middle of the way, in the chart."""
     R = ground.T_level_sensor(axes)[:3, :3]
     by = np.zeros((3, 2))
     for axis in range(2):
         by[:2, axis] = chart.across.T @ np.cross(ground.normal, R[axis])
     by[2] = -middle[1], middle[0]
-    crown: FloatArray = CROWN_RAD**2 * by @ by.T
-    return crown
+    turned: FloatArray = angle_rad**2 * by @ by.T
+    return turned

@@ -180,7 +180,7 @@ def judge(placement: Placement, ground_covariance: FloatArray, track: Track, set
     checks = [
         ("position along the track", doubt.track_xy_m, "m", settings.max_sigma_m),
         ("yaw", yaw_deg, "deg", settings.max_sigma_deg),
-        ("tilt", tilt_deg, "deg", settings.max_sigma_deg),
+        ("tilt", tilt_deg, "deg", 2.0 * settings.max_sigma_deg),
     ]
     reasons = tuple(
         f"{what} is known to {value:.3g} {unit}; the limit is {limit:.3g} {unit}"

@@ -158,10 +158,8 @@ class Calibration:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was assumed of the messages, left out of them, or is not known from them."""
-        if self.vehicle.altitude_told:
-            return self.vehicle.remarks
-        return (*self.vehicle.remarks, "the messages tell no altitudes, so it is not known whether the road slopes")
+        """What was assumed of the messages, or left out of them."""
+        return self.vehicle.remarks
 
     @property
     def paper_differs(self) -> tuple[float, float] | None:

@@ -195,7 +195,7 @@ class MatchSettings:
     min_frames : int
         Frames in which the vehicle must be seen and its position be known.
     min_path_m : float
-        The vehicle must move by this much while it is seen.
+        The vehicle must move by this much while it is seen: by its own length, which nothing that wobbles does.
     min_explained : float
         Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
         where the tracks happen to cross.
@@ -217,7 +217,7 @@ class MatchSettings:
 
     min_vector_m: float = 10.0
     min_frames: int = 10
-    min_path_m: float = 10.0
+    min_path_m: float = 5.0
     min_explained: float = 0.5
     clear_log_odds: float = math.log(100.0)
     least_log_odds: float = math.log(3.0)
@@ -271,7 +271,8 @@ class QualitySettings:
         Up to this standard deviation along the track the verdict is a pass: half a lane's width would put a vehicle
         into the wrong lane, and three sigma must stay below it.
     max_sigma_deg : float
-        The same for angles: three sigma shift an object 60 m away by half a lane.
+        The same for the yaw: three sigma shift an object 60 m away by half a lane. A tilt may be known half as well: it
+        lifts objects, and moves them by its share of the sensor's height only.
     fail_factor : float
         Beyond this multiple of a limit the verdict is a fail, in between a warning.
     open_m : float

@@ -306,8 +306,9 @@ ROUND = Drive((0.0, 0.0), 0.0, ((200.0, 955.0),), ((0.0, 7.0),))
 
 def test_a_vehicle_that_reverses_is_found_by_its_path() -> None:
     right = seen(BACK_AND_FORTH, noise_m=0.05)
-    assert np.linalg.norm(np.ptp(right.centres, axis=0)) < MatchSettings().min_path_m
-    assert choose_track([right, seen(STEADY, seed=1)], {42: vehicle(BACK_AND_FORTH)}).track is right
+    settings = MatchSettings(min_path_m=10.0)
+    assert np.linalg.norm(np.ptp(right.centres, axis=0)) < settings.min_path_m
+    assert choose_track([right, seen(STEADY, seed=1)], {42: vehicle(BACK_AND_FORTH)}, settings).track is right
 
 
 def test_a_vehicle_that_hardly_moves_while_it_is_seen() -> None:
@@ -315,7 +316,7 @@ def test_a_vehicle_that_hardly_moves_while_it_is_seen() -> None:
     with pytest.raises(
         TrackError, match=r"the vehicle of station 42 moves \d\.\d m while it is seen; needed are 10\.0 m"
     ):
-        choose_track([brief], {42: vehicle()}, MatchSettings(least_log_odds=-math.inf))
+        choose_track([brief], {42: vehicle()}, MatchSettings(least_log_odds=-math.inf, min_path_m=10.0))
 
 
 def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:

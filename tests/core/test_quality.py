@@ -187,9 +187,9 @@ def test_verdict(position: float, yaw_deg: float, expected: str, reasons: int) -
 
 
 def test_a_doubtful_tilt_is_named() -> None:
-    quality = verdict(of(0.1, 0.0, 10.0), np.diag([*np.radians([0.6, 0.1]), 0.02]) ** 2)
+    quality = verdict(of(0.1, 0.0, 10.0), np.diag([*np.radians([1.2, 0.1]), 0.02]) ** 2)
     assert quality.verdict == "warn"
-    assert quality.reasons == ("tilt is known to 0.6 deg; the limit is 0.5 deg",)
+    assert quality.reasons == ("tilt is known to 1.2 deg; the limit is 1 deg",)
     assert quality.height_sigma_m == pytest.approx(0.02)
 
 
