@@ -7,11 +7,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 import cv2
 
+from laci_stereo.check.describe import check_document, check_line
+from laci_stereo.check.images import Checked
+from laci_stereo.check.lanes import MAP_SIGMA_M
+from laci_stereo.check.result import Checking, not_checked
 from laci_stereo.core.calibrate import calibrate, world_around
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint
 from laci_stereo.core.cloud import PointCloudSource
@@ -20,13 +25,18 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.calibration_file import Provenance, to_document, to_text
-from laci_stereo.io.cam_csv import read_cam_csv
+from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.evidence_file import Kept, write_evidence
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE, result_folder
 from laci_stereo.io.overlap import check_overlap
+from laci_stereo.report.overlay import overlay_stamps
+from laci_stereo.report.page import MOMENTS, Made, Photograph, Photographs, write_page
 from laci_stereo.report.summary import summarise
 from laci_stereo.report.topdown import draw_topdown
+from laci_stereo.stereo.recording import StereoRecording
+
+PAGE_FILE = "report.html"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +118,7 @@ def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], optio
     ------
     CamError, MapError
     """
-    recorded = read_cam_csv(cam)
+    recorded = read_cam_log(cam)
     messages = _of_station(recorded.log, options.station, cam)
     with _naming(cam):
         check_overlap(messages, *span_ns)
@@ -147,6 +157,8 @@ class Task(ABC):
         What was read, in words.
     draw : callable
         The sensor's own pictures.
+    check : callable
+        Whether the map's lines lie on the road's.
     """
 
     drive: Drive
@@ -154,6 +166,7 @@ class Task(ABC):
     provenance: Provenance
     inputs: str
     draw: Drawing
+    check: Checking = not_checked
 
     @abstractmethod
     def calibrate(self, watch: Watch) -> Calibration:
@@ -242,6 +255,9 @@ class Origin(Protocol):
     def draw(self, calibration: Calibration, /) -> Iterator[tuple[str, Raster]]:
         """Draw the sensor's own pictures, each with its file name."""
 
+    def check(self, calibration: Calibration, /) -> Checked | None:
+        """Hold the map against what the sensor saw, where both are there."""
+
 
 @dataclass(frozen=True)
 class Result:
@@ -258,12 +274,25 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """Ten lines that a person understands."""
+        """Ten lines that a person understands, and one on the lanes where there is a map."""
         provenance = self.job.provenance
-        return summarise(self.calibration, f"{provenance.name} ({provenance.frame})", self.job.read)
+        words = summarise(self.calibration, f"{provenance.name} ({provenance.frame})", self.job.read)
+        return words if self.lanes is None else f"{words}\n{'Lanes':<11}{check_line(self.lanes.check)}"
 
-    def save(self, out: Path | str = "calibration", *, overwrite: bool = False) -> Path:
-        """Write calibration.json and the pictures into a folder, as a whole or not at all.
+    @cached_property
+    def lanes(self) -> Checked | None:
+        """Whether the map's lines lie on the road's; it never enters the estimate."""
+        return self.job.check(self.calibration)
+
+    def save(self, out: Path | str = "calibration", *, overwrite: bool = False, command: str | None = None) -> Path:
+        """Write calibration.json, the report and the pictures into a folder, as a whole or not at all.
+
+        Parameters
+        ----------
+        out : path
+        overwrite : bool
+        command : str or None
+            The command line that asked for it, for the report.
 
         Returns
         -------
@@ -276,10 +305,25 @@ class Result:
             If the folder exists (and is no result, or ``overwrite`` is False), or cannot be written.
         """
         out = Path(out)
-        provenance = replace(self.job.provenance, notes=self.job.provenance.notes + self.job.skipped)
-        text = to_text(to_document(self.calibration, provenance))
+        masked = _mask_words(self.job)
+        notes = self.job.provenance.notes + self.calibration.remarks + self.job.skipped
+        notes += tuple(f"vehicle mask: {sentence}" for sentence in masked)
+        provenance = replace(self.job.provenance, notes=notes)
+        lanes = None if self.lanes is None else check_document(self.lanes.check, MAP_SIGMA_M)
+        document = to_document(self.calibration, provenance, lanes)
+        made = Made(
+            provenance=self.job.provenance,
+            read=self.job.read,
+            skipped=self.job.skipped,
+            lane_map=self.job.lane_map,
+            photographs=_photographs(self.job, self.calibration),
+            command=command,
+            check=None if self.lanes is None else self.lanes.picture,
+            mask=masked,
+        )
         with result_folder(out, overwrite=overwrite) as folder:
-            (folder / RESULT_FILE).write_text(text, encoding="utf-8")
+            (folder / RESULT_FILE).write_text(to_text(document), encoding="utf-8")
+            (folder / PAGE_FILE).write_text(write_page(self.calibration, document, made), encoding="utf-8")
             for name, picture in self.pictures():
                 _write_picture(folder / name, picture)
             kept = Kept(
@@ -296,11 +340,37 @@ class Result:
         """Draw the view from above and the sensor's own pictures, each with its file name."""
         yield "topdown.png", draw_topdown(self.calibration, self.job.lane_map)
         yield from self.job.draw(self.calibration)
+        if self.lanes is not None:
+            yield "check.png", self.lanes.picture
+
+
+def _photographs(job: Origin, calibration: Calibration) -> Photographs | None:
+    """Return some images of the drive, where the sensor takes images."""
+    if not isinstance(job, Job) or not isinstance(job.recording, StereoRecording):
+        return None
+    recording = job.recording
+    epoch_ns = recording.span_ns[0]
+    shots = []
+    for stamp_s in overlay_stamps(calibration, MOMENTS):
+        pair = min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
+        shots.append(Photograph(stamp_s, recording.reader.colour(pair.left), recording.mask_rays(pair.stamp_ns)))
+    return Photographs(recording.rig.left, tuple(shots))
+
+
+def _mask_words(job: Origin) -> tuple[str, ...]:
+    """Say what a vehicle mask did, where there is one."""
+    if not isinstance(job, Job) or not isinstance(job.recording, StereoRecording) or job.recording.mask is None:
+        return ()
+    return job.recording.mask.tally.sentences()
 
 
 def sha256(path: Path) -> str:
-    """Return a file's SHA-256 in hexadecimal digits."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Return a file's SHA-256 in hexadecimal digits; of a folder, that of its files one after the other."""
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 @contextmanager

@@ -556,20 +556,32 @@ def read_terminal(terminal: int) -> bytes:
         return b""
 
 
-SUMMARY = ("Sensor", "Position", "Height", "Looks", "Vehicle", "Background", "Fit", "Doubt", "Input", "Verdict")
+SUMMARY = (
+    "Sensor",
+    "Position",
+    "Height",
+    "Looks",
+    "Vehicle",
+    "Background",
+    "Fit",
+    "Doubt",
+    "Input",
+    "Verdict",
+    "Lanes",
+)
 
 
-def test_it_ends_with_a_summary_of_ten_lines(demonstration: Finished) -> None:
+def test_it_ends_with_a_summary_of_eleven_lines(demonstration: Finished) -> None:
     assert (demonstration.ran.code, demonstration.ran.err) == (0, "")
     *summary, written = demonstration.ran.out.splitlines()
     assert tuple(line.split()[0] for line in summary) == SUMMARY
-    assert written.startswith("Written    calibration: calibration.json, evidence.npz, overlay_1.png")
+    assert written.startswith("Written    calibration: calibration.json, check.png, evidence.npz, overlay_1.png")
 
 
 def test_the_result_holds_what_the_schema_and_the_readme_say(demonstration: Finished) -> None:
     names = sorted(path.name for path in demonstration.out.iterdir())
     overlays = [name for name in names if name.startswith("overlay_")]
-    assert names == ["calibration.json", "evidence.npz", *overlays, "topdown.png"]
+    assert names == ["calibration.json", "check.png", "evidence.npz", *overlays, "report.html", "topdown.png"]
     assert len(overlays) >= 2
     for name in overlays:
         picture = cv2.imread(str(demonstration.out / name))

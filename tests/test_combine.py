@@ -60,7 +60,12 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     runs = [site.lay(number) for number in range(3)]
     ran = run(site.arguments(runs), site.root)
     assert ran.code == 0, ran
-    assert sorted(path.name for path in site.out.iterdir()) == ["calibration.json", "evidence.npz", "topdown.png"]
+    assert sorted(path.name for path in site.out.iterdir()) == [
+        "calibration.json",
+        "evidence.npz",
+        "report.html",
+        "topdown.png",
+    ]
     document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
     Draft202012Validator(schema()).validate(document)
     assert document["method"] == "joint"

@@ -17,6 +17,7 @@ from jsonschema import Draft202012Validator
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, planar, rotate_xy
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.slope import Slope
 
 Document: TypeAlias = dict[str, Any]
 """JSON, as the standard library reads and writes it."""
@@ -72,8 +73,8 @@ def validate(document: object) -> None:
         raise CalibrationFileError(f"calibration.json: {problems[0].json_path}: {problems[0].message}")
 
 
-def to_document(calibration: Calibration, provenance: Provenance) -> Document:
-    """Write a result as JSON."""
+def to_document(calibration: Calibration, provenance: Provenance, lane_check: Document | None = None) -> Document:
+    """Write a result as JSON; ``lane_check`` is what the map's lines say of it, where that was asked."""
     quality, angles = calibration.quality, calibration.viewing_angles
     document: Document = {
         "schema": "laci-calibration/1",
@@ -88,6 +89,8 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
         },
         "T_world_sensor": calibration.T_world_sensor.tolist(),
         "T_utm_sensor": calibration.T_utm_sensor.tolist(),
+        "T_enu_sensor": None if calibration.T_enu_sensor is None else calibration.T_enu_sensor.tolist(),
+        "slope": _slope(calibration.slope),
         "height_m": calibration.height_m,
         "euler_deg": {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg},
         "time_offset_s": calibration.time_offset_s,
@@ -112,7 +115,8 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
             "left_out": dict(quality.left_out),
         },
         "paper": _paper(calibration),
-        "background_boxes": _boxes_in_world(calibration),
+        "background_boxes": boxes_in_world(calibration),
+        "lane_check": lane_check,
         "inputs": dict(provenance.inputs),
         "notes": list(provenance.notes),
         "config": dict(provenance.config),
@@ -121,6 +125,16 @@ def to_document(calibration: Calibration, provenance: Provenance) -> Document:
         document["T_world_rectified"] = (calibration.T_world_sensor @ provenance.T_sensor_rectified).tolist()
     validate(document)
     return document
+
+
+def _slope(slope: Slope | None) -> Document | None:
+    if slope is None:
+        return None
+    return {
+        "gradient": slope.gradient.tolist(),
+        "covariance": slope.covariance.tolist(),
+        "pivot_world": slope.pivot.tolist(),
+    }
 
 
 def _paper(calibration: Calibration) -> Document | None:
@@ -136,7 +150,7 @@ def _paper(calibration: Calibration) -> Document | None:
     }
 
 
-def _boxes_in_world(calibration: Calibration) -> list[list[float]]:
+def boxes_in_world(calibration: Calibration) -> list[list[float]]:
     """Return each background box as centre x, centre y, length, width, yaw, height."""
     match = calibration.match
     return [

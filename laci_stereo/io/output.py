@@ -17,7 +17,7 @@ RESULT_FILE = "calibration.json"
 EVIDENCE_FILE = "evidence.npz"
 """What a result keeps of its drive, so that it can be estimated again together with others."""
 
-RESULT_FILES = (RESULT_FILE, EVIDENCE_FILE, "overlay_*.png", "topdown.png")
+RESULT_FILES = (RESULT_FILE, EVIDENCE_FILE, "check.png", "overlay_*.png", "report.html", "topdown.png")
 """All that a result holds; a folder that holds more is not replaced either, or that would be lost."""
 
 
@@ -56,6 +56,23 @@ def _check_replaceable(out: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{out}: holds {foreign[0]}, which is no part of a result; needed is another --out")
     if not overwrite:
         raise OutputError(f"{out}: holds a result already; needed is another --out, or --overwrite to replace it")
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file as a whole, or leave what stood there.
+
+    Raises
+    ------
+    OutputError
+    """
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.absolute().parent, prefix=f".{path.name}.", delete=False) as stream:
+            temporary = Path(stream.name)
+            stream.write(content)
+        temporary.chmod(0o644)  # the temporary file's own is for the user alone
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); nothing was changed") from error
 
 
 def _existing_parent(out: Path) -> Path:

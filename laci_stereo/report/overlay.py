@@ -6,42 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.frames import FloatArray, Raster, invert, transform
+from laci_stereo.core.frames import FloatArray, Raster, invert
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.sighting import Sighting
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, emptiest_corner, touches
 from laci_stereo.report.drawn import (
-    T_world_level,
     known_stamps,
     on_ground,
-    plan_in_world,
-    sender_box,
     sender_track,
     sensor_track,
-    sighting_at,
 )
+from laci_stereo.report.scene import GRID_AHEAD, GRID_M, grid_places, ground_grid, vehicle_edges
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke, lane_strokes
-
-GRID_M = 10.0
-GRID_AHEAD = np.arange(0.0, 61.0, GRID_M)
-GRID_ASIDE_M = 40.0
-"""The grid ends where its squares become flat lines."""
 
 GRID_SHARE = 0.55
 LANE_WIDTH, SENDER_WIDTH, SENSOR_WIDTH, DOT_RADIUS = 2.6, 4.6, 2.2, 3.2
 """Units. The sensor's box is thinner than the sender's, which is below it: so both show where they agree."""
-
-NOMINAL_HEIGHT_M = 1.5
-"""Messages do not tell a vehicle's height; this is a passenger car's."""
-
-HIGHEST_SHARE = 0.98
-"""Of a sighting's points, this share is below the box's roof: single points that hover over it are mismatches."""
-
-HEADING_M = 2.0
-"""How far the line that tells front from rear sticks out ahead of the box."""
 
 PANEL_SHARE = 0.62
 """How far a panel behind type darkens the image."""
@@ -57,12 +39,15 @@ SENDER = Stroke(VERMILLION, SENDER_WIDTH)
 SENSOR = Stroke(SKY_BLUE, SENSOR_WIDTH)
 LANE = Stroke(YELLOW, LANE_WIDTH)
 
-BOX_EDGES = [(i, (i + 1) % 4) for i in range(4)] + [(i + 4, (i + 1) % 4 + 4) for i in range(4)]
-BOX_EDGES += [(i, i + 4) for i in range(4)]
 
+def overlay_stamps(calibration: Calibration, moments: Sequence[float] = MOMENTS) -> list[float]:
+    """Choose the frames to draw: spread over the time in which the vehicle was seen and used.
 
-def overlay_stamps(calibration: Calibration) -> list[float]:
-    """Choose the frames to draw: with the vehicle early, near the middle and late in the track that was used.
+    Parameters
+    ----------
+    calibration : Calibration
+    moments : sequence of float
+        Where in that time, from 0 to 1.
 
     Returns
     -------
@@ -73,7 +58,7 @@ def overlay_stamps(calibration: Calibration) -> list[float]:
     stamps_s = known_stamps(calibration)
     if len(stamps_s) == 0:
         return []
-    wanted = stamps_s[0] + np.array(MOMENTS) * (stamps_s[-1] - stamps_s[0])
+    wanted = stamps_s[0] + np.array(moments) * (stamps_s[-1] - stamps_s[0])
     nearest = np.abs(stamps_s[:, None] - wanted).argmin(axis=0)
     return [float(stamp_s) for stamp_s in stamps_s[np.unique(nearest)]]
 
@@ -125,20 +110,15 @@ def _draw_lanes(canvas: Canvas, camera: Camera, lane_map: LaneMap | None) -> lis
 
 def _draw_grid(canvas: Canvas, camera: Camera, calibration: Calibration) -> None:
     """Draw squares on the ground, counted from the point under the sensor."""
-    aside = np.arange(-GRID_ASIDE_M, GRID_ASIDE_M + GRID_M / 2, GRID_M)
-    ends = [((x, aside[0], 0.0), (x, aside[-1], 0.0)) for x in GRID_AHEAD]
-    ends += [((GRID_AHEAD[0], y, 0.0), (GRID_AHEAD[-1], y, 0.0)) for y in aside]
-    T = T_world_level(calibration)
     with canvas.faint(GRID_SHARE):
-        canvas.lines([p for end in ends for p in camera.project_line(transform(T, np.array(end)))], GRID)
+        canvas.lines([piece for line in ground_grid(calibration) for piece in camera.project_line(line)], GRID)
 
 
 def _label_grid(
     canvas: Canvas, camera: Camera, calibration: Calibration, bottom: float, avoid: Sequence[FloatArray]
 ) -> None:
     """Write how far ahead the grid's lines are, except where there is no room or the vehicle is."""
-    axis = on_ground(np.column_stack([GRID_AHEAD, np.zeros(len(GRID_AHEAD))]))
-    places = camera.project(transform(T_world_level(calibration), axis))
+    places = camera.project(grid_places(calibration))
     room = LINE_HEIGHT * TEXT * canvas.unit_px
     for distance, (x, y) in zip(GRID_AHEAD, places, strict=True):
         text = f"{distance:.0f} m"
@@ -161,33 +141,10 @@ def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> li
 
 def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_s: float) -> list[FloatArray]:
     """Draw the vehicle at that time, by its messages and by the sensor; return the pixels."""
-    sent, seen = sender_box(calibration, stamp_s), sighting_at(calibration, stamp_s)
-    height_m = NOMINAL_HEIGHT_M if seen is None else _height_m(seen)
-    sent_edges, seen_edges = [], []
-    if sent is not None:
-        nose = sent.centre + np.outer([0.5 * sent.length_m, 0.5 * sent.length_m + HEADING_M], _direction(sent.yaw_rad))
-        sent_edges = [*_edges(sent.corners(), height_m), on_ground(nose)]
-    if seen is not None:
-        seen_edges = _edges(plan_in_world(calibration, seen.box.corners()), height_m)
-    sent_px, seen_px = (
-        [piece for edge in edges for piece in camera.project_line(edge)] for edges in (sent_edges, seen_edges)
-    )
+    edges = vehicle_edges(calibration, stamp_s)
+    sent_px, seen_px = ([piece for edge in each for piece in camera.project_line(edge)] for each in edges)
     canvas.layers([(sent_px, SENDER), (seen_px, SENSOR)])
     return sent_px + seen_px
-
-
-def _height_m(seen: Sighting) -> float:
-    return float(np.quantile(seen.points[:, 2], HIGHEST_SHARE))
-
-
-def _direction(yaw_rad: float) -> FloatArray:
-    return np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
-
-
-def _edges(corners: FloatArray, height_m: float) -> list[FloatArray]:
-    """Return the twelve edges, shape (2, 3) each, of a box over four corners, shape (4, 2)."""
-    points = np.concatenate([on_ground(corners), on_ground(corners) + np.array([0.0, 0.0, height_m])])
-    return [points[list(edge)] for edge in BOX_EDGES]
 
 
 def _draw_legend(canvas: Canvas, bottom: float, vehicle: list[FloatArray], lanes: list[FloatArray]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 
@@ -65,6 +65,15 @@ def lane_strokes(lane_map: LaneMap | None, colour: Colour, width: float) -> list
     lines = lane_map.lines if lane_map is not None else ()
     strokes = [(line, _lane_stroke(line, colour, width)) for line in lines]
     return sorted(strokes, key=lambda item: item[0].kind != VIRTUAL)
+
+
+def look_of(line: LaneLine) -> Literal["virtual", "dashed", "thick", "thin"]:
+    """Return how a line is drawn where its look is a class of a style sheet."""
+    if line.kind == VIRTUAL:
+        return "virtual"
+    if line.subtype == "dashed":
+        return "dashed"
+    return "thick" if line.kind in THICK_KINDS else "thin"
 
 
 def _lane_stroke(line: LaneLine, colour: Colour, width: float) -> Stroke:

@@ -112,7 +112,7 @@ class Mark:
     left: FloatArray
 
 
-def _marks(calibration: Calibration) -> list[Mark]:
+def marks_of(calibration: Calibration) -> list[Mark]:
     """Choose sightings near to whole seconds, or to more of them in a long drive."""
     known_s = known_stamps(calibration)
     if len(known_s) == 0:
@@ -175,12 +175,12 @@ def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> li
     T = T_world_level(calibration)
     for sighting in calibration.track.usable:
         canvas.specks(view.pixels(transform(T, sighting.points)[:, :2]), POINTS.colour)
-    marks = _marks(calibration)
+    marks = marks_of(calibration)
     for mark in marks:
         canvas.lines([view.pixels(mark.corners)], SENSOR, closed=True)
     canvas.lines([piece for track in sender_track(calibration) for piece in view.line(track)], SENDER)
     canvas.dots(view.pixels(sensor_track(calibration)), SENSOR.colour, DOT_RADIUS)
-    ellipses = [view.pixels(_ellipse(calibration, mark.seen)) for mark in marks]
+    ellipses = [view.pixels(position_ellipse(calibration, mark.seen)) for mark in marks]
     visible = [
         ellipse for ellipse in ellipses if np.ptp(ellipse, axis=0).max() > 2 * SENSOR_MARK_RADIUS * canvas.unit_px
     ]
@@ -207,23 +207,26 @@ def _draw_mark(canvas: Canvas, view: MapView, mark: Mark) -> None:
     canvas.text(f"{mark.stamp_s:.0f} s", (x, y), BLACK, align="centre", size=SMALL)
 
 
-def position_covariance(calibration: Calibration, xy_world: FloatArray) -> FloatArray:
-    """Return the covariance, shape (2, 2), world, of where the calibration puts an object on the ground.
+def position_covariance(calibration: Calibration, xy_world: FloatArray, z_m: float = 0.0) -> FloatArray:
+    """Return the covariance, shape (2, 2), world, of where the calibration puts something at that height.
 
-    A turn about the track's centre moves an object by its distance from there.
+    A turn about the track's centre moves it by its distance from there.
     """
     dx, dy = xy_world - calibration.centre_world[:2]
-    jacobian = np.array([[0.0, 0.0, -dy, 1.0, 0.0, 0.0], [0.0, 0.0, dx, 0.0, 1.0, 0.0]])
+    dz = z_m - calibration.centre_world[2]
+    jacobian = np.array([[0.0, dz, -dy, 1.0, 0.0, 0.0], [-dz, 0.0, dx, 0.0, 1.0, 0.0]])
     covariance: FloatArray = jacobian @ calibration.covariance @ jacobian.T
     return covariance
 
 
-def _ellipse(calibration: Calibration, xy_world: FloatArray) -> FloatArray:
-    """Return the one-sigma ellipse of an object's position, world, shape (n, 2)."""
-    variances, directions = np.linalg.eigh(position_covariance(calibration, xy_world))
+def position_ellipse(
+    calibration: Calibration, xy_world: FloatArray, z_m: float = 0.0, sigmas: float = 1.0
+) -> FloatArray:
+    """Return the ellipse of so many sigma around where something is put, world, shape (n, 2)."""
+    variances, directions = np.linalg.eigh(position_covariance(calibration, xy_world, z_m))
     around = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     circle = np.column_stack([np.cos(around), np.sin(around)])
-    ellipse: FloatArray = xy_world + (circle * np.sqrt(np.maximum(variances, 0.0))) @ directions.T
+    ellipse: FloatArray = xy_world + sigmas * (circle * np.sqrt(np.maximum(variances, 0.0))) @ directions.T
     return ellipse
 
 

@@ -7,11 +7,17 @@ from pathlib import Path
 
 import click
 
+from laci_lidar.check import check_scans
+from laci_lidar.errors import ScanError
 from laci_lidar.run import LidarOptions, prepare
+from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
+from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, the_map
 from laci_stereo.cli import Asked, calibrating, parse_background, run_command
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
+from laci_stereo.io.lane_map import find_lane_map
+from laci_stereo.io.stored_calibration import read_calibration
 from laci_stereo.job import Job
 
 
@@ -89,6 +95,38 @@ def calibrate(
         ),
     )
     return prepare(scans, cam, options)
+
+
+@cli.command()
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.argument("scans", type=click.Path(path_type=Path))
+@map_options
+@click.option("--topic", help="Topic with the point clouds, where a bag has several.")
+def check(
+    calibration: Path,
+    scans: Path,
+    lane_map: Path | None,
+    map_sigma: float,
+    json_file: Path | None,
+    picture: Path,
+    overwrite: bool,
+    topic: str | None,
+) -> None:
+    """Check a LiDAR's calibration against a lane map.
+
+    CALIBRATION is a result folder or its calibration.json, SCANS a recording, of any day, whose points have an
+    intensity: the lines' paint is looked for in it.
+
+    Exit codes: 0 pass or cannot tell; 1 fail; 2 the input cannot be read or makes no sense.
+    """
+    check_free(picture, json_file, overwrite=overwrite)
+    stored = read_calibration(calibration)
+    needs_kind(stored, "lidar")
+    lines = the_map(stored, lane_map or find_lane_map(scans))
+    checked = check_scans(open_scans(scans, topic), placed_by(stored), lines, map_sigma)
+    if checked is None:
+        raise ScanError(f"{scans}: the points have no intensity; needed is one, for paint is seen by it")
+    deliver(checked, map_sigma, picture, json_file)
 
 
 def parse_sweep(text: str | None) -> Sweep | None:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
+from laci_lidar.check import check_scans
 from laci_lidar.recording import LidarRecording
 from laci_lidar.scans import open_scans
 from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings
+from laci_stereo.check.images import Checked
+from laci_stereo.check.result import placed_by
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
-from laci_stereo.io.lane_map import find_lane_map
+from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
 
 
@@ -88,6 +92,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
         ),
         inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
         draw=_no_pictures,
+        check=partial(_check, sequence, drive.lane_map),
     )
 
 
@@ -98,6 +103,10 @@ def _background(asked: tuple[int, int] | Path | None) -> ScanSequence | range | 
         return open_scans(asked)
     first, last = asked
     return range(first, last + 1)
+
+
+def _check(scans: ScanSequence, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:
+    return None if lane_map is None else check_scans(scans, placed_by(calibration), lane_map)
 
 
 def _no_pictures(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:

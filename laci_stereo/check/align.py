@@ -1,0 +1,146 @@
+"""The shift and turn at which most of a map's lines lie on paint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.check.profiles import OFFSETS_M, STEP_M
+from laci_stereo.check.ridges import WIDTHS_M
+from laci_stereo.check.sections import Sections
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+
+SHIFT_M = 1.0
+"""Looked for to all sides: what is worse is no calibration, and a lane's other line comes next."""
+
+TURN_RAD = np.radians(2.0)
+GRID_M = 0.07
+"""Between tried places of a section: less than the tolerance, 5 cm at least, and half of the narrowest stripe."""
+
+BESIDE = 3.0
+"""Tolerances within which evidence counts."""
+
+RIVAL_SHARE = 2 / 3
+"""A second alignment with so much of the best one's evidence is as good: two of three lines may well be alone to be
+painted, while one of two or three beside kerbs is what a wrong one finds."""
+
+MOST_SECTIONS = 300
+"""Evenly chosen: more of a line say little more of where it is."""
+
+LEAST_MOVED = 6.0
+"""Sections that a rival must move elsewhere: two dashes, for a single one may well be matched by chance."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where the lines that are seen lie beside the map's, all of them together.
+
+    Attributes
+    ----------
+    shift : ndarray, shape (2,)
+        World, metres, of what is at ``centre``.
+    turn_rad : float
+        Counter-clockwise about ``centre``.
+    centre : ndarray, shape (2,)
+        World: the middle of the sections.
+    rival : float
+        Evidence of the best alignment that is another one, as a share of this one's, of the sections that it moves.
+    """
+
+    shift: FloatArray
+    turn_rad: float
+    centre: FloatArray
+    rival: float
+
+    def offsets(self, sections: Sections) -> FloatArray:
+        """Return how far to the left of each section its paint is, shape (n,)."""
+        offsets: FloatArray = planar_rows(sections, self.centre) @ np.append(self.shift, self.turn_rad)
+        return offsets
+
+
+def planar_rows(sections: Sections, centre: FloatArray) -> FloatArray:
+    """Return the derivative of sections' offsets by shift and turn about a point, shape (n, 3)."""
+    arm = sections.xy - centre
+    turned = np.einsum("ij,ij->i", np.column_stack([-arm[:, 1], arm[:, 0]]), sections.left)
+    return np.column_stack([sections.left, turned])
+
+
+def align(evidence: FloatArray, tolerance_m: FloatArray, sections: Sections) -> Alignment:
+    """Try all shifts and turns, and take the one at which most sections lie on a stripe.
+
+    Parameters
+    ----------
+    evidence : ndarray, shape (n, m)
+        Of stripes at `OFFSETS_M`, from 0 to 1.
+    tolerance_m : ndarray, shape (n,)
+        By how much a section's paint may be off on its own.
+    sections : Sections
+    """
+    chosen = np.arange(0, len(sections), -(-len(sections) // MOST_SECTIONS))
+    evidence, tolerance_m, sections = evidence[chosen], tolerance_m[chosen], sections[chosen]
+    centre = sections.xy.mean(axis=0)
+    rows = planar_rows(sections, centre)
+    tried = _grid(rows)
+    near = _spread_over(evidence, tolerance_m)
+    support = np.concatenate([_support(near, part @ rows.T).sum(axis=1) for part in _parts(tried)])
+    best = _most_central(tried, support)
+    offsets = tried[best] @ rows.T
+    held = _support(near, offsets[None])[0]
+    apart_m = 2 * tolerance_m + WIDTHS_M[0]
+    moved = np.concatenate([(np.abs(part @ rows.T - offsets) > apart_m) @ held for part in _parts(tried)])
+    return Alignment(tried[best, :2], float(tried[best, 2]), centre, _best_rival(support, moved, best))
+
+
+def _parts(tried: FloatArray) -> list[FloatArray]:
+    """Cut what is tried into parts whose evidence fits into little memory."""
+    return np.array_split(tried, -(-len(tried) // 2000))
+
+
+def _support(near: FloatArray, offsets_m: FloatArray) -> FloatArray:
+    """Return the evidence at sections' offsets, shape (t, n)."""
+    return np.asarray(np.take_along_axis(near, _index(offsets_m).T, axis=1).T)
+
+
+def _best_rival(support: FloatArray, moved: FloatArray, best: int) -> float:
+    """Return the greatest share of the best alignment's evidence in the sections that another one moves, that it keeps.
+
+    Sections that it leaves about where they are, as those along a shift, speak for both; what it loses there counts.
+    """
+    counts = moved >= LEAST_MOVED
+    kept = moved[counts] - (support[best] - support[counts])
+    return float((kept / moved[counts]).max(initial=0.0))
+
+
+def _most_central(tried: FloatArray, support: FloatArray) -> int:
+    """Return which of the best ones, which are many where a direction is open, moves least."""
+    best = np.flatnonzero(support >= support.max() * (1 - 1e-6))
+    size = np.abs(tried[best] / [SHIFT_M, SHIFT_M, TURN_RAD]).sum(axis=1)
+    return int(best[np.argmin(size)])
+
+
+def _grid(rows: FloatArray) -> FloatArray:
+    """Return shifts and turns so dense that no section moves by more than `GRID_M` between neighbours."""
+    lever_m = max(float(np.abs(rows[:, 2]).max()), 1.0)
+    shifts = np.arange(-SHIFT_M, SHIFT_M + GRID_M / 2, GRID_M)
+    count = int(np.ceil(TURN_RAD * lever_m / GRID_M))
+    turns = np.linspace(-TURN_RAD, TURN_RAD, 2 * count + 1)
+    return np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _index(offsets_m: FloatArray) -> IntArray:
+    """Return the sample at an offset, or the last one, which holds no evidence."""
+    index = np.rint(offsets_m / STEP_M).astype(np.int64) + len(OFFSETS_M) // 2
+    outside: BoolArray = (index < 0) | (index >= len(OFFSETS_M))
+    return np.where(outside, len(OFFSETS_M), index)
+
+
+def _spread_over(evidence: FloatArray, tolerance_m: FloatArray) -> FloatArray:
+    """Let evidence count beside its place too, less and less; with a column of nothing behind."""
+    tolerance = tolerance_m / STEP_M
+    spread = evidence.copy()
+    for step in range(1, int(BESIDE * tolerance.max(initial=0.0)) + 1):
+        share = np.exp(-0.5 * (step / tolerance) ** 2)[:, None]
+        spread[:, step:] = np.maximum(spread[:, step:], share * evidence[:, :-step])
+        spread[:, :-step] = np.maximum(spread[:, :-step], share * evidence[:, step:])
+    return np.pad(spread, ((0, 0), (0, 1)))

@@ -1,0 +1,84 @@
+"""The lane check of a camera: the road at rest, from some of its images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.check.lanes import MAP_SIGMA_M, LaneCheck, check_lanes
+from laci_stereo.check.picture import draw_check
+from laci_stereo.check.placed import Placed
+from laci_stereo.check.profiles import profiles_in_image
+from laci_stereo.core.errors import ImageError
+from laci_stereo.core.frames import Raster, invert
+from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.stereo_calibration import Lens
+from laci_stereo.report.camera import Camera
+from laci_stereo.report.drawn import on_ground
+from laci_stereo.stereo.reader import GreyReader
+from laci_stereo.stereo.recording import spread
+
+FRAMES = 15
+"""Evenly spread: what covers a place in less than half of them is gone in their median."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A check, and the picture to it."""
+
+    check: LaneCheck
+    picture: Raster
+
+
+def check_images(
+    files: Sequence[Path],
+    reader: GreyReader,
+    lens: Lens,
+    placed: Placed,
+    lane_map: LaneMap,
+    map_sigma_m: float = MAP_SIGMA_M,
+) -> Checked:
+    """Hold a map against what a camera saw.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Raw images in the order of time.
+    reader : GreyReader
+    lens : Lens
+    placed : Placed
+    lane_map : LaneMap
+    map_sigma_m : float
+        Standard deviation of a line's place in the map.
+
+    Raises
+    ------
+    ImageError
+        If more than a fifth of the images that are looked at cannot be read.
+    """
+    image = at_rest(files, reader)
+    camera = Camera(lens, invert(placed.T_world_sensor))
+    check = check_lanes(lane_map.lines, placed, partial(profiles_in_image, image, camera), map_sigma_m)
+    picture = draw_check(image, lambda xy: camera.project_line(on_ground(xy)), check, placed, lane_map)
+    return Checked(check, picture)
+
+
+def at_rest(files: Sequence[Path], reader: GreyReader) -> Raster:
+    """Return the median of some images: grey, uint8, without what moves.
+
+    Raises
+    ------
+    ImageError
+        If more than a fifth of them cannot be read.
+    """
+    chosen = spread(files, FRAMES)
+    read = [image for image in map(reader.read, chosen) if image is not None]
+    reader.check(len(chosen))
+    if not read:
+        raise ImageError("0 images; needed is at least one")
+    median: Raster = np.median(np.stack(read), axis=0).astype(np.uint8)
+    return median

@@ -1,0 +1,276 @@
+"""Find a map's lines on the road, and judge a calibration by where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from laci_stereo.check.align import align, planar_rows
+from laci_stereo.check.fit import Offsets, PlanarError, covariance_of, fit_planar
+from laci_stereo.check.placed import Placed
+from laci_stereo.check.profiles import COARSEST_M, OFFSETS_M, Profiles
+from laci_stereo.check.ridges import SURE, WIDTHS_M, Stripes, find_stripes, middle_of
+from laci_stereo.check.sections import Sections, sections_of
+from laci_stereo.check.verdict import Evidence, Judgement, judge
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.io.lane_map import LaneLine
+
+MAP_SIGMA_M = 0.05
+"""Default of a map's own error: surveys for maps of lanes promise 5 to 10 cm."""
+
+LEAST_SECTIONS = 3
+"""Of a line in view, or it is not counted: the length of a dash."""
+
+DASHED_SHARE = 1 / 3
+"""What of a dashed line is painted: dashes half as long as their gaps (RMS)."""
+
+FOUND_SHARE = 0.5
+"""A line is found where so much of its paint is."""
+
+PALE = 1 / 3
+"""A line's paint is nowhere so much paler than where it is fresh, the middle of its brightest part."""
+
+GATE = 3.0
+"""Standard deviations within which a line's paint is looked for once the others tell where it should be."""
+
+ASTRAY = 4.0
+"""Standard deviations beyond which a line is off on its own: at 40 lines, noise alone passes in one of 400 maps."""
+
+ROUNDS = 5
+
+See: TypeAlias = Callable[[Sections], Profiles]
+"""Samples what a sensor saw across sections of lines."""
+
+
+@dataclass(frozen=True)
+class LineCheck:
+    """One line of the map.
+
+    Attributes
+    ----------
+    id, kind : str
+        As in the map.
+    in_view_m, hidden_m, found_m : float
+        Length that should be seen, that the background hides, and on which paint was found.
+    found : bool
+        It is seen as much as it should be.
+    offset_m, sigma_m : float or None
+        Where the paint is to the left of the line, as the calibration has it, and how well that is measured; None where
+        there is none.
+    offset_px, sigma_px : float or None
+        The same in the image; None without an image.
+    astray : bool
+        It is off on its own, not with the others.
+    """
+
+    id: str
+    kind: str
+    in_view_m: float
+    hidden_m: float
+    found_m: float
+    found: bool
+    offset_m: float | None = None
+    sigma_m: float | None = None
+    offset_px: float | None = None
+    sigma_px: float | None = None
+    astray: bool = False
+
+
+@dataclass(frozen=True)
+class LaneCheck:
+    """How a map's lines lie on the road's.
+
+    Attributes
+    ----------
+    judgement : Judgement
+    lines : tuple of LineCheck
+        Those in view.
+    error : PlanarError or None
+        None where nothing was found.
+    residual_m, residual_px : float or None
+        Root mean square of the offsets of all sections that were found, those of lines that are astray left out.
+    offsets : Offsets or None
+        Of all sections that were found.
+    hidden : Sections
+        What the background hides.
+    astray : frozenset of int
+        Indices of the lines that are off on their own.
+    """
+
+    judgement: Judgement
+    lines: tuple[LineCheck, ...]
+    error: PlanarError | None
+    residual_m: float | None
+    residual_px: float | None
+    offsets: Offsets | None
+    hidden: Sections
+    astray: frozenset[int] = frozenset()
+
+    @property
+    def lines_found(self) -> int:
+        """How many of the lines in view were found."""
+        return sum(line.found for line in self.lines)
+
+
+@dataclass(frozen=True)
+class View:
+    """What was seen of a map's lines.
+
+    Attributes
+    ----------
+    sections, profiles, stripes
+        Of what is in view, alike in length.
+    hidden : Sections
+    alone_m : ndarray, shape (n,)
+        By how much paint may be off where the calibration is right, one sigma.
+    """
+
+    sections: Sections
+    profiles: Profiles
+    stripes: Stripes
+    hidden: Sections
+    alone_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Paint that was found, and what the calibration's error is by it."""
+
+    offsets: Offsets
+    error: PlanarError
+    astray: frozenset[int]
+
+    @property
+    def together(self) -> BoolArray:
+        """Which sections are of lines that are not astray, shape (n,)."""
+        return ~np.isin(self.offsets.sections.line, list(self.astray))
+
+
+def check_lanes(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: float = MAP_SIGMA_M) -> LaneCheck:
+    """Hold a map against what a sensor saw.
+
+    Parameters
+    ----------
+    lines : sequence of LaneLine
+    placed : Placed
+    see : callable
+    map_sigma_m : float
+        Standard deviation of a line's place in the map.
+    """
+    view = _look(lines, placed, see, map_sigma_m)
+    if len(view.sections) == 0:
+        return LaneCheck(judge(Evidence(0, 0, 0.0), None), (), None, None, None, None, view.hidden)
+    alignment = align(view.stripes.evidence, view.alone_m, view.sections)
+    fitted = _fit(view, alignment.offsets(view.sections), placed, map_sigma_m)
+    checked = tuple(
+        _line_checked(lines[number], number, view, fitted, placed) for number in np.unique(view.sections.line).tolist()
+    )
+    together = sum(line.found and not line.astray for line in checked)
+    judgement = judge(Evidence(len(checked), together, alignment.rival), None if fitted is None else fitted.error)
+    if fitted is None:
+        return LaneCheck(judgement, checked, None, None, None, None, view.hidden)
+    left_m = fitted.offsets.left_m[fitted.together]
+    residual_px = _rms(left_m / fitted.offsets.cell_m[fitted.together]) if view.profiles.in_image else None
+    return LaneCheck(
+        judgement,
+        checked,
+        fitted.error,
+        residual_m=_rms(left_m),
+        residual_px=residual_px,
+        offsets=fitted.offsets,
+        hidden=view.hidden,
+        astray=fitted.astray,
+    )
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: float) -> View:
+    """Find what of the lines can be seen, and stripes across it."""
+    sections = sections_of(lines, placed.origin[:2])
+    profiles = see(sections)
+    visible = np.isfinite(profiles.values[:, len(OFFSETS_M) // 2]) & (profiles.cell_m <= COARSEST_M)
+    behind = placed.hidden(sections.xy)
+    counts = np.bincount(sections.line[visible & ~behind], minlength=len(lines))
+    kept = visible & ~behind & (counts[sections.line] >= LEAST_SECTIONS)
+    hidden = sections[visible & behind]
+    sections, profiles = sections[kept], profiles[kept]
+    own = covariance_of(Offsets(sections, np.zeros(len(sections)), profiles.cell_m), placed, map_sigma_m)
+    stripes = find_stripes(profiles, sections.line)
+    return View(sections, profiles, stripes, hidden, np.sqrt(np.diag(own)))
+
+
+def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float) -> Fitted | None:
+    """Measure paint near to where it is expected, and fit, until both agree; lines that are astray stay out."""
+    fitted, astray = None, frozenset[int]()
+    for _ in range(ROUNDS):
+        index, left_m = _measured(view, expected_m)
+        if len(index) == 0:
+            return None
+        offsets = Offsets(view.sections[index], left_m, view.profiles.cell_m[index])
+        if np.isin(offsets.sections.line, list(astray)).all():
+            astray = frozenset()
+        error = fit_planar(offsets[~np.isin(offsets.sections.line, list(astray))], placed, map_sigma_m)
+        fitted = Fitted(offsets, error, astray)
+        expected_m = planar_rows(view.sections, error.centre) @ error.value
+        astray = _astray(offsets, np.abs(left_m - expected_m[index]) / view.alone_m[index])
+    return fitted
+
+
+def _measured(view: View, expected_m: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return which sections have a stripe near to where it is expected, the nearest one, and where its middle is."""
+    beside = np.abs(OFFSETS_M - expected_m[:, None]) / np.maximum(view.alone_m, WIDTHS_M[0] / GATE)[:, None]
+    likely = np.where(beside <= GATE, view.stripes.peaks * np.exp(-0.5 * beside**2), 0.0)
+    best = likely.argmax(axis=1)
+    rows = np.arange(len(best))
+    sigmas = np.where(likely[rows, best] > 0.0, view.stripes.sigmas[rows, best], 0.0)
+    index = np.flatnonzero(sigmas >= np.maximum(SURE, _paler(sigmas, view.sections.line)))
+    left_m = [middle_of(view.profiles.values[i], int(best[i]), float(view.stripes.width_m[i, best[i]])) for i in index]
+    return index, np.array(left_m)
+
+
+def _paler(sigmas: FloatArray, line: IntArray) -> FloatArray:
+    """Return for each section what is too pale to be its line's paint, shape (n,): between dashes there is texture."""
+    most = np.zeros(line.max(initial=0) + 1)
+    for number in np.unique(line):
+        most[number] = PALE * np.quantile(sigmas[line == number], 1.0 - DASHED_SHARE / 2)
+    return most[line]
+
+
+def _astray(offsets: Offsets, beside: FloatArray) -> frozenset[int]:
+    """Return the lines that lie elsewhere than the others, ``beside`` so many sigma; no more than a third of them."""
+    numbers = np.unique(offsets.sections.line)
+    medians = np.array([np.median(beside[offsets.sections.line == number]) for number in numbers])
+    worst = np.argsort(-medians)[: len(numbers) // 3]
+    return frozenset(int(numbers[i]) for i in worst if medians[i] > ASTRAY)
+
+
+def _line_checked(line: LaneLine, number: int, view: View, fitted: Fitted | None, placed: Placed) -> LineCheck:
+    in_view, hidden = (int((each.line == number).sum()) for each in (view.sections, view.hidden))
+    painted = in_view * (DASHED_SHARE if line.subtype == "dashed" else 1.0)
+    mine = None if fitted is None else fitted.offsets[fitted.offsets.sections.line == number]
+    if fitted is None or mine is None or len(mine) == 0:
+        return LineCheck(line.id, line.kind, in_view, hidden, 0, found=False)
+    weights = np.linalg.inv(covariance_of(mine, placed, 0.0))
+    sigma_m = 1.0 / float(np.sqrt(weights.sum()))
+    mean = weights.sum(axis=0) * sigma_m**2
+    per_m = float(mean @ (1.0 / mine.cell_m)) if view.profiles.in_image else None
+    offset_m = float(mean @ mine.left_m)
+    return LineCheck(
+        line.id,
+        line.kind,
+        in_view,
+        hidden,
+        len(mine),
+        found=len(mine) >= FOUND_SHARE * painted,
+        offset_m=offset_m,
+        sigma_m=sigma_m,
+        offset_px=None if per_m is None else float(mean @ (mine.left_m / mine.cell_m)),
+        sigma_px=None if per_m is None else sigma_m * per_m,
+        astray=number in fitted.astray,
+    )

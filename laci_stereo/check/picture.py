@@ -1,0 +1,103 @@
+"""A picture in which a person sees whether a map's lines lie on the road's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from laci_stereo.check.describe import verdict_text
+from laci_stereo.check.lanes import LaneCheck
+from laci_stereo.check.placed import Placed
+from laci_stereo.check.sections import PAINTED
+from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
+from laci_stereo.report.lines import subdivide
+from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
+
+Project: TypeAlias = Callable[[FloatArray], list[FloatArray]]
+"""Maps a line on the ground, shape (n, 2), world, to the pieces of it that are in the picture, pixels."""
+
+LINE_WIDTH, DOT_RADIUS = 1.4, 2.2
+LANE = Stroke(YELLOW, LINE_WIDTH, halo=False)
+HIDDEN = Stroke(YELLOW, LINE_WIDTH, dash=(4.0, 9.0), halo=False)
+STEP_M = 0.5
+PANEL_SHARE, MARGIN = 0.62, 14.0
+
+
+def draw_check(backdrop: Raster, project: Project, check: LaneCheck, placed: Placed, lane_map: LaneMap) -> Raster:
+    """Draw the map's painted lines as the calibration has them, dashed where they are hidden, and the paint found.
+
+    Parameters
+    ----------
+    backdrop : ndarray, shape (height, width) or (height, width, 3)
+    project : callable
+    check : LaneCheck
+    placed : Placed
+    lane_map : LaneMap
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width, 3)
+    """
+    canvas = Canvas(backdrop, halo=NIGHT)
+    drawn: list[FloatArray] = []
+    for line in lane_map.lines:
+        for piece, hidden in _by_sight(line.xy, placed) if line.kind in PAINTED else ():
+            pieces = project(piece)
+            canvas.lines(pieces, HIDDEN if hidden else LANE)
+            drawn += pieces
+    for colour, paint in ((SKY_BLUE, _paint(check, False)), (VERMILLION, _paint(check, True))):
+        dots = [pixels[:1] for each in paint for pixels in project(each)]
+        if dots:
+            canvas.dots(np.concatenate(dots), colour, DOT_RADIUS)
+    top = canvas.height - 1.2 * LINE_HEIGHT * TEXT * canvas.unit_px
+    _draw_legend(canvas, top, drawn)
+    _draw_caption(canvas, top, check)
+    return canvas.image
+
+
+def _by_sight(xy: FloatArray, placed: Placed) -> Iterator[tuple[FloatArray, bool]]:
+    """Cut a line, shape (n, 2), into what is seen and what the background hides."""
+    fine = subdivide(xy, STEP_M)
+    behind = placed.hidden((fine[1:] + fine[:-1]) / 2)
+    for part in np.split(np.arange(len(behind)), np.flatnonzero(np.diff(behind)) + 1):
+        yield fine[part[0] : part[-1] + 2], bool(behind[part[0]])
+
+
+def _paint(check: LaneCheck, astray: bool) -> Iterator[FloatArray]:
+    """Yield where paint was found, as lines a centimetre long, shape (2, 2), world."""
+    if check.offsets is None:
+        return
+    sections = check.offsets.sections
+    places = sections.xy + check.offsets.left_m[:, None] * sections.left
+    chosen = np.isin(sections.line, list(check.astray)) == astray
+    for place, ahead in zip(places[chosen], sections.ahead[chosen], strict=True):
+        yield np.stack([place, place + 0.01 * ahead])
+
+
+def _draw_legend(canvas: Canvas, bottom: float, lines: Sequence[FloatArray]) -> None:
+    entries = [
+        Entry("line of the map", "line", LANE),
+        Entry("the same, hidden by the background", "line", HIDDEN),
+        Entry("paint found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
+        Entry("paint off on its own", "dot", Stroke(VERMILLION, DOT_RADIUS)),
+    ]
+    margin = MARGIN * canvas.unit_px
+    width, height = (extent + 2 * margin for extent in canvas.legend_size(entries))
+    occupied = [np.concatenate([*lines, np.zeros((0, 2))])]
+    left, top = emptiest_corner((width, height), (0.0, 0.0, canvas.width, bottom), occupied)
+    canvas.shade((left, top, left + width, top + height), PANEL_SHARE)
+    canvas.legend(entries, (left + margin, top + margin), WHITE)
+
+
+def _draw_caption(canvas: Canvas, top: float, check: LaneCheck) -> None:
+    found = f"{check.lines_found} of {len(check.lines)} lines found"
+    residual = "" if check.residual_m is None else f", {100 * check.residual_m:.0f} cm off (RMS)"
+    text = f"{found}{residual}. {verdict_text(check)}"
+    margin = MARGIN * canvas.unit_px
+    canvas.shade((0, top, canvas.width, canvas.height), PANEL_SHARE)
+    size = canvas.fitting(text, canvas.width - 2 * margin)
+    canvas.text(text, (margin, (top + canvas.height) / 2), WHITE, size=size)

@@ -1,0 +1,27 @@
+"""The lane check of a result that has just been found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from laci_stereo.check.images import Checked
+from laci_stereo.check.placed import Placed
+from laci_stereo.core.result import Calibration
+from laci_stereo.io.calibration_file import boxes_in_world
+
+Checking: TypeAlias = Callable[[Calibration], Checked | None]
+"""Holds the map against what one kind of sensor saw; None without a map, or where the sensor sees no paint."""
+
+
+def not_checked(_calibration: Calibration) -> Checked | None:
+    """Check nothing: there is no map, or the sensor sees no paint."""
+    return None
+
+
+def placed_by(calibration: Calibration) -> Placed:
+    """Return where a result puts its sensor."""
+    boxes = np.array(boxes_in_world(calibration)).reshape(-1, 6)
+    return Placed(calibration.T_world_sensor, calibration.covariance, calibration.centre_world, boxes)

@@ -1,0 +1,82 @@
+"""A map's painted lines, cut into short sections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.io.lane_map import LaneLine
+
+SECTION_M = 1.0
+"""Long enough to average the road's texture, short beside the shortest dash in towns (3 m)."""
+
+PAINTED = ("", "line_thin", "line_thick", "stop_line", "pedestrian_marking", "bike_marking", "keepout")
+"""Kinds of lines that are painted on a road; a line without a kind may be."""
+
+FARTHEST_M = 80.0
+"""From the sensor: at 15 m, the highest that one hangs, a line of sight is 11 deg from the road there."""
+
+
+@dataclass(frozen=True)
+class Sections:
+    """Short pieces of lines.
+
+    Attributes
+    ----------
+    line : ndarray of int, shape (n,)
+        Index of the line.
+    along_m : ndarray, shape (n,)
+        Of its middle, from the line's beginning.
+    xy : ndarray, shape (n, 2)
+        Its middle, world.
+    left : ndarray, shape (n, 2)
+        Unit vector to the left of the line.
+    """
+
+    line: IntArray
+    along_m: FloatArray
+    xy: FloatArray
+    left: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def __getitem__(self, chosen: BoolArray | IntArray) -> Sections:
+        return Sections(self.line[chosen], self.along_m[chosen], self.xy[chosen], self.left[chosen])
+
+    @property
+    def ahead(self) -> FloatArray:
+        """Unit vectors along the lines, shape (n, 2)."""
+        return np.column_stack([self.left[:, 1], -self.left[:, 0]])
+
+
+def sections_of(lines: Sequence[LaneLine], around_xy: FloatArray) -> Sections:
+    """Cut the painted ones of some lines into sections of about a metre, within `FARTHEST_M` of a point."""
+    pieces = [_cut(number, line.xy) for number, line in enumerate(lines) if line.kind in PAINTED]
+    if not pieces:
+        return Sections(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)))
+    whole = Sections(
+        np.concatenate([piece.line for piece in pieces]),
+        np.concatenate([piece.along_m for piece in pieces]),
+        np.concatenate([piece.xy for piece in pieces]),
+        np.concatenate([piece.left for piece in pieces]),
+    )
+    return whole[np.linalg.norm(whole.xy - around_xy, axis=1) < FARTHEST_M]
+
+
+def _cut(number: int, xy: FloatArray) -> Sections:
+    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    at = np.append(0.0, np.cumsum(steps))
+    count = max(round(at[-1] / SECTION_M), 1) if at[-1] > 0 else 0
+    edges = np.linspace(0.0, at[-1], count + 1)
+    ends = np.column_stack([np.interp(edges, at, axis) for axis in xy.T])
+    ahead = np.diff(ends, axis=0)
+    length = np.linalg.norm(ahead, axis=1)
+    kept = length > 0.5 * SECTION_M  # a shorter one is folded, or no line
+    ahead = ahead[kept] / length[kept, None]
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    middle, along = (ends[1:] + ends[:-1])[kept] / 2, (edges[1:] + edges[:-1])[kept] / 2
+    return Sections(np.full(len(middle), number), along, middle, left)

@@ -1,0 +1,107 @@
+"""What the lines tell of a calibration: that it is right, that it is wrong, or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtri, ndtri
+
+from laci_stereo.check.align import RIVAL_SHARE
+from laci_stereo.check.fit import PlanarError
+
+Outcome = Literal["pass", "fail", "cannot tell"]
+
+ERROR_RATE = 0.02
+"""Of calibrations that are as good as they claim, so many fail; of those that are just too far off, so many pass."""
+
+TOO_FAR_M, TOO_FAR_RAD = 0.30, np.radians(0.5)
+"""A pass says that the calibration is not off by as much: a tenth of a lane, and as much in 35 m."""
+
+FEWEST_LINES = 3
+"""Shift and turn are three unknowns: of fewer lines, short ones above all, nothing contradicts a wrong one."""
+
+LEAST_SHARE = 1 / 2
+"""Of the lines in view: where less is found, the map may be of another road, or the paint of a wrong line."""
+
+CONTRADICTION = float(chdtri(3, ERROR_RATE))
+ONE_SIDED = float(-ndtri(ERROR_RATE))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How much was found: lines in view, lines found, and how well they would fit elsewhere (see `Alignment`)."""
+
+    in_view: int
+    found: int
+    rival: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict, and why, in words."""
+
+    outcome: Outcome
+    reasons: tuple[str, ...]
+
+
+def judge(evidence: Evidence, error: PlanarError | None) -> Judgement:
+    """Judge.
+
+    *fail*: the error contradicts what the calibration claims, or is `TOO_FAR_M` or `TOO_FAR_RAD`, which no claim
+    excuses. *pass*: neither, and an error as large as that is ruled out. Otherwise the lines cannot tell.
+    """
+    lacking = _lacking(evidence)
+    if lacking or error is None:
+        return Judgement("cannot tell", (lacking or "no paint was found near the map's lines",))
+    wrong = _wrong(error)
+    if wrong:
+        return Judgement("fail", (wrong,))
+    possible = tuple(_not_ruled_out(error))
+    return Judgement("cannot tell", possible) if possible else Judgement("pass", ())
+
+
+def _lacking(evidence: Evidence) -> str:
+    if evidence.in_view == 0:
+        return "none of the map's painted lines is in view"
+    found = f"{evidence.found} of {evidence.in_view} lines in view were found"
+    if evidence.found < FEWEST_LINES:
+        return f"{found}; needed are at least {FEWEST_LINES}"
+    if evidence.found < LEAST_SHARE * evidence.in_view:
+        return f"{found}; needed is at least half: the paint may be worn, or the map of another road"
+    if evidence.rival >= RIVAL_SHARE:
+        return "the lines fit about as well elsewhere, as on a kerb beside them"
+    return ""
+
+
+def _wrong(error: PlanarError) -> str:
+    shift_m, turn_rad = float(np.linalg.norm(error.value[:2])), float(error.value[2])
+    off = f"the lines are {100 * shift_m:.0f} cm and {np.degrees(turn_rad):+.2f} deg off"
+    if error.chi_square > CONTRADICTION:
+        return (
+            f"{off}: chi-square is {error.chi_square:.0f}, and what the calibration claims and the map's own error "
+            f"allow is {CONTRADICTION:.0f}"
+        )
+    if error.significance > CONTRADICTION and (shift_m >= TOO_FAR_M or abs(turn_rad) >= TOO_FAR_RAD):
+        return f"{off}, though the calibration claims to be no better than that"
+    return ""
+
+
+def _not_ruled_out(error: PlanarError) -> list[str]:
+    """Return in words which errors could still be there."""
+    variances, directions = np.linalg.eigh(error.covariance[:2, :2])
+    found_m, sigmas_m = np.abs(error.value[:2] @ directions), np.sqrt(variances)
+    said = [
+        f"a shift of {100 * TOO_FAR_M:.0f} cm towards {np.degrees(np.arctan2(y, x)) % 180:.0f} deg, or back, is not "
+        f"ruled out: the lines say {100 * found:.0f} +- {100 * sigma:.0f} cm"
+        for found, sigma, (x, y) in zip(found_m, sigmas_m, directions.T, strict=True)
+        if found + ONE_SIDED * sigma > TOO_FAR_M
+    ]
+    turn_rad, sigma_rad = float(error.value[2]), float(np.sqrt(error.covariance[2, 2]))
+    if abs(turn_rad) + ONE_SIDED * sigma_rad > TOO_FAR_RAD:
+        said.append(
+            f"a turn of {np.degrees(TOO_FAR_RAD):.1f} deg is not ruled out: the lines say "
+            f"{np.degrees(turn_rad):+.2f} +- {np.degrees(sigma_rad):.2f} deg"
+        )
+    return said

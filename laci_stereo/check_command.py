@@ -1,0 +1,141 @@
+"""``laci-stereo check``: whether a map's lines lie on the road's, for a calibration that was made before."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+import cv2
+
+from laci_stereo.check.describe import check_document, describe_check
+from laci_stereo.check.images import Checked, check_images
+from laci_stereo.check.lanes import MAP_SIGMA_M
+from laci_stereo.check.placed import Placed
+from laci_stereo.core.errors import CalibrationFileError, MapError, OutputError, RigError
+from laci_stereo.io.images import ImageFolder, read_image
+from laci_stereo.io.lane_map import LaneMap, find_lane_map, read_lane_map
+from laci_stereo.io.output import write_file
+from laci_stereo.io.stereo_calibration import find_stereo_calibration, read_stereo_calibration
+from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.stereo.reader import GreyReader
+from laci_stereo.stereo.rectify import already_rectified
+
+CONTRADICTED = 1
+"""Exit code of a check that fails."""
+
+_PATH = click.Path(path_type=Path)
+
+
+def map_options(command: click.decorators.FC) -> click.decorators.FC:
+    """Add the options that a check has, whatever the sensor."""
+    for option in (
+        click.option("--overwrite", is_flag=True, help="Replace files that are there already."),
+        click.option(
+            "--picture", type=_PATH, default=Path("check.png"), show_default=True, help="File for the picture (PNG)."
+        ),
+        click.option("--json", "json_file", type=_PATH, help="File for all figures."),
+        click.option(
+            "--map-sigma",
+            type=click.FloatRange(min=0.0, max=10.0),
+            default=MAP_SIGMA_M,
+            show_default=True,
+            metavar="M",
+            help="Error of a line's place in the map, one standard deviation.",
+        ),
+        click.option("--map", "lane_map", type=_PATH, help="Lanelet2 or GeoJSON [default: map.osm beside the data]."),
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.argument("calibration", type=_PATH)
+@click.argument("left", type=_PATH)
+@map_options
+@click.option("--stereo", type=_PATH, help="Stereo calibration [default: stereo.yaml, .yml or .json beside LEFT].")
+def check(
+    calibration: Path,
+    left: Path,
+    lane_map: Path | None,
+    map_sigma: float,
+    json_file: Path | None,
+    picture: Path,
+    overwrite: bool,
+    stereo: Path | None,
+) -> None:
+    """Check a stereo camera's calibration against a lane map.
+
+    CALIBRATION is a result folder or its calibration.json, LEFT a folder of raw left images, of any day. The lines'
+    paint is looked for in the median of some images.
+
+    Exit codes: 0 pass or cannot tell; 1 fail; 2 the input cannot be read or makes no sense.
+    """
+    check_free(picture, json_file, overwrite=overwrite)
+    stored = read_calibration(calibration)
+    needs_kind(stored, "stereo")
+    folder = ImageFolder.open(left)
+    rig_file = stereo or find_stereo_calibration(left)
+    if rig_file is None:
+        raise RigError(f"{left.absolute().parent}: no stereo.yaml, stereo.yml or stereo.json; needed is --stereo FILE")
+    height, width = read_image(folder.files[0]).shape[:2]
+    rig = read_stereo_calibration(rig_file, (width, height))
+    rig = already_rectified(rig) if stored.rectified else rig
+    lines = the_map(stored, lane_map or find_lane_map(left))
+    checked = check_images(folder.files, GreyReader(rig), rig.left, placed_by(stored), lines, map_sigma)
+    deliver(checked, map_sigma, picture, json_file)
+
+
+def check_free(picture: Path, json_file: Path | None, *, overwrite: bool) -> None:
+    """Find out before any work is done whether the files can be written.
+
+    Raises
+    ------
+    OutputError
+    """
+    for path in filter(None, (picture, json_file)):
+        if path.exists() and not overwrite:
+            raise OutputError(f"{path}: exists already; needed is another name, or --overwrite to replace it")
+    if picture.suffix.lower() != ".png":
+        raise OutputError(f"{picture}: the picture's name ends in {picture.suffix or 'nothing'}; needed is .png")
+
+
+def needs_kind(stored: StoredCalibration, kind: str) -> None:
+    """Refuse the result of another kind of sensor.
+
+    Raises
+    ------
+    CalibrationFileError
+    """
+    if stored.kind != kind:
+        raise CalibrationFileError(f"{stored.path}: the sensor's kind is {stored.kind}; needed is {kind}")
+
+
+def the_map(stored: StoredCalibration, path: Path | None) -> LaneMap:
+    """Read the map, into the world of a result.
+
+    Raises
+    ------
+    MapError
+    """
+    if path is None:
+        raise MapError("no map.osm or map.geojson lies beside the data; needed is --map FILE")
+    return read_lane_map(path, stored.world)
+
+
+def placed_by(stored: StoredCalibration) -> Placed:
+    """Return where a result puts its sensor."""
+    return Placed(stored.T_world_sensor, stored.covariance, stored.centre_world, stored.boxes)
+
+
+def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path | None) -> None:
+    """Print, write, and exit with the code of the verdict."""
+    click.echo(describe_check(checked.check))
+    write_file(picture, cv2.imencode(".png", checked.picture)[1].tobytes())
+    if json_file is not None:
+        document = check_document(checked.check, map_sigma_m)
+        write_file(json_file, (json.dumps(document, indent=2, allow_nan=False) + "\n").encode())
+    click.echo(f"{'Written':<11}{', '.join(str(path) for path in (picture, json_file) if path is not None)}")
+    if checked.check.judgement.outcome == "fail":
+        sys.exit(CONTRADICTED)

@@ -1,0 +1,263 @@
+"""Results of one sensor beside each other: the repetition error, and whether they agree within what they claim.
+
+The paper's table (Mueller et al., ITSC 2019, section on repeatability) has the differences of the transform's angles
+and of its translation between two drives. What matters on the road is another number: by how much objects on the
+vehicle's way are put elsewhere.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc
+
+from laci_stereo.core.errors import CalibrationFileError
+from laci_stereo.core.frames import FloatArray, invert, transform, wrap
+from laci_stereo.io.evidence_file import read_evidence
+from laci_stereo.io.output import EVIDENCE_FILE
+from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+
+CONTRADICTION_RATE = 0.01
+"""Of pairs of results that are as good as they claim, so many are said to contradict each other."""
+
+FARTHEST_M = 1000.0
+"""Between two results of one sensor: what is farther apart is not the same mast."""
+
+DIGITS = {"deg": 3, "m": 3}
+
+LEAST_SIGMA = 1e-6
+"""Radians and metres: what a result claims to know better is no doubt but a rounding."""
+
+Outcome = Literal["agree", "contradict"]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One quantity of two results.
+
+    Attributes
+    ----------
+    name : str
+    value, sigma : float
+        How far apart, without sign, and one standard deviation of that by what both claim.
+    unit : str
+    """
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two results of one sensor.
+
+    Attributes
+    ----------
+    first, second : str
+        Where they are.
+    differences : tuple of Difference
+        The paper's three angles (about the sensor's forward axis, down, about the vertical) and three shifts of the
+        sensor; then by how much objects on the tracks are put elsewhere in the plane, and the angle between both.
+    chi_square, probability : float
+        Of all six parameters under both covariances, and how often results that are as good as they claim are at least
+        so far apart.
+    """
+
+    first: str
+    second: str
+    differences: tuple[Difference, ...]
+    chi_square: float
+    probability: float
+
+    @property
+    def outcome(self) -> Outcome:
+        """Whether they agree within what they claim."""
+        return "agree" if self.probability >= CONTRADICTION_RATE else "contradict"
+
+
+def compare(results: Sequence[Path | str], *, renamed: bool = False) -> tuple[Comparison, ...]:
+    """Compare results of one sensor, each with each.
+
+    Parameters
+    ----------
+    results : sequence of path
+        Result folders, or their ``calibration.json``; at least two.
+    renamed : bool
+        They are of one sensor though their names for it differ.
+
+    Raises
+    ------
+    CalibrationFileError, EvidenceError
+        If one cannot be read, or they are not of one sensor, frame and UTM zone.
+    """
+    if len(results) < 2:
+        raise CalibrationFileError(f"{len(results)} result; needed are at least 2 to compare")
+    stored = [read_calibration(Path(result)) for result in results]
+    for other in stored[1:]:
+        _check_same(stored[0], other)
+        if other.name != stored[0].name and not renamed:
+            raise CalibrationFileError(
+                f"{other.path}: the sensor's name is {other.name!r}; needed is {stored[0].name!r} as in "
+                f"{stored[0].path}, or --renamed if it is the same sensor"
+            )
+    tracks = [_track_of(one) for one in stored]
+    return tuple(
+        compare_two(stored[i], stored[j], tracks[i], tracks[j]) for i, j in combinations(range(len(stored)), 2)
+    )
+
+
+def _check_same(one: StoredCalibration, other: StoredCalibration) -> None:
+    """Raise if two results are not of one sensor, or not in comparable frames."""
+    for what, of_one, of_other in (
+        ("the sensor's kind", one.kind, other.kind),
+        ("the sensor's frame", one.frame, other.frame),
+        ("the UTM zone", one.world.crs, other.world.crs),
+    ):
+        if of_one != of_other:
+            raise CalibrationFileError(f"{other.path}: {what} is {of_other!r}; needed is {of_one!r} as in {one.path}")
+    apart_m = float(np.linalg.norm(_origin_of(other, one)[:2]))
+    if apart_m > FARTHEST_M:
+        raise CalibrationFileError(
+            f"{other.path}: its tracks are {apart_m:.0f} m from those in {one.path}; needed are at most "
+            f"{FARTHEST_M:.0f} m: is it the same sensor?"
+        )
+
+
+def _origin_of(other: StoredCalibration, one: StoredCalibration) -> FloatArray:
+    """Return where the world of one result has its origin in another's, shape (3,)."""
+    return np.append(one.world.from_utm(np.array([other.world.origin_utm]))[0], 0.0)
+
+
+def _track_of(stored: StoredCalibration) -> FloatArray:
+    """Return where the vehicles were seen, world, shape (n, 2): the middle of it where no evidence is kept."""
+    evidence = stored.path.parent / EVIDENCE_FILE
+    if not evidence.exists():
+        return stored.centre_world[None, :2]
+    return np.concatenate([passage.match(passage.track.centres) for passage in read_evidence(evidence).passages])
+
+
+def compare_two(
+    one: StoredCalibration, other: StoredCalibration, track_one: FloatArray, track_other: FloatArray
+) -> Comparison:
+    """Compare two results, in the world of the first.
+
+    Parameters
+    ----------
+    one, other : StoredCalibration
+    track_one, track_other : ndarray, shape (n, 2)
+        Where objects matter, each in its own world.
+    """
+    shift = _origin_of(other, one)
+    T_one, T_other = one.T_world_sensor, other.T_world_sensor.copy()
+    T_other[:3, 3] += shift
+    centre = (one.centre_world + other.centre_world + shift) / 2
+    T_apart = T_other @ invert(T_one)
+    six = np.append(Rotation.from_matrix(T_apart[:3, :3]).as_rotvec(), transform(T_apart, centre[None])[0] - centre)
+    covariance = _about(one.covariance, one.centre_world, centre)
+    covariance += _about(other.covariance, other.centre_world + shift, centre) + LEAST_SIGMA**2 * np.eye(6)
+    chi_square = float(six @ np.linalg.solve(covariance, six))
+    track = np.concatenate([track_one, track_other + shift[:2]])
+    differences = (
+        *_angles(one, other, covariance),
+        *_shifts(T_other[:3, 3] - T_one[:3, 3], _about(covariance, centre, T_one[:3, 3])),
+        _objects(T_apart, track, centre, covariance),
+        _turn(six[:3], covariance[:3, :3]),
+    )
+    return Comparison(str(one.path), str(other.path), differences, chi_square, float(chdtrc(6, chi_square)))
+
+
+def _about(covariance: FloatArray, centre: FloatArray, point: FloatArray) -> FloatArray:
+    """Return a covariance of rotation and translation about one point, as of those about another one."""
+    arm = np.eye(6)
+    arm[3:, :3] = -np.cross(np.eye(3), centre - point)
+    moved: FloatArray = arm @ covariance @ arm.T
+    return moved
+
+
+def _angles(one: StoredCalibration, other: StoredCalibration, covariance: FloatArray) -> Iterator[Difference]:
+    """Yield the differences of roll, down and yaw, which are psi 1 to 3."""
+    apart_deg = np.degrees(wrap(np.radians(np.subtract(other.angles_deg, one.angles_deg))))
+    angles = Rotation.from_euler("ZYX", one.angles_deg[::-1], degrees=True)
+    step = 1e-6
+    turned = [(Rotation.from_rotvec(step * axis) * angles).as_euler("ZYX")[::-1] for axis in np.eye(3)]
+    jacobian = np.column_stack([wrap(each - angles.as_euler("ZYX")[::-1]) / step for each in turned])
+    sigmas_deg = np.degrees(np.sqrt(np.diag(jacobian @ covariance[:3, :3] @ jacobian.T)))
+    for number, (name, value, sigma) in enumerate(zip(("roll", "down", "yaw"), apart_deg, sigmas_deg, strict=True), 1):
+        yield Difference(f"|d psi_{number}| ({name})", abs(float(value)), float(sigma), "deg")
+
+
+def _shifts(apart_m: FloatArray, covariance: FloatArray) -> Iterator[Difference]:
+    for number, axis in enumerate(("x, east", "y, north", "z, up")):
+        name = f"|d{axis[0]}|{axis[1:]}"
+        yield Difference(name, abs(float(apart_m[number])), float(np.sqrt(covariance[3 + number, 3 + number])), "m")
+
+
+def _objects(T_apart: FloatArray, track: FloatArray, centre: FloatArray, covariance: FloatArray) -> Difference:
+    """Return by how much points on the tracks are put elsewhere in the plane, root mean square."""
+    points = np.column_stack([track, np.zeros(len(track))])
+    apart_m = float(np.sqrt(((transform(T_apart, points) - points)[:, :2] ** 2).sum(axis=1).mean()))
+    variances = [
+        np.trace(_about(covariance, centre, point)[3:5, 3:5]) for point in points[:: max(len(points) // 50, 1)]
+    ]
+    return Difference("objects on the tracks", apart_m, float(np.sqrt(np.mean(variances))), "m")
+
+
+def _turn(rotation: FloatArray, covariance: FloatArray) -> Difference:
+    sigma = float(np.degrees(np.sqrt(np.trace(covariance))))
+    return Difference("whole rotation", float(np.degrees(np.linalg.norm(rotation))), sigma, "deg")
+
+
+SHARED = (
+    "The sigmas take both results as independent. What they share, such as the camera's own calibration or the "
+    "sender's lever arm, moves both alike and does not show: they are upper bounds, and agreement does not say that "
+    "both are right."
+)
+
+
+def to_table(comparison: Comparison) -> str:
+    """Return a comparison as a table for a terminal."""
+    lines = [
+        f"{comparison.first} and {comparison.second}",
+        f"{'':<24}{'apart':>14}{'claimed sigma':>16}{'in sigmas':>11}",
+    ]
+    for each in comparison.differences:
+        value, sigma = (f"{number:.{DIGITS[each.unit]}f} {each.unit}" for number in (each.value, each.sigma))
+        lines.append(f"{each.name:<24}{value:>14}{sigma:>16}{each.value / each.sigma:>11.1f}")
+    verdict = "AGREE" if comparison.outcome == "agree" else "CONTRADICT EACH OTHER"
+    lines.append(f"{'Verdict':<11}{verdict}: {chance(comparison)}")
+    return "\n".join(lines)
+
+
+def chance(comparison: Comparison) -> str:
+    """Say how likely the differences are."""
+    return (
+        f"chi-square {comparison.chi_square:.1f} of 6; results that are as good as they claim are so far apart in "
+        f"{100 * comparison.probability:.2g} % of cases, and contradict below {100 * CONTRADICTION_RATE:g} %"
+    )
+
+
+def to_csv(comparisons: Sequence[Comparison]) -> str:
+    """Return comparisons as CSV, a row for each."""
+    names = ("psi_1", "psi_2", "psi_3", "x", "y", "z", "objects", "rotation")
+    header = ["first", "second"]
+    for name, each in zip(names, comparisons[0].differences, strict=True):
+        header += [f"d_{name}_{each.unit}", f"sigma_{name}_{each.unit}"]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*header, "chi_square", "probability", "verdict"])
+    for one in comparisons:
+        numbers = [f"{number:.6g}" for each in one.differences for number in (each.value, each.sigma)]
+        writer.writerow(
+            [one.first, one.second, *numbers, f"{one.chi_square:.6g}", f"{one.probability:.6g}", one.outcome]
+        )
+    return text.getvalue()

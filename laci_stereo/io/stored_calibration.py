@@ -1,0 +1,120 @@
+"""Results that were written before: what of a ``calibration.json`` others go on with."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.core.errors import CalibrationFileError
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.world import World
+from laci_stereo.io.calibration_file import Document, validate
+from laci_stereo.io.output import RESULT_FILE
+from laci_stereo.io.text_file import read_text
+
+_FARTHEST_FROM_RIGID = 1e-6
+"""Of a rotation's entries: written numbers have more digits."""
+
+
+@dataclass(frozen=True)
+class StoredCalibration:
+    """A result as its file has it.
+
+    Attributes
+    ----------
+    path : Path
+    name, kind, frame : str
+        Of the sensor; the frame in words.
+    world : World
+    T_world_sensor : ndarray, shape (4, 4)
+    covariance : ndarray, shape (6, 6)
+        Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``.
+    centre_world : ndarray, shape (3,)
+    boxes : ndarray, shape (n, 6)
+        The static background, world: centre x and y, length, width, yaw, height.
+    angles_deg : tuple of float
+        Roll, down and yaw, see `ViewingAngles`.
+    rectified : bool
+        It is of images that were rectified already.
+    """
+
+    path: Path
+    name: str
+    kind: str
+    frame: str
+    world: World
+    T_world_sensor: FloatArray
+    covariance: FloatArray
+    centre_world: FloatArray
+    boxes: FloatArray
+    angles_deg: tuple[float, float, float]
+    rectified: bool
+
+
+def read_calibration(result: Path) -> StoredCalibration:
+    """Read a result.
+
+    Parameters
+    ----------
+    result : Path
+        A result's folder, or its ``calibration.json``.
+
+    Raises
+    ------
+    CalibrationFileError
+        If it cannot be read, does not fit the schema, or its transform or covariance is none.
+    """
+    path = result / RESULT_FILE if result.is_dir() else result
+    text = read_text(path, CalibrationFileError)
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as problem:
+        raise CalibrationFileError(f"{path} is no JSON: {problem}; needed is a {RESULT_FILE}") from problem
+    try:
+        validate(document)
+    except CalibrationFileError as problem:
+        raise CalibrationFileError(f"{path}: {problem}") from problem
+    stored = _parsed(path, document)
+    _check(stored)
+    return stored
+
+
+def _parsed(path: Path, document: Document) -> StoredCalibration:
+    sensor, world, angles = document["sensor"], document["world"], document["euler_deg"]
+    east, north = world["origin_utm"]
+    return StoredCalibration(
+        path=path,
+        name=sensor["name"],
+        kind=sensor["kind"],
+        frame=sensor["frame"],
+        world=World(world["crs"], (float(east), float(north)), float(world["grid_scale"])),
+        T_world_sensor=np.array(document["T_world_sensor"], dtype=np.float64),
+        covariance=np.array(document["covariance"], dtype=np.float64),
+        centre_world=np.array(document["covariance_centre_world"], dtype=np.float64),
+        boxes=np.array(document["background_boxes"], dtype=np.float64).reshape(-1, 6),
+        angles_deg=(angles["roll"], angles["down"], angles["yaw"]),
+        rectified=_says_rectified(document["config"]),
+    )
+
+
+def _says_rectified(config: Document) -> bool:
+    stereo = config.get("stereo")
+    return isinstance(stereo, dict) and stereo.get("rectified") is True
+
+
+def _check(stored: StoredCalibration) -> None:
+    """Raise if what has the right shape makes no sense."""
+    rotation = stored.T_world_sensor[:3, :3]
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if not off < _FARTHEST_FROM_RIGID or np.linalg.det(rotation) < 0:
+        raise CalibrationFileError(
+            f"{stored.path}: T_world_sensor is no rigid transform, its axes are off by {off:.2g}; needed is a rotation"
+        )
+    least = float(np.linalg.eigvalsh((stored.covariance + stored.covariance.T) / 2).min())
+    if not least > -1e-12 * max(float(np.trace(stored.covariance)), 1e-12):
+        raise CalibrationFileError(
+            f"{stored.path}: covariance has the eigenvalue {least:.2g}; needed are none below zero"
+        )

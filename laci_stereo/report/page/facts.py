@@ -1,0 +1,351 @@
+"""What the page says in words and numbers, each with a few words that explain it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+
+import numpy as np
+
+from laci_stereo.core.drive_model import Correction
+from laci_stereo.core.frames import FloatArray, planar
+from laci_stereo.core.result import Calibration, viewing_angles
+from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.report.page.residuals import SIDES, Laid
+from laci_stereo.report.summary import LEFT_OUT
+
+DIGITS = 9
+"""Of a transform's numbers: a nanometre, and less than a micrometre at a kilometre."""
+
+CONTRADICTION, NOTABLE = 4.0, 2.0
+"""Sigma. Beyond the first, the verdict names a correction; beyond the second, one in twenty is by chance."""
+
+FEWEST = 5
+"""Points of a side of which a median is told."""
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A quantity, its value, and what it means to someone who knows no frames."""
+
+    name: str
+    value: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """A transform to be copied.
+
+    Attributes
+    ----------
+    name : str
+    meaning : str
+    text : str
+        JSON.
+    """
+
+    name: str
+    meaning: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to think of the result, and what to do."""
+
+    word: str
+    sentence: str
+    reasons: tuple[str, ...]
+    todo: tuple[str, ...]
+
+
+def verdict_of(calibration: Calibration, has_image: bool) -> Verdict:
+    """Say in one sentence whether the result can be used, and what to do next."""
+    quality = calibration.quality
+    known = (
+        f"objects on the vehicle's way are placed on the map to ±{quality.track_xy_sigma_m:.2f} m and the viewing "
+        f"direction is known to ±{quality.yaw_sigma_deg:.2f}° (one standard deviation)"
+    )
+    told = {
+        "pass": f"This calibration can be used: {known}.",
+        "warn": f"Use this calibration with care: {known}, but there is something to check.",
+        "fail": f"Do not use this calibration: {known}, which is not enough.",
+    }
+    look = (
+        "Look at the image: the map's lines must lie on the road's, and both boxes on the vehicle."
+        if has_image
+        else "Look at the map: both tracks must lie on each other, and on the lane that was driven."
+    )
+    use = "Then use the transform below, or calibration.json, which lies beside this page and holds the same numbers."
+    again = "Drive again, then calibrate anew; or put several drives together with “laci-stereo combine”."
+    steps = {"pass": (look, use), "warn": ("Check what is named above.", look, use), "fail": (again,)}
+    advice = f"To make it better: {quality.advice}." if quality.advice else ""
+    todo = (*steps[quality.verdict], *filter(None, [advice]))
+    return Verdict(quality.verdict, told[quality.verdict], quality.reasons, todo)
+
+
+def matrices(calibration: Calibration, provenance: Provenance) -> tuple[Matrix, ...]:
+    """Return the transforms, the one into UTM first."""
+    world = calibration.world
+    sensor = f"in the sensor's frame ({provenance.frame}), in metres,"
+    east, north = world.origin_utm
+    found = [
+        Matrix(
+            "T_utm_sensor",
+            f"Takes a point (x, y, z, 1) {sensor} to UTM easting and northing ({world.crs}) and height over the "
+            "ground. It is rigid and exact around the vehicle's track; away from there UTM's own scale makes up to "
+            "4 cm in 100 m.",
+            _json(calibration.T_utm_sensor),
+        ),
+        Matrix(
+            "T_world_sensor",
+            f"The same, to a map in true metres: x grid east, y grid north, z height over the ground, from the point "
+            f"E {east:.0f} m, N {north:.0f} m. UTM = that point + {world.grid_scale:.6f} · (x, y).",
+            _json(calibration.T_world_sensor),
+        ),
+    ]
+    if provenance.T_sensor_rectified is not None:
+        found.append(
+            Matrix(
+                "T_world_rectified",
+                "The same, from the rectified left camera, which has the lens' distortion and the stereo rig's "
+                "misalignment taken out; use it with points from disparities.",
+                _json(calibration.T_world_sensor @ provenance.T_sensor_rectified),
+            )
+        )
+    return tuple(found)
+
+
+def _json(T: FloatArray) -> str:
+    cells = [[f"{value + 0.0:.{DIGITS}f}" for value in row] for row in np.round(T, DIGITS).tolist()]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    rows = [", ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
+    return "[[" + "],\n [".join(rows) + "]]"
+
+
+def place_facts(calibration: Calibration) -> tuple[Fact, ...]:
+    """Say where the sensor stands and looks."""
+    world, quality = calibration.world, calibration.quality
+    xy = calibration.T_world_sensor[None, :2, 3]
+    east, north = world.to_utm(xy)[0]
+    latitude, longitude = world.to_geodetic(xy)[0]
+    angles = calibration.viewing_angles
+    north_yaw = world.yaw_from_heading(np.zeros(1), np.array([latitude]), np.array([longitude]))[0]
+    bearing = (float(np.degrees(north_yaw)) - angles.yaw_deg) % 360.0
+    return (
+        Fact("Position", f"E {east:.3f} m, N {north:.3f} m", f"UTM easting and northing, {world.crs}"),
+        Fact("Latitude, longitude", f"{latitude:.8f}°, {longitude:.8f}°", "WGS84; opens in any map"),
+        Fact(
+            "Height",
+            f"{calibration.height_m:.3f} m ± {quality.height_sigma_m:.3f} m",
+            "of the sensor's origin above the road, not above sea level",
+        ),
+        Fact(
+            "Looks to",
+            f"{angles.yaw_deg:.3f}° ± {quality.yaw_sigma_deg:.3f}°",
+            "of the forward axis, seen from above, counter-clockwise from grid east (the map's x)",
+        ),
+        Fact("Compass bearing", f"{bearing:.2f}°", "the same direction, clockwise from true north"),
+        Fact(
+            "Looks down",
+            f"{angles.down_deg:.3f}° ± {quality.tilt_sigma_deg:.3f}°",
+            "of the forward axis below the horizon; negative is upwards",
+        ),
+        Fact("Rolled", f"{angles.roll_deg:.3f}°", "clockwise about the forward axis, seen from behind the sensor"),
+    )
+
+
+def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
+    """Say how sure it is, and from how much."""
+    quality, vehicle = calibration.quality, calibration.vehicle
+    seen = f"{quality.frames_used} of {quality.frames_seen}"
+    return (
+        Fact(
+            "Position along the track",
+            f"±{quality.track_xy_sigma_m:.3f} m",
+            "by how much an object on the vehicle's way is misplaced on the map, one standard deviation",
+        ),
+        Fact(
+            "Weakest direction",
+            f"±{quality.weakest_sigma_m:.3f} m towards {quality.weakest_yaw_deg:.0f}°",
+            "counter-clockwise from grid east, and the opposite way",
+        ),
+        Fact(
+            "Residual",
+            f"{quality.residual_rms_m:.3f} m",
+            f"root mean square of what the fit leaves, {_residual_of(calibration)}",
+        ),
+        Fact("Frames used", seen, "frames in the fit, of those that show the vehicle"),
+        Fact(
+            "Vehicle",
+            f"station {calibration.station_id}, {vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m",
+            "sender of the messages (CAM), and the size that they tell",
+        ),
+    )
+
+
+def _residual_of(calibration: Calibration) -> str:
+    if calibration.method == "paper":
+        return "between both tracks"
+    points = any(len(sighting.points) for sighting in calibration.track.sightings)
+    return "from the points to the vehicle's outline" if points else "from the boxes' middles to the vehicle's"
+
+
+def clock_facts(calibration: Calibration) -> tuple[Fact, ...]:
+    """Say what is known of the clocks."""
+    if calibration.method == "paper":
+        return (Fact("Clock offset", "taken as zero", "the paper's method does not estimate it"),)
+    offset, sigma, prior = calibration.time_offset_s, calibration.time_sigma_s, calibration.clock_sigma_s
+    return (
+        Fact(
+            "Clock offset",
+            f"{_signed(1e3 * offset, 1)} ms ± {1e3 * sigma:.1f} ms",
+            "to be added to the sensor's times to get the times of the messages; one standard deviation",
+        ),
+        Fact(
+            "Known beforehand",
+            f"0 ms ± {1e3 * prior:.1f} ms",
+            f"what was expected; the estimate is {abs(offset) / prior:.1f} of these standard deviations away",
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What of the messages was corrected, in words.
+
+    Attributes
+    ----------
+    what, value, expected : str
+    sigmas : float
+    judgement : str
+    """
+
+    what: str
+    value: str
+    expected: str
+    sigmas: float
+    judgement: str
+
+
+_WORDS = {
+    "heading": ("direction of the body against the heading sent, clockwise", 180.0 / np.pi, 2, "°"),
+    "ahead": ("position sent is behind where on the vehicle it should be", 1.0, 3, " m"),
+    "left": ("position sent is to the right of where on the vehicle it should be", 1.0, 3, " m"),
+    "length": ("length of the vehicle, more than sent", 1.0, 3, " m"),
+    "width": ("width of the vehicle, more than sent", 1.0, 3, " m"),
+}
+
+
+def corrected(corrections: Sequence[Correction]) -> tuple[Corrected, ...]:
+    """Put corrections into words, and hold them against what was expected; the clocks' are told by `clock_facts`."""
+    return tuple(_corrected(correction) for correction in corrections if correction.what != "clock")
+
+
+def _corrected(correction: Correction) -> Corrected:
+    what, factor, digits, unit = _WORDS[correction.what]
+    sigmas = abs(correction.value) / correction.sigma
+    judgement = "contradiction" if sigmas > CONTRADICTION else "notable" if sigmas > NOTABLE else "as expected"
+    value = f"{_signed(factor * correction.value, digits)}{unit}"
+    return Corrected(what, value, f"0 ± {factor * correction.sigma:.{digits}f}{unit}", sigmas, judgement)
+
+
+@dataclass(frozen=True)
+class Side:
+    """How the points lie about one side of the vehicle, centimetres."""
+
+    name: str
+    points: int
+    median_cm: str
+    spread_cm: str
+
+
+def sides(laid: Laid) -> tuple[Side, ...]:
+    """Return how the points that are taken for the outline lie about each side that was seen."""
+    found = []
+    for number, name in enumerate(SIDES):
+        distances = 100.0 * laid.distance_m[(laid.face == number) & (laid.surface >= 0.5)]
+        if len(distances) < FEWEST:
+            continue
+        low, median, high = np.quantile(distances, [0.25, 0.5, 0.75])
+        found.append(Side(name, len(distances), _signed(float(median), 1), f"{(high - low) / 2:.1f}"))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A quantity by this result and by the paper's method."""
+
+    name: str
+    here: str
+    paper: str
+    apart: str
+
+
+def beside_paper(calibration: Calibration) -> tuple[Compared, ...]:
+    """Hold the paper's method against the result; empty where it has no answer."""
+    paper, differs = calibration.paper, calibration.paper_differs
+    if paper is None or differs is None:
+        return ()
+    T_paper = planar(paper.yaw_rad, paper.shift) @ calibration.T_level_sensor
+    ours, theirs = (calibration.world.to_utm(T[None, :2, 3])[0] for T in (calibration.T_world_sensor, T_paper))
+    yaw, yaw_paper = calibration.viewing_angles.yaw_deg, viewing_angles(T_paper, calibration.axes).yaw_deg
+    turn = (yaw_paper - yaw + 180.0) % 360.0 - 180.0
+    return (
+        Compared("Easting", f"{ours[0]:.3f} m", f"{theirs[0]:.3f} m", f"{_signed(theirs[0] - ours[0], 3)} m"),
+        Compared("Northing", f"{ours[1]:.3f} m", f"{theirs[1]:.3f} m", f"{_signed(theirs[1] - ours[1], 3)} m"),
+        Compared("Looks to", f"{yaw:.3f}°", f"{yaw_paper:.3f}°", f"{_signed(turn, 3)}°"),
+        Compared("Objects on the track", "–", "–", f"{differs[0]:.3f} m apart (root mean square)"),
+    )
+
+
+@dataclass(frozen=True)
+class DriveFacts:
+    """One drive of several."""
+
+    name: str
+    station: int
+    began: str
+    frames: int
+    vehicle: str
+    clock_ms: str
+
+
+def drives(calibration: Calibration) -> tuple[DriveFacts, ...]:
+    """Return the drives that the result was estimated from."""
+    found = []
+    for number, passage in enumerate(calibration.passages, start=1):
+        began = datetime.fromtimestamp(passage.span_ns[0] // 1_000_000_000, tz=timezone.utc)
+        vehicle = passage.vehicle
+        found.append(
+            DriveFacts(
+                f"{number}: {passage.name}" if passage.name else str(number),
+                passage.station_id,
+                f"{began:%Y-%m-%d %H:%M:%S} UTC",
+                len(passage.track.sightings),
+                f"{vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m",
+                _signed(1e3 * passage.time_offset_s, 1),
+            )
+        )
+    return tuple(found)
+
+
+def left_out(calibration: Calibration) -> tuple[str, ...]:
+    """Say which frames of the vehicle were not used, and why."""
+    return tuple(f"{count} frames {LEFT_OUT[reason]}" for reason, count in sorted(calibration.quality.left_out.items()))
+
+
+def settings(config: Mapping[str, object], above: str = "") -> Iterator[tuple[str, str]]:
+    """Yield every setting's dotted name and value."""
+    for name, value in config.items():
+        if isinstance(value, Mapping):
+            yield from settings(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", json.dumps(value, ensure_ascii=False, default=str)
+
+
+def _signed(value: float, digits: int) -> str:
+    return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")

@@ -1,0 +1,198 @@
+"""What the calibration says, as lines over images that the camera took."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, Raster, invert
+from laci_stereo.core.result import Calibration
+from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.stereo_calibration import Lens
+from laci_stereo.mask.stage import GlimpseRays
+from laci_stereo.report.camera import Camera
+from laci_stereo.report.canvas import as_bgr8
+from laci_stereo.report.drawn import on_ground, sender_track, sensor_track
+from laci_stereo.report.page.shapes import Label, Layer, Part, dots, lines, thinned
+from laci_stereo.report.scene import GRID_AHEAD, background_edges, grid_places, ground_grid, vehicle_edges
+from laci_stereo.report.style import lane_strokes, look_of
+
+MOMENTS = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)
+"""Of the time in which the vehicle is seen."""
+
+WIDEST_PX = 1600
+MOST_BYTES = 600_000
+"""Of an image; in text they become a third more, and six of them fill less than 5 MB of the page's 8."""
+
+QUALITIES = (82, 70, 55, 40)
+
+MOST_DOTS = 1500
+
+BORDER = 0.03
+"""Share of the image in which a label would be cut."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """An image of the left camera, raw, and when it was taken: seconds since the recording's first stamp.
+
+    ``mask`` is what the vehicle mask did in it, where there is one.
+    """
+
+    stamp_s: float
+    image: Raster
+    mask: GlimpseRays | None = None
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Some images, and the lens through which they were taken."""
+
+    lens: Lens
+    shots: tuple[Photograph, ...]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """An image and what is drawn over it alone.
+
+    Attributes
+    ----------
+    stamp_s : float
+    jpeg : str
+        In base 64.
+    layers : tuple of Layer
+    """
+
+    stamp_s: float
+    jpeg: str
+    layers: tuple[Layer, ...]
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """Images of one camera, and what is drawn over all of them.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels of the raw image, in which all paths are.
+    shots : tuple of Shot
+    layers : tuple of Layer
+    labels : tuple of Label
+        How far ahead the grid's lines are.
+    """
+
+    width: int
+    height: int
+    shots: tuple[Shot, ...]
+    layers: tuple[Layer, ...]
+    labels: tuple[Label, ...]
+
+
+def draw_over(photographs: Photographs, calibration: Calibration, lane_map: LaneMap | None) -> Overlay:
+    """Project the map, a grid, the tracks and the boxes into the images.
+
+    Where the calibration is right, the map's lines lie on those of the road, and both boxes around the vehicle.
+    """
+    camera = Camera(photographs.lens, invert(calibration.T_world_sensor))
+    width, height = photographs.lens.size
+    return Overlay(
+        width,
+        height,
+        tuple(_shot(shot, camera, calibration) for shot in photographs.shots),
+        _layers(camera, calibration, lane_map),
+        _grid_labels(camera, calibration),
+    )
+
+
+def _layers(camera: Camera, calibration: Calibration, lane_map: LaneMap | None) -> tuple[Layer, ...]:
+    sent = [on_ground(track) for track in sender_track(calibration)]
+    seen = camera.project(on_ground(thinned(sensor_track(calibration), MOST_DOTS)))
+    layers = [
+        Layer("grid", "Ground grid, 10 m", (Part("grid", _project(camera, ground_grid(calibration))),)),
+        Layer("background", "Background boxes", (_part(camera, "background", background_edges(calibration)),), False),
+        Layer("lanes", "Lines of the lane map", tuple(_lanes(camera, lane_map))),
+        Layer(
+            "track",
+            "Vehicle's tracks",
+            (_part(camera, "sent", sent), Part("seen dots", dots(seen[np.isfinite(seen).all(axis=1)]))),
+        ),
+    ]
+    return tuple(layer for layer in layers if any(part.d for part in layer.parts))
+
+
+def _lanes(camera: Camera, lane_map: LaneMap | None) -> list[Part]:
+    by_look: dict[str, list[FloatArray]] = {}
+    for line, _ in lane_strokes(lane_map, (0, 0, 0), 1.0):
+        by_look.setdefault(look_of(line), []).append(on_ground(line.xy))
+    return [_part(camera, f"lane {look}", pieces) for look, pieces in by_look.items()]
+
+
+def _shot(shot: Photograph, camera: Camera, calibration: Calibration) -> Shot:
+    sent, seen = vehicle_edges(calibration, shot.stamp_s)
+    layers: tuple[Layer, ...] = (
+        Layer("sent-box", "Vehicle by its messages (CAM)", (_part(camera, "sent box", sent),)),
+        Layer("seen-box", "Vehicle by the sensor", (_part(camera, "seen box", seen),)),
+    )
+    if shot.mask is not None:
+        layers += _mask(Camera(camera.lens, np.eye(4)), shot.mask)
+    return Shot(shot.stamp_s, jpeg(shot.image), layers)
+
+
+def _mask(camera: Camera, mask: GlimpseRays) -> tuple[Layer, ...]:
+    """Draw what the vehicle mask did."""
+    closed = [np.concatenate([outline, outline[:1]]) for outline in mask.outlines]
+    kept, dropped = (_dots(camera, rays) for rays in (mask.kept, mask.dropped))
+    return (
+        Layer(
+            "mask",
+            "Vehicle mask, with points that it kept",
+            (_part(camera, "mask", closed), Part("kept dots", kept)),
+            False,
+        ),
+        Layer("dropped", "Points that the mask dropped", (Part("dropped dots", dropped),), False),
+    )
+
+
+def _dots(camera: Camera, points: FloatArray) -> str:
+    pixels = camera.project(points)
+    return dots(pixels[np.isfinite(pixels).all(axis=1)])
+
+
+def _part(camera: Camera, look: str, lines_world: Sequence[FloatArray]) -> Part:
+    return Part(look, _project(camera, lines_world))
+
+
+def _project(camera: Camera, lines_world: Sequence[FloatArray]) -> str:
+    return lines(piece for line in lines_world for piece in camera.project_line(line))
+
+
+def _grid_labels(camera: Camera, calibration: Calibration) -> tuple[Label, ...]:
+    width, height = camera.lens.size
+    places = camera.project(grid_places(calibration))
+    return tuple(
+        Label(float(x), float(y), f"{distance:.0f} m")
+        for distance, (x, y) in zip(GRID_AHEAD, places, strict=True)
+        if 0 <= x < (1 - BORDER) * width and BORDER * height <= y < (1 - BORDER) * height
+    )
+
+
+def jpeg(image: Raster) -> str:
+    """Return a picture as JPEG in base 64, small enough that a page can hold several."""
+    small = as_bgr8(image)
+    share = min(1.0, WIDEST_PX / small.shape[1])
+    while True:
+        if share < 1.0:
+            small = np.asarray(
+                cv2.resize(small, None, fx=share, fy=share, interpolation=cv2.INTER_AREA), dtype=np.uint8
+            )
+        for quality in QUALITIES:
+            content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+            if len(content) <= MOST_BYTES:
+                return b64encode(content).decode("ascii")
+        share = 0.7  # noise: nothing is lost that anyone could have seen

@@ -1,0 +1,267 @@
+"""The map of a calibration, to be moved and magnified: metres of the world, north up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, transform
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.result import Calibration
+from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.report.drawn import (
+    T_world_level,
+    background_corners,
+    plan_in_world,
+    sender_box,
+    sender_track,
+)
+from laci_stereo.report.mapview import MapView, map_view, nice_step
+from laci_stereo.report.page.shapes import Label, Layer, Part, dots, lines, thinned
+from laci_stereo.report.style import lane_strokes, look_of
+from laci_stereo.report.topdown import marks_of, position_ellipse
+
+SIZE = (960.0, 640.0)
+BEYOND = 3.0
+"""So many times as wide as the first view is what is drawn, for those who move on."""
+
+MOST_DOTS = 6000
+MOST_MOMENTS = 1500
+"""Of all drives together; more would only lie upon one another."""
+
+ARROW_SHARE = 0.1
+LABEL_PX = 16.0
+BAR_SHARE = 0.2
+BAR_AT = (20.0, 14.0)
+"""Left end, and above the lower border."""
+
+TICKS = 8
+DIGITS = 3
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A place on the map of which something can be said: base view's pixels, and words."""
+
+    x: float
+    y: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The map.
+
+    Attributes
+    ----------
+    view : MapView
+        What is shown at first.
+    layers : tuple of Layer
+        Metres of the world, y to the north.
+    labels : tuple of Label
+        Pixels of the first view.
+    moments : tuple of Moment
+        The vehicle where the sensor saw it, in the order of time.
+    grid_m : float
+        Spacing of the grid.
+    """
+
+    view: MapView
+    layers: tuple[Layer, ...]
+    labels: tuple[Label, ...]
+    moments: tuple[Moment, ...]
+    grid_m: float
+
+    @property
+    def matrix(self) -> str:
+        """The transform from the world to the first view, as SVG writes it."""
+        scale = self.view.scale_px
+        x, y = self.view.pixels(np.zeros(2)).tolist()
+        return f"matrix({scale:.6f} 0 0 {-scale:.6f} {x:.4f} {y:.4f})"
+
+    @property
+    def moments_data(self) -> list[tuple[float, float, str]]:
+        """The moments as the page's script takes them."""
+        return [(round(moment.x, 3), round(moment.y, 3), moment.text) for moment in self.moments]
+
+    @property
+    def bar_m(self) -> float:
+        """Length of the scale bar: at most a fifth of the picture."""
+        most = BAR_SHARE * self.view.size[0] / self.view.scale_px
+        return max(step for step in (nice_step(most, parts) for parts in (1, 2, 3, 5, 10)) if step <= most)
+
+    @property
+    def bar_path(self) -> str:
+        """The scale bar before the script moves it."""
+        x, y = BAR_AT[0], self.view.size[1] - BAR_AT[1]
+        end = x + self.bar_m * self.view.scale_px
+        return lines([np.array([[x, y - 6], [x, y], [end, y], [end, y - 6]])])
+
+    @property
+    def bar_text_x(self) -> float:
+        """Where its number stands."""
+        return round(BAR_AT[0] + self.bar_m * self.view.scale_px / 2, 1)
+
+
+def draw_plan(calibration: Calibration, lane_map: LaneMap | None) -> Plan:
+    """Draw lanes, background, points, tracks and how far all of it can be trusted."""
+    drives = list(drives_of(calibration))
+    view = _view(drives)
+    grid_m = nice_step(SIZE[0] / view.scale_px, TICKS)
+    layers = [
+        Layer("grid", f"Grid, {grid_m:g} m", (Part("grid", lines(_grid(view, grid_m), DIGITS)),)),
+        Layer("background", "Background boxes", tuple(_background(calibration))),
+        Layer("lanes", "Lane map", tuple(_lanes(view, lane_map))),
+        Layer(
+            "points", "Points of the vehicle", (Part("points", dots(_points(drives), DIGITS), "points of the vehicle"),)
+        ),
+        Layer(
+            "boxes",
+            "Boxes by the sensor",
+            (Part("box", lines(_boxes(drives), DIGITS, closed=True), "box by the sensor"),),
+        ),
+        Layer("sent", "Track by the messages (CAM)", tuple(_sent(drives))),
+        Layer("seen", "Track by the sensor", (Part("dots", dots(_seen(drives), DIGITS)),)),
+        Layer("doubt", "One- and three-sigma ellipses", tuple(_ellipses(calibration, drives))),
+        Layer("sensor", "Sensor and where it looks", tuple(_sensor(calibration, view))),
+    ]
+    kept = tuple(layer for layer in layers if any(part.d for part in layer.parts))
+    return Plan(view, kept, _labels(calibration, drives, view), _moments(drives, view), grid_m)
+
+
+def drives_of(calibration: Calibration) -> Iterator[Calibration]:
+    """Yield the calibration with each of its drives as its own."""
+    for passage in calibration.passages:
+        yield of_drive(calibration, passage)
+
+
+def of_drive(calibration: Calibration, passage: Passage) -> Calibration:
+    """Return the calibration with this drive as its only one."""
+    return replace(
+        calibration,
+        track=passage.track,
+        vehicle=passage.vehicle,
+        station_id=passage.station_id,
+        time_offset_s=passage.time_offset_s,
+        background=passage.background,
+        others=(),
+    )
+
+
+def _view(drives: list[Calibration]) -> MapView:
+    """Return a view that holds the views of all drives."""
+    views = [map_view(drive, SIZE) for drive in drives]
+    extents = np.array([[view.extent_m(0), view.extent_m(1)] for view in views])
+    low, high = extents[:, :, 0].min(axis=0), extents[:, :, 1].max(axis=0)
+    return MapView((low + high) / 2, float((np.array(SIZE) / (high - low)).min()), SIZE)
+
+
+def _grid(view: MapView, step_m: float) -> list[FloatArray]:
+    low, high = _shown(view)
+    across = [np.arange(np.ceil(low[axis] / step_m), np.floor(high[axis] / step_m) + 1) * step_m for axis in (0, 1)]
+    upright = [np.array([[x, low[1]], [x, high[1]]]) for x in across[0]]
+    return upright + [np.array([[low[0], y], [high[0], y]]) for y in across[1]]
+
+
+def _shown(view: MapView) -> tuple[FloatArray, FloatArray]:
+    """Return the lower left and upper right corner of what is drawn, shape (2,) each, world."""
+    half = BEYOND * np.array(view.size) / view.scale_px / 2
+    return view.centre - half, view.centre + half
+
+
+def _background(calibration: Calibration) -> Iterator[Part]:
+    for corners, static in zip(background_corners(calibration), calibration.background.boxes, strict=True):
+        size = f"{static.box.length_m:.1f} m × {static.box.width_m:.1f} m, {static.height_m:.1f} m high"
+        yield Part("background", lines([corners], 2, closed=True), f"background box, {size}")
+
+
+def _lanes(view: MapView, lane_map: LaneMap | None) -> Iterator[Part]:
+    wider = replace(view, scale_px=view.scale_px / BEYOND)
+    for line, _ in lane_strokes(lane_map, (0, 0, 0), 1.0):
+        pieces = [(pixels - np.array(wider.size) / 2) / [wider.scale_px, -wider.scale_px] + wider.centre
+                  for pixels in wider.line(line.xy)]  # fmt: skip
+        if pieces:
+            words = " ".join(filter(None, [line.kind, line.subtype])) or "line"
+            yield Part(f"lane {look_of(line)}", lines(pieces, 2), f"lane map: {words}, {line.id}")
+
+
+def _points(drives: list[Calibration]) -> FloatArray:
+    """Return some of the points of the vehicles, world, shape (n, 2)."""
+    found = [
+        transform(T_world_level(drive), sighting.points)[:, :2] for drive in drives for sighting in drive.track.usable
+    ]
+    return thinned(np.concatenate([np.zeros((0, 2)), *found]), MOST_DOTS)
+
+
+def _boxes(drives: list[Calibration]) -> list[FloatArray]:
+    return [mark.corners for drive in drives for mark in marks_of(drive)]
+
+
+def _sent(drives: list[Calibration]) -> Iterator[Part]:
+    for drive in drives:
+        yield Part("sent", lines(sender_track(drive), DIGITS), f"track by the messages of station {drive.station_id}")
+
+
+def _seen(drives: list[Calibration]) -> FloatArray:
+    found = [plan_in_world(drive, drive.track.centres) for drive in drives]
+    return thinned(np.concatenate([np.zeros((0, 2)), *found]), MOST_MOMENTS)
+
+
+def _ellipses(calibration: Calibration, drives: list[Calibration]) -> Iterator[Part]:
+    places = [(mark.seen, 0.0) for drive in drives for mark in marks_of(drive)]
+    places.append((calibration.T_world_sensor[:2, 3], float(calibration.T_world_sensor[2, 3])))
+    for sigmas, look in ((1.0, "one"), (3.0, "three")):
+        around = [position_ellipse(calibration, xy, z_m, sigmas) for xy, z_m in places]
+        yield Part(f"ellipse {look}", lines(around, 4, closed=True), f"{look}-sigma ellipse of the position")
+
+
+def _sensor(calibration: Calibration, view: MapView) -> Iterator[Part]:
+    foot = calibration.T_world_sensor[:2, 3]
+    looks = (calibration.T_world_sensor[:3, :3] @ np.array(calibration.axes.forward))[:2]
+    looks = looks / max(float(np.linalg.norm(looks)), 1e-12)
+    length = ARROW_SHARE * view.size[0] / view.scale_px
+    aside, tip = np.array([-looks[1], looks[0]]), foot + length * looks
+    head = [tip - 0.2 * length * looks + way * 0.1 * length * aside for way in (1.0, -1.0)]
+    yield Part("looks", lines([np.stack([foot, tip]), np.stack([head[0], tip, head[1]])], DIGITS))
+    yield Part("sensor dots", dots(foot[None], DIGITS), f"sensor, {calibration.height_m:.2f} m above the ground")
+
+
+def _labels(calibration: Calibration, drives: list[Calibration], view: MapView) -> tuple[Label, ...]:
+    looks = calibration.T_world_sensor[:2, :3] @ np.array(calibration.axes.forward)
+    below = np.array([0.0, LABEL_PX if looks[1] > 0 else -LABEL_PX])
+    places = [(calibration.T_world_sensor[:2, 3], "sensor", below)]
+    for drive in drives:
+        for mark in marks_of(drive):
+            clear_m = float(((mark.corners - mark.sent) @ mark.left).max())
+            beside = LABEL_PX * mark.left * [1.0, -1.0]
+            places.append((mark.sent + mark.left * clear_m, f"{mark.stamp_s:.0f} s", beside))
+    return tuple(_label(view.pixels(xy), text, beside) for xy, text, beside in places)
+
+
+def _label(pixels: FloatArray, text: str, beside_px: FloatArray) -> Label:
+    return Label(float(pixels[0]), float(pixels[1]), text, float(beside_px[0]), float(beside_px[1]))
+
+
+def _moments(drives: list[Calibration], view: MapView) -> tuple[Moment, ...]:
+    found: list[Moment] = []
+    for number, drive in enumerate(drives, start=1):
+        named = f"drive {number}, " if len(drives) > 1 else ""
+        step = max(1, -(-len(drive.track.usable) * len(drives) // MOST_MOMENTS))
+        for sighting in drive.track.usable[::step]:
+            seen = plan_in_world(drive, sighting.box.centre[None])[0]
+            points = f", {sighting.count} points" if len(sighting.points) else ""
+            said = f"{named}t = {sighting.stamp_s:.2f} s{points}; {_against(drive, sighting.stamp_s, seen)}"
+            x, y = view.pixels(seen).tolist()
+            found.append(Moment(x, y, said))
+    return tuple(found)
+
+
+def _against(drive: Calibration, stamp_s: float, seen: FloatArray) -> str:
+    sent = sender_box(drive, stamp_s)
+    if sent is None:
+        return "no message tells where the vehicle was"
+    ahead = np.array([np.cos(sent.yaw_rad), np.sin(sent.yaw_rad)])
+    along, left = (seen - sent.centre) @ np.column_stack([ahead, [-ahead[1], ahead[0]]])
+    return f"the visible part's middle is {along:+.2f} m ahead and {left:+.2f} m left of the vehicle's middle"

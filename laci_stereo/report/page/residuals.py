@@ -1,0 +1,186 @@
+"""How well each drive fits: its points laid on the vehicle's outline, and what of its messages had to be corrected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core import mixture, outline
+from laci_stereo.core.drive_model import FIRST_OWN, Correction, DriveModel
+from laci_stereo.core.evidence import evidence_of
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.joint import SOFTENING_M
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.settings import JointSettings
+
+MOST_ROWS = 5_000
+"""Points that are laid on the outline, or up to twice as many: more would say the same, later."""
+
+NEAR_M = 0.3
+"""The transform is known, so what is left to find moves the outline by less than this."""
+
+ITERATIONS = 12
+CLOSE = 0.01
+"""Squared step, in standard deviations, at which the iteration ends: a tenth of a sigma is not to be seen."""
+
+SIDES = ("rear", "front", "right side", "left side")
+
+
+@dataclass(frozen=True)
+class Laid:
+    """The points of a drive, laid on its vehicle by the calibration and the corrected messages.
+
+    Attributes
+    ----------
+    stamps_s : ndarray, shape (n,)
+        Of each point's frame.
+    xy_vehicle : ndarray, shape (n, 2)
+        Metres; x ahead and y to the left of the box's centre.
+    distance_m : ndarray, shape (n,)
+        From the outline, positive outside.
+    face : ndarray of int, shape (n,)
+        The side that the line of sight meets: 0 rear, 1 front, 2 right, 3 left, 4 passed by.
+    surface : ndarray, shape (n,)
+        Probability that the point is of the outline, and not of what is behind or beside it.
+    """
+
+    stamps_s: FloatArray
+    xy_vehicle: FloatArray
+    distance_m: FloatArray
+    face: IntArray
+    surface: FloatArray
+
+    @property
+    def rms_m(self) -> float:
+        """Of the points of the outline."""
+        return float(np.sqrt((self.surface * self.distance_m**2).sum() / max(float(self.surface.sum()), 1e-9)))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What is a drive's own, where its transform is known.
+
+    Attributes
+    ----------
+    laid : Laid or None
+        None where there are no points of the outline, as from a detector.
+    corrections : tuple of Correction
+    """
+
+    laid: Laid | None
+    corrections: tuple[Correction, ...]
+
+
+def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
+    """Find what of a drive's messages has to be corrected, given the transform, and lay its points on the outline.
+
+    Where the transform is the joint estimate's, so is the rest: the best of a part of the parameters, with the others
+    held at the best of all, is the best of all.
+
+    Parameters
+    ----------
+    passage : Passage
+        With the transform in its match.
+    settings : JointSettings
+        Those of the estimate.
+
+    Returns
+    -------
+    Fit or None
+        None where the messages never tell where the vehicle is.
+    """
+    drive = evidence_of(passage.track, passage.vehicle, passage.ground.height_m).thinned(MOST_ROWS)
+    if not len(drive):
+        return None
+    centre = drive.middles.mean(axis=0)
+    model = DriveModel(drive, centre, settings)
+    x, shares, covariance = _solve(model, passage, centre)
+    if not np.isfinite(x).all():
+        return None
+    laid = _lay(model, x, shares, passage.match)
+    return Fit(laid if len(laid.face) else None, model.corrections(x[FIRST_OWN:], covariance))
+
+
+def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return all parameters, of which yaw, x and y are held, the mixture's shares, and the covariance of the own."""
+    x = np.concatenate([[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0], model.mean])
+    x[FIRST_OWN] = passage.time_offset_s
+    shares = model.shares()
+    free = slice(FIRST_OWN - 1, None)
+    precision = np.zeros((model.own + 1, model.own + 1))
+    precision[0, 0] = 1.0 / model.settings.shared_noise_share
+    pace, step = 1.0, np.zeros(model.own + 1)
+    for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
+        fitness = model.weigh(x, soft, shares)
+        shares = fitness.shares
+        precision[1:, 1:], mean = model.prior(x[FIRST_OWN:])
+        information = fitness.information[free, free] + precision
+        gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, mean))
+        before, step = step, np.linalg.solve(information, gradient)
+        pace *= 0.5 if before @ information @ step < 0.0 else 1.0  # points at corners change sides, and it swings
+        step = pace * step
+        x[free] -= step
+        if soft == 0.0 and step @ information @ step < CLOSE:
+            break
+    return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[1:, 1:]
+
+
+def _lay(model: DriveModel, x: FloatArray, shares: FloatArray, match: PlanarMatch) -> Laid:
+    drive, own = model.drive, x[FIRST_OWN:]
+    centre_world, yaw, known = _vehicle(model, own)
+    chosen = np.flatnonzero(known[drive.frame])
+    frame, along, across = drive.frame[chosen], drive.sigma_along_m[chosen], drive.sigma_across_m[chosen]
+    points = drive.points[chosen, :2] - x[3] * along[:, None] * model.sight[chosen]
+    xy = rotate_xy(-yaw[frame], match(points) - centre_world[frame])
+    origin = rotate_xy(-yaw, match(np.zeros((1, 2))) - centre_world)[frame]
+    first = 3  # clock, heading and lever come before the shape
+    hits = outline.meet(xy, origin, along, across, model.size, own[first : first + len(outline.SHAPE)])
+    z, sigma_z = drive.points[chosen, 2], drive.sigma_z_m[chosen]
+    wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, model.highest_m)
+    group = (frame * outline.FACES + hits.face)[wall]
+    mixed = mixture.weigh(hits.distance[wall], np.sqrt(hits.variance[wall]), group, shares)
+    return Laid(drive.stamps_s[frame[wall]], xy[wall], hits.distance[wall], hits.face[wall], mixed.surface)
+
+
+def _vehicle(model: DriveModel, own: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the vehicle's centre on the map, its body's yaw and where they are known, by the corrected messages."""
+    clock_s, heading_rad, lever_m = own[:3]
+    vehicle, at = model.drive.vehicle, model.drive.stamps_s + clock_s
+    xy, heading, known = vehicle.at(at)
+    yaw = heading + heading_rad + model.body.at(at, lever_m)[0]
+    reference = np.tile(np.asarray(vehicle.reference), (len(at), 1))
+    bias = model.hat @ own[-2 * len(model.knots_s) :].reshape(2, -1).T
+    return xy + rotate_xy(heading, reference) - rotate_xy(yaw, reference) - bias, yaw, known
+
+
+@dataclass(frozen=True)
+class Apart:
+    """How far the boxes' centres by the sensor are from where the messages put them.
+
+    Attributes
+    ----------
+    stamps_s : ndarray, shape (n,)
+    ahead_m, left_m : ndarray, shape (n,)
+        Of the sensor's, in the vehicle's axes.
+    """
+
+    stamps_s: FloatArray
+    ahead_m: FloatArray
+    left_m: FloatArray
+
+
+def centres_apart(passage: Passage) -> Apart:
+    """Hold the boxes' centres, as they are, against the messages, as they are."""
+    stamps_s = passage.track.stamps_s
+    xy, yaw, known = passage.vehicle.at(stamps_s + passage.time_offset_s)
+    apart = rotate_xy(-yaw, passage.match(passage.track.centres) - xy)[known]
+    return Apart(stamps_s[known], apart[:, 0], apart[:, 1])
+
+
+def median_by_frame(stamps_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return each frame's stamp, shape (m,), and the quartiles of its values, shape (m, 3)."""
+    frames, index = np.unique(stamps_s, return_inverse=True)
+    quartiles = [np.quantile(values[index == number], [0.25, 0.5, 0.75]) for number in range(len(frames))]
+    return frames, np.array(quartiles).reshape(-1, 3)

@@ -1,0 +1,91 @@
+"""What of a calibration stands in space, as lines in the world: for everything that is drawn into an image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, transform
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.report.drawn import (
+    T_world_level,
+    background_corners,
+    on_ground,
+    plan_in_world,
+    sender_box,
+    sighting_at,
+)
+
+GRID_M = 10.0
+GRID_AHEAD = np.arange(0.0, 61.0, GRID_M)
+GRID_ASIDE_M = 40.0
+"""The grid ends where its squares become flat lines."""
+
+NOMINAL_HEIGHT_M = 1.5
+"""Messages do not tell a vehicle's height; this is a passenger car's."""
+
+HIGHEST_SHARE = 0.98
+"""Of a sighting's points, this share is below the box's roof: single points that hover over it are mismatches."""
+
+HEADING_M = 2.0
+"""How far the line that tells front from rear sticks out ahead of the box."""
+
+BOX_EDGES = [(i, (i + 1) % 4) for i in range(4)] + [(i + 4, (i + 1) % 4 + 4) for i in range(4)]
+BOX_EDGES += [(i, i + 4) for i in range(4)]
+
+
+def ground_grid(calibration: Calibration) -> list[FloatArray]:
+    """Return the lines of squares on the ground, counted from the point under the sensor; world, shape (2, 3) each."""
+    aside = np.arange(-GRID_ASIDE_M, GRID_ASIDE_M + GRID_M / 2, GRID_M)
+    ends = [((x, aside[0], 0.0), (x, aside[-1], 0.0)) for x in GRID_AHEAD]
+    ends += [((GRID_AHEAD[0], y, 0.0), (GRID_AHEAD[-1], y, 0.0)) for y in aside]
+    T = T_world_level(calibration)
+    return [transform(T, np.array(end)) for end in ends]
+
+
+def grid_places(calibration: Calibration) -> FloatArray:
+    """Return the points straight ahead of the sensor at the distances `GRID_AHEAD`, world, shape (n, 3)."""
+    axis = on_ground(np.column_stack([GRID_AHEAD, np.zeros(len(GRID_AHEAD))]))
+    return transform(T_world_level(calibration), axis)
+
+
+def vehicle_edges(calibration: Calibration, stamp_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return the edges of the vehicle's box at a time of the sensor, world, shape (2, 3) each.
+
+    Returns
+    -------
+    sent : list of ndarray
+        By the messages, with a line that points ahead; empty where they do not tell.
+    seen : list of ndarray
+        By the sensor; empty where it saw none.
+    """
+    sent, seen = sender_box(calibration, stamp_s), sighting_at(calibration, stamp_s)
+    height_m = NOMINAL_HEIGHT_M if seen is None else seen_height(seen)
+    sent_edges, seen_edges = [], []
+    if sent is not None:
+        nose = sent.centre + np.outer([0.5 * sent.length_m, 0.5 * sent.length_m + HEADING_M], _direction(sent.yaw_rad))
+        sent_edges = [*box_edges(sent.corners(), height_m), on_ground(nose)]
+    if seen is not None:
+        seen_edges = box_edges(plan_in_world(calibration, seen.box.corners()), height_m)
+    return sent_edges, seen_edges
+
+
+def background_edges(calibration: Calibration) -> list[FloatArray]:
+    """Return the edges of the background's boxes, world, shape (2, 3) each."""
+    boxes = zip(background_corners(calibration), calibration.background.boxes, strict=True)
+    return [edge for corners, static in boxes for edge in box_edges(corners, static.height_m)]
+
+
+def box_edges(corners: FloatArray, height_m: float) -> list[FloatArray]:
+    """Return the twelve edges, shape (2, 3) each, of a box over four corners, shape (4, 2)."""
+    points = np.concatenate([on_ground(corners), on_ground(corners) + np.array([0.0, 0.0, height_m])])
+    return [points[list(edge)] for edge in BOX_EDGES]
+
+
+def seen_height(seen: Sighting) -> float:
+    """Return how high a vehicle is above the ground, metres."""
+    return float(np.quantile(seen.points[:, 2], HIGHEST_SHARE)) if len(seen.points) else NOMINAL_HEIGHT_M
+
+
+def _direction(yaw_rad: float) -> FloatArray:
+    return np.array([np.cos(yaw_rad), np.sin(yaw_rad)])

@@ -1,0 +1,152 @@
+"""The check as a user runs it: exit codes, files, and the same in every run's result."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from laci_stereo.io.calibration_file import schema
+from tests.cli_support import Ran, Site, link_recording, refusal, run, snapshot, write_small_recording
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A small recording, and what the tool made of it."""
+
+    site: Site
+    result: Path
+    said: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        read: dict[str, Any] = json.loads((self.result / "calibration.json").read_text())
+        return read
+
+    def check(self, calibration: Path, *options: str | Path) -> Ran:
+        return run(["check", *map(str, (calibration, self.site.left, *options))], self.site.root)
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    root = tmp_path_factory.mktemp("recording")
+    write_small_recording(root)
+    site = Site(root)
+    ran = site.run()
+    assert ran.code == 0, ran
+    return Calibrated(site, site.out, ran.out)
+
+
+def off_by(calibrated: Calibrated, folder: Path, east_m: float) -> Path:
+    """Write the result again with the sensor put elsewhere."""
+    document = calibrated.document
+    T = np.array(document["T_world_sensor"])
+    T[0, 3] += east_m
+    document["T_world_sensor"] = T.tolist()
+    path = folder / "calibration.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_run_with_a_map_says_whether_it_lies_on_the_road(calibrated: Calibrated) -> None:
+    lanes = calibrated.document["lane_check"]
+    Draft202012Validator(schema()).validate(calibrated.document)
+    assert lanes["verdict"] == "pass"
+    assert lanes["lines_found"] >= 0.5 * lanes["lines_in_view"]
+    assert lanes["residual_px"] < 2.0
+    assert "Lanes" in calibrated.said
+    page = (calibrated.result / "report.html").read_text()
+    assert "Does the map lie on the road?" in page
+    assert cv2.imread(str(calibrated.result / "check.png")).shape == (360, 640, 3)
+
+
+def test_check_says_the_same_again(calibrated: Calibrated, tmp_path: Path) -> None:
+    picture, figures = tmp_path / "check.png", tmp_path / "check.json"
+    ran = calibrated.check(calibrated.result, "--picture", picture, "--json", figures)
+    assert ran.code == 0, ran
+    assert "PASS" in ran.out
+    found, before = json.loads(figures.read_text()), calibrated.document["lane_check"]
+    # The run looks at pairs only, the check at all images: their medians differ in noise.
+    assert found["verdict"] == before["verdict"]
+    assert found["error"]["east_m"] == pytest.approx(before["error"]["east_m"], abs=0.03)
+    assert (cv2.imread(str(picture)) > 0).any()
+
+
+@pytest.mark.parametrize("east_m", [-0.4, 0.4])
+def test_wrong_calibration_fails(calibrated: Calibrated, tmp_path: Path, east_m: float) -> None:
+    figures = tmp_path / "check.json"
+    wrong = off_by(calibrated, tmp_path, east_m)
+    ran = calibrated.check(wrong, "--picture", tmp_path / "check.png", "--json", figures)
+    assert ran.code == 1, ran
+    assert "FAIL" in ran.out
+    right = calibrated.document["lane_check"]["error"]["east_m"]
+    assert json.loads(figures.read_text())["error"]["east_m"] == pytest.approx(right + east_m, abs=0.05)
+
+
+def test_map_far_from_the_view_cannot_tell(calibrated: Calibrated, tmp_path: Path) -> None:
+    text = calibrated.site.root.joinpath("map.osm").read_text()
+    elsewhere = tmp_path / "map.osm"
+    elsewhere.write_text(text.replace('lat="48.42', 'lat="48.43'))
+    ran = calibrated.check(calibrated.result, "--map", elsewhere, "--picture", tmp_path / "check.png")
+    assert ran.code == 0, ran
+    assert "CANNOT TELL: none of the map's painted lines is in view" in ran.out
+
+
+def test_nothing_that_stood_before_is_lost(calibrated: Calibrated, tmp_path: Path) -> None:
+    picture = tmp_path / "check.png"
+    picture.write_text("mine")
+    refusal(calibrated.check(calibrated.result, "--picture", picture), 2, "check.png", "exists", "--overwrite")
+    assert picture.read_text() == "mine"
+    assert calibrated.check(calibrated.result, "--picture", picture, "--overwrite").code == 0
+    assert cv2.imread(str(picture)) is not None
+
+
+def with_kind(document: dict[str, Any]) -> None:
+    document["sensor"]["kind"] = "lidar"
+
+
+def without_schema(document: dict[str, Any]) -> None:
+    del document["T_world_sensor"]
+
+
+@pytest.mark.parametrize(("spoil", "words"), [(with_kind, ("lidar", "stereo")), (without_schema, ("T_world_sensor",))])
+def test_unusable_result_is_refused(calibrated: Calibrated, tmp_path: Path, spoil: Any, words: tuple[str, ...]) -> None:
+    document = calibrated.document
+    spoil(document)
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(document))
+    before = snapshot(tmp_path)
+    refusal(calibrated.check(path, "--picture", tmp_path / "check.png"), 2, "calibration.json", *words)
+    assert snapshot(tmp_path) == before
+
+
+def test_what_is_missing_is_named(calibrated: Calibrated, tmp_path: Path) -> None:
+    picture = ("--picture", tmp_path / "check.png")
+    refusal(calibrated.check(tmp_path / "nothing.json", *picture), 2, "nothing.json")
+    refusal(calibrated.check(calibrated.result, "--map", tmp_path / "no.osm", *picture), 2, "no.osm")
+    lonely = tmp_path / "lonely"
+    lonely.mkdir()
+    link_recording(calibrated.site.left, lonely)
+    ran = run(["check", str(calibrated.result), str(lonely), *map(str, picture)], tmp_path)
+    refusal(ran, 2, "stereo.yaml", "--stereo")
+
+
+def test_run_without_a_map_says_nothing_of_lanes(calibrated: Calibrated, tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    link_recording(calibrated.site.root, folder)
+    (folder / "map.osm").unlink()
+    site = Site(folder)
+    ran = site.run(out=folder / "bare")
+    assert ran.code == 0, ran
+    document = json.loads((folder / "bare" / "calibration.json").read_text())
+    assert document["lane_check"] is None
+    assert "Does the map lie" not in (folder / "bare" / "report.html").read_text()
+    assert not (folder / "bare" / "check.png").exists()
+    assert document["T_world_sensor"] == calibrated.document["T_world_sensor"]  # the lanes never enter the estimate
