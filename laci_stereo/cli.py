@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import re
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -17,8 +18,11 @@ from typing import Any
 
 import click
 
+from laci_stereo.cam_command import cam as cam_command
+from laci_stereo.check_command import check as check_command
 from laci_stereo.combine import CombineOptions
 from laci_stereo.combine import combine as combine_runs
+from laci_stereo.compare_command import compare_command
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import CalibrationError, LaciError, SettingError
@@ -27,6 +31,9 @@ from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettin
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
 from laci_stereo.job import DriveOptions, Job, Result, Task
+from laci_stereo.mask.network import MaskOptions, Provider
+from laci_stereo.mask_command import mask as mask_command
+from laci_stereo.mask_command import mask_options
 from laci_stereo.match import BoxOrigin, MatchOptions, MatchTask
 from laci_stereo.match import prepare as prepare_match
 from laci_stereo.run import Options, prepare
@@ -173,12 +180,17 @@ def _carry_out(job: Task, asked: Asked) -> None:
 
 def _deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool, quiet: bool) -> None:
     """Save a result and say what it is."""
-    result.save(out, overwrite=overwrite)
+    result.save(out, overwrite=overwrite, command=_command())
     if not quiet:
         for note in notes:
             click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
         click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+def _command() -> str:
+    """Return the command line as it could be typed again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 @cli.command()
@@ -193,6 +205,13 @@ def _deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool
     help="Frames without moving objects: numbers from 0, or a folder with left/ and right/ [default: found].",
 )
 @click.option("--disparities", metavar="MIN..MAX", help="Disparities to search, pixels [default: from the geometry].")
+@click.option(
+    "--vehicle-mask",
+    type=_PATH,
+    metavar="MODEL.onnx",
+    help="A detector or segmenter of your own that tells vehicles from what else moves; see docs/vehicle_mask.md.",
+)
+@mask_options
 @calibrating
 def calibrate(
     asked: Asked,
@@ -203,6 +222,9 @@ def calibrate(
     rectified: bool,
     background: str | None,
     disparities: str | None,
+    vehicle_mask: Path | None,
+    contract: Path | None,
+    provider: Provider,
 ) -> Job:
     """Calibrate a stereo camera.
 
@@ -214,6 +236,7 @@ def calibrate(
         **vars(asked.drive(parse_background(background))),
         stereo=stereo,
         camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=asked.workers),
+        mask=asked_mask(vehicle_mask, contract, provider, asked.workers),
     )
     return prepare(left, right, cam, options)
 
@@ -281,6 +304,12 @@ def combine(
     check_output(out, overwrite=overwrite)
     result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map))
     _deliver(result, (*result.job.provenance.notes, *result.job.skipped), out, overwrite=overwrite, quiet=quiet)
+
+
+cli.add_command(cam_command)
+cli.add_command(check_command)
+cli.add_command(compare_command)
+cli.add_command(mask_command)
 
 
 class WithProgress:
@@ -387,6 +416,21 @@ def parse_reference(text: str) -> ReferencePoint:
     if point:
         return ReferencePoint(float(point[1]), float(point[2]))
     raise SettingError(f"--cam-reference is {text!r}; needed is front, center, rear-axle:X or X,Y in metres")
+
+
+def asked_mask(model: Path | None, contract: Path | None, provider: Provider, workers: int) -> MaskOptions | None:
+    """Put together what was said about a vehicle mask.
+
+    Raises
+    ------
+    SettingError
+        If something was said of one, but not which.
+    """
+    if model is not None:
+        return MaskOptions(model, contract, provider, workers)
+    if contract is not None:
+        raise SettingError(f"--mask-contract is {contract} without a mask; needed is --vehicle-mask MODEL.onnx")
+    return None
 
 
 def ground_near(height_m: float | None) -> GroundSettings:

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
+from laci_stereo.check.images import Checked, check_images
+from laci_stereo.check.result import placed_by
 from laci_stereo.core.errors import ImageError, RigError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
@@ -16,6 +18,9 @@ from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, pair_images, r
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.io.stereo_calibration import find_stereo_calibration, read_stereo_calibration
 from laci_stereo.job import DriveOptions, Job, Result, read_drive, sha256
+from laci_stereo.mask.contract import contract_beside
+from laci_stereo.mask.network import MaskOptions
+from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
@@ -34,14 +39,18 @@ class Options(DriveOptions):
     stereo : Path or None
         The stereo calibration; None looks for stereo.yaml, .yml or .json beside the left images.
     camera : StereoSettings
+    mask : MaskOptions or None
+        A network that tells which moving points are a vehicle's.
     """
 
     stereo: Path | None = None
     camera: StereoSettings = field(default_factory=StereoSettings)
+    mask: MaskOptions | None = None
 
     def config(self) -> dict[str, object]:
         """Return every effective setting; paths stand among the inputs."""
-        return {**super().config(), "stereo": asdict(self.camera)}
+        provider = {} if self.mask is None else {"mask": {"provider": self.mask.provider}}
+        return {**super().config(), "stereo": asdict(self.camera), **provider}
 
 
 def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Options | None = None) -> Result:
@@ -85,13 +94,20 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
             name=recording.name,
             kind=recording.kind,
             frame=STEREO_FRAME,
-            inputs={str(left): len(pairs), str(right): len(pairs), str(stereo): sha256(stereo), **drive.files},
+            inputs={
+                str(left): len(pairs),
+                str(right): len(pairs),
+                str(stereo): sha256(stereo),
+                **_mask_files(options.mask),
+                **drive.files,
+            },
             config=options.config(),
-            notes=_notes(pairs) + drive.notes,
+            notes=_notes(pairs) + _assumed(recording) + drive.notes,
             T_sensor_rectified=recording.rectification.T_sensor_rectified,
         ),
         inputs=f"{len(pairs)} image pairs ({unpaired} unpaired), {len(drive.messages)} CAMs",
         draw=partial(_overlays, recording, drive.lane_map),
+        check=partial(_check, recording, drive.lane_map),
     )
 
 
@@ -108,8 +124,22 @@ def _recording(left: Path, pairs: Pairs, options: Options) -> tuple[StereoRecord
         options.core.ground,
         _background(pairs, options.background),
         options.name or beside.name,
+        None if options.mask is None else VehicleMask.load(options.mask),
     )
     return recording, stereo
+
+
+def _assumed(recording: StereoRecording) -> tuple[str, ...]:
+    """Say what was assumed of a vehicle mask without a contract."""
+    mask = recording.mask
+    return () if mask is None or not mask.tally.assumed else (f"{mask.tally.name}: {mask.tally.assumed}",)
+
+
+def _mask_files(options: MaskOptions | None) -> dict[str, str]:
+    if options is None:
+        return {}
+    contract = options.contract or contract_beside(options.model)
+    return {str(path): sha256(path) for path in (options.model, contract) if path is not None}
 
 
 def _overlays(
@@ -120,6 +150,13 @@ def _overlays(
         pair = min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
         image = recording.reader.colour(pair.left)
         yield f"overlay_{number}.png", draw_overlay(image, recording.rig.left, calibration, stamp_s, lane_map)
+
+
+def _check(recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:
+    if lane_map is None:
+        return None
+    files = [pair.left for pair in recording.pairs]
+    return check_images(files, recording.reader, recording.rig.left, placed_by(calibration), lane_map)
 
 
 def _image_size(pairs: Pairs) -> tuple[int, int]:

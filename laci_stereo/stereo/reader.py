@@ -22,6 +22,28 @@ FILLED_BITS = (10, 12, 14, 16)
 """What cameras with 16-bit images fill of them."""
 
 
+class EightBit:
+    """Brings the images of one camera to 8 bit; how many of 16 bits are filled, the first image tells."""
+
+    def __init__(self) -> None:
+        self._scale: float | None = None
+
+    def grey(self, image: Raster) -> Raster:
+        """Return an image as grey, uint8, shape (height, width)."""
+        return self._scaled(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+
+    def colour(self, image: Raster) -> Raster:
+        """Return an image as blue-green-red, uint8, shape (height, width, 3)."""
+        return self._scaled(image) if image.ndim == 3 else cv2.cvtColor(self._scaled(image), cv2.COLOR_GRAY2BGR)
+
+    def _scaled(self, image: Raster) -> Raster:
+        if image.dtype == np.uint8:
+            return image
+        if self._scale is None:
+            self._scale = 255.0 / next(2**bits - 1 for bits in FILLED_BITS if int(image.max()) < 2**bits)
+        return cv2.convertScaleAbs(image, alpha=self._scale)
+
+
 class GreyReader:
     """Reads raw images of one rig.
 
@@ -29,15 +51,21 @@ class GreyReader:
     ----------
     skipped : dict of Path to str
         The images that could not be used, each with the reason, in one line.
+    eight_bit : EightBit
     """
 
     def __init__(self, rig: StereoRig) -> None:
         self.skipped: dict[Path, str] = {}
         self._sizes = {rig.left.size, rig.right.size}
-        self._scale: float | None = None
+        self.eight_bit = EightBit()
 
     def read(self, path: Path) -> Raster | None:
         """Return an image as grey, uint8, shape (height, width); None, and a line in `skipped`, if it is unusable."""
+        image = self.raw(path)
+        return None if image is None else self.eight_bit.grey(image)
+
+    def raw(self, path: Path) -> Raster | None:
+        """Return an image as it was stored; None, and a line in `skipped`, if it is unusable."""
         try:
             image = read_image(path)
             self._check_size(path, image)
@@ -46,7 +74,7 @@ class GreyReader:
                 log.info("%s", error)
             self.skipped[path] = str(error)
             return None
-        return self.grey(image)
+        return image
 
     def colour(self, path: Path) -> Raster:
         """Return an image as 8-bit blue-green-red, shape (height, width, 3), to draw on.
@@ -56,20 +84,7 @@ class GreyReader:
         ImageError
             If it is unusable.
         """
-        image = read_image(path)
-        if image.dtype == np.uint8 and image.ndim == 3:
-            return image
-        return cv2.cvtColor(self.grey(image), cv2.COLOR_GRAY2BGR)
-
-    def grey(self, image: Raster) -> Raster:
-        """Return raw values as 8-bit grey; how many of 16 bits are filled, the first image tells."""
-        if image.ndim == 3:
-            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        if image.dtype == np.uint8:
-            return image
-        if self._scale is None:
-            self._scale = 255.0 / next(2**bits - 1 for bits in FILLED_BITS if int(image.max()) < 2**bits)
-        return cv2.convertScaleAbs(image, alpha=self._scale)
+        return self.eight_bit.colour(read_image(path))
 
     def check(self, attempted: int) -> None:
         """Raise if more than a fifth of the frames could not be read.

@@ -18,6 +18,9 @@ from laci_stereo.core.ground import fit_ground
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.stereo_calibration import StereoRig
+from laci_stereo.mask.apply import Moving, windows
+from laci_stereo.mask.picture import Crop
+from laci_stereo.mask.stage import GlimpseRays, VehicleMask
 from laci_stereo.stereo.ahead import map_ahead, workers
 from laci_stereo.stereo.disparity import Region, check_matched, match
 from laci_stereo.stereo.reader import GreyReader
@@ -65,6 +68,41 @@ class Scene:
     quiet: tuple[StereoPair, ...]
 
 
+@dataclass(frozen=True)
+class Pixels:
+    """Pixels of the rectified left image with a disparity.
+
+    Attributes
+    ----------
+    v, u : ndarray of int, shape (n,)
+        Row and column.
+    d, sigma_px : ndarray, shape (n,)
+        Disparity and its standard deviation, pixels.
+    """
+
+    v: IntArray
+    u: IntArray
+    d: FloatArray
+    sigma_px: FloatArray
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What differs from the scene at rest in a pair.
+
+    Attributes
+    ----------
+    left : ndarray
+        The left image, raw, as it was stored.
+    regions : tuple of Region
+    matched : Pixels
+    """
+
+    left: Raster
+    regions: tuple[Region, ...]
+    matched: Pixels
+
+
 class StereoRecording:
     """Frames of a stereo camera (implements `PointCloudSource`).
 
@@ -78,6 +116,8 @@ class StereoRecording:
         For the first look at the road, from which the range of disparities follows.
     background : sequence of StereoPair or None
         Pairs without moving objects. None: they are looked for.
+    mask : VehicleMask or None
+        Thins what moves to what are vehicles' points; the survey stays whole.
     """
 
     kind = "stereo"
@@ -90,6 +130,7 @@ class StereoRecording:
         ground: GroundSettings | None = None,
         background: Sequence[StereoPair] | None = None,
         name: str = "stereo camera",
+        mask: VehicleMask | None = None,
     ) -> None:
         self.name = name
         self.pairs = pairs
@@ -99,6 +140,7 @@ class StereoRecording:
         self.reader = GreyReader(self.rig)
         self._ground = ground or GroundSettings()
         self._background = background
+        self.mask = mask
         self._threads = workers(self.settings.workers)
 
     @property
@@ -122,15 +164,24 @@ class StereoRecording:
     def __iter__(self) -> Iterator[PointCloud]:
         """Yield every frame: the points of what differs from the scene at rest."""
         scene = self._scene
-        clouds = map_ahead(partial(self._moving_cloud, scene), self.pairs, self._threads)
-        for pair, cloud in zip(self.pairs, clouds, strict=True):
-            yield empty_cloud(pair.stamp_ns) if cloud is None else cloud
+        if self.mask is None:
+            yield from map_ahead(partial(self._moving_cloud, scene), self.pairs, self._threads)
+        else:
+            frames = map_ahead(partial(self._moving_pixels, scene, self.mask), self.pairs, self._threads)
+            yield from self.mask.apply(frames, self.settings.refine_window_px // 2)
         self.reader.check(len(self.pairs))
 
     def survey(self) -> Iterator[PointCloud]:
         """Yield whole frames, thinned, those in which the image differs least from the scene at rest."""
         clouds = map_ahead(self._whole_cloud, self._scene.quiet, self._threads)
         yield from (cloud for cloud in clouds if cloud is not None)
+
+    def mask_rays(self, stamp_ns: int) -> GlimpseRays | None:
+        """Return what the mask did in a frame, as of the latest pass; None without a mask."""
+        if self.mask is None:
+            return None
+        glimpse = self.mask.tally.glimpses.get(stamp_ns)
+        return GlimpseRays() if glimpse is None else glimpse.as_rays(self.rectification.rays)
 
     @cached_property
     def rectification(self) -> Rectification:
@@ -173,13 +224,13 @@ class StereoRecording:
         disparity = match(padded[0], padded[1], region, self.settings)
         check_matched(disparity, self.pairs[0].left.parent, images, self.settings)
         v, u = np.nonzero(np.isfinite(disparity.values))
-        cloud = self._points(
-            pair.stamp_ns,
+        pixels = Pixels(
             v * factor + factor // 2,
             u * factor + factor // 2,
             disparity.values[v, u] * factor,
             disparity.sigma[v, u] * factor,
         )
+        cloud = self._points(pair.stamp_ns, self._usable(pixels))
         ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, self.axes.up, self._ground)
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
         return RoadDisparity.of(ground, plane)
@@ -199,12 +250,39 @@ class StereoRecording:
         width, height = self.rectification.size
         seen = np.zeros((height, width), dtype=bool)
         seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
-        return self._cloud(pair.stamp_ns, left, right, [self.whole_region()], seen)
+        return self._points(pair.stamp_ns, self._matched(left, right, [self.whole_region()], seen))
 
-    def _moving_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud | None:
-        left = self.reader.read(pair.left)
-        if left is None:
+    def _moving_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud:
+        seen = self._changes(scene, pair)
+        return empty_cloud(pair.stamp_ns) if seen is None else self._points(pair.stamp_ns, seen.matched)
+
+    def _moving_pixels(self, scene: Scene, mask: VehicleMask, pair: StereoPair) -> Moving | int:
+        """Return what moves together with its pixels and crops of the image; the stamp alone if nothing does."""
+        seen = self._changes(scene, pair)
+        if seen is None:
+            return pair.stamp_ns
+        pixels = seen.matched
+        road = scene.road.row @ np.stack([pixels.u, pixels.v, np.ones(len(pixels.u))])
+        image = self.reader.eight_bit.colour(seen.left)
+        rectangles = [(region.x0, region.y0, region.x1, region.y1) for region in seen.regions]
+        crops = [
+            Crop(pair.stamp_ns, x0, y0, self.rectification.left.look_up(image, slice(y0, y1), slice(x0, x1)))
+            for x0, y0, x1, y1 in windows(rectangles, self.rectification.size, mask.finder.least_px)
+        ]
+        return Moving(
+            self._points(pair.stamp_ns, pixels),
+            pixels.u,
+            pixels.v,
+            (pixels.d - road) / pixels.sigma_px,
+            tuple(crops),
+        )
+
+    def _changes(self, scene: Scene, pair: StereoPair) -> Changes | None:
+        """Match what differs from the scene at rest; None if nothing does, or an image cannot be used."""
+        raw = self.reader.raw(pair.left)
+        if raw is None:
             return None
+        left = self.reader.eight_bit.grey(raw)
         changed = scene.look.changed(shrink(self.rectification.left.look_up(left)))
         found = [self._limited(region) for region in regions(changed, self.rectification.size, scene.road)]
         if not found:
@@ -213,7 +291,7 @@ class StereoRecording:
         if right is None:
             return None
         seen = cv2.resize(changed.astype(np.uint8), self.rectification.size, interpolation=cv2.INTER_NEAREST) > 0
-        return self._cloud(pair.stamp_ns, left, right, found, seen)
+        return Changes(raw, tuple(found), self._matched(left, right, found, seen))
 
     def _limited(self, region: Region) -> Region:
         """Apply the disparities that the user set; never search for what lies nearer than `NEAREST_M`."""
@@ -222,9 +300,7 @@ class StereoRecording:
         largest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
         return replace(region, largest=min(region.largest, largest, region.x1))
 
-    def _cloud(
-        self, stamp_ns: int, left: Raster, right: Raster, found: Sequence[Region], seen: BoolArray
-    ) -> PointCloud | None:
+    def _matched(self, left: Raster, right: Raster, found: Sequence[Region], seen: BoolArray) -> Pixels:
         parts = []
         for region in found:
             disparity = match(
@@ -235,22 +311,28 @@ class StereoRecording:
             )
             v, u = np.nonzero(np.isfinite(disparity.values) & seen[region.y0 : region.y1, region.x0 : region.x1])
             parts.append((v + region.y0, u + region.x0, disparity.values[v, u], disparity.sigma[v, u]))
-        return self._points(stamp_ns, *(np.concatenate(part) for part in zip(*parts, strict=True)))
+        return self._usable(Pixels(*(np.concatenate(part) for part in zip(*parts, strict=True))))
 
-    def _points(self, stamp_ns: int, v: IntArray, u: IntArray, d: FloatArray, sigma_px: FloatArray) -> PointCloud:
+    def _usable(self, pixels: Pixels) -> Pixels:
+        """Return those that both cameras see, and whose distance the noise lets tell."""
+        plane = self.rectification
+        u_right = np.rint(pixels.u - pixels.d).astype(np.int64)
+        # What is not nearer than the noise can tell may be at any distance, even beyond what numbers can hold.
+        usable = (pixels.d > pixels.sigma_px) & (u_right >= 0) & plane.left.valid[pixels.v, pixels.u]
+        usable &= plane.right.valid[pixels.v, u_right.clip(0)]
+        return Pixels(pixels.v[usable], pixels.u[usable], pixels.d[usable], pixels.sigma_px[usable])
+
+    def _points(self, stamp_ns: int, pixels: Pixels) -> PointCloud:
         """Reproject pixels with a disparity: depth = f b / d along the pixel's ray."""
         plane = self.rectification
-        u_right = np.rint(u - d).astype(np.int64)
-        # What is not nearer than the noise can tell may be at any distance, even beyond what numbers can hold.
-        usable = (d > sigma_px) & (u_right >= 0) & plane.left.valid[v, u] & plane.right.valid[v, u_right.clip(0)]
-        v, u, d, sigma_px, u_right = v[usable], u[usable], d[usable], sigma_px[usable], u_right[usable]
+        v, u, d = pixels.v, pixels.u, pixels.d
         depth = plane.focal_px * plane.baseline_m / d
         points = plane.rays[v, u] * depth[:, None]
-        inner = plane.left.inner[v, u] & plane.right.inner[v, u_right]
+        inner = plane.left.inner[v, u] & plane.right.inner[v, np.rint(u - d).astype(np.int64)]
         return PointCloud(
             stamp_ns,
             points,
-            sigma_along_m=np.linalg.norm(points, axis=1) * sigma_px / d,
+            sigma_along_m=np.linalg.norm(points, axis=1) * pixels.sigma_px / d,
             sigma_across_m=depth * (POINTING_SIGMA_PX / plane.focal_px),
             at_edge=~inner,
         )

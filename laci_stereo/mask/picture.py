@@ -1,0 +1,132 @@
+"""Crops of images as the input of a network: brought to its size, side by side where there is room, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.mask.contract import InputSpec, Resize
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A part of an image that the network shall look at.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Of its image.
+    x0, y0 : int
+        Its first column and row in that image.
+    image : ndarray of uint8, shape (height, width, 3)
+        Blue-green-red.
+    """
+
+    stamp_ns: int
+    x0: int
+    y0: int
+    image: Raster
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.image.shape[1], self.image.shape[0]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A rectangle of the network's input, pixels."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A crop in the network's input: input = scale * crop + offset.
+
+    Attributes
+    ----------
+    crop : Crop
+    scale : ndarray, shape (2,)
+    offset : ndarray, shape (2,)
+        Of its corner in the input, pixels.
+    size : tuple of int
+        Width and height in the input, pixels.
+    """
+
+    crop: Crop
+    scale: FloatArray
+    offset: FloatArray
+    size: tuple[int, int]
+
+    def to_image(self, points: FloatArray) -> FloatArray:
+        """Take points of the input, shape (n, 2), to the image, within the crop."""
+        inside = np.clip((points - self.offset) / self.scale, 0, self.crop.size)
+        moved: FloatArray = inside + np.array([self.crop.x0, self.crop.y0])
+        return moved
+
+    def holds(self, point: FloatArray) -> bool:
+        """Tell whether a point of the input, shape (2,), lies in the crop."""
+        return bool(((point >= self.offset) & (point < self.offset + self.size)).all())
+
+    def cut(self, mask: Raster) -> Raster:
+        """Return the crop's part of a mask over the input, at the crop's own size."""
+        x, y = self.offset.astype(int).tolist()
+        part = mask[y : y + self.size[1], x : x + self.size[0]].astype(np.uint8)
+        return cv2.resize(part, self.crop.size, interpolation=cv2.INTER_NEAREST) > 0
+
+
+def place(crop: Crop, cell: Cell, resize: Resize) -> Placed:
+    """Say where a crop comes to lie in a cell."""
+    width, height = crop.size
+    if resize == "stretch":
+        size = (cell.width, cell.height)
+    else:
+        factor = min(cell.width / width, cell.height / height)
+        size = (max(round(width * factor), 1), max(round(height * factor), 1))
+    spare = (cell.width - size[0], cell.height - size[1]) if resize == "letterbox_center" else (0, 0)
+    offset = np.array([cell.x + spare[0] // 2, cell.y + spare[1] // 2], dtype=np.float64)
+    return Placed(crop, np.array([size[0] / width, size[1] / height]), offset, size)
+
+
+def tensor(placed: list[Placed], size: tuple[int, int], spec: InputSpec) -> Raster:
+    """Paint crops into an input and bring it to the network's layout, type, colours and range.
+
+    Parameters
+    ----------
+    placed : list of Placed
+    size : tuple of int
+        Width and height of the input.
+    spec : InputSpec
+
+    Returns
+    -------
+    ndarray, shape (1, channels, height, width) or (1, height, width, channels)
+    """
+    canvas: Raster = np.full((size[1], size[0], 3), round(spec.pad), dtype=np.uint8)
+    for each in placed:
+        x, y = each.offset.astype(int).tolist()
+        shrinks = bool((each.scale < 1).any())
+        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        canvas[y : y + each.size[1], x : x + each.size[0]] = cv2.resize(
+            each.crop.image, each.size, interpolation=method
+        )
+    if spec.color == "GRAY":
+        canvas = cv2.cvtColor(canvas, cv2.COLOR_BGR2GRAY)[:, :, None]
+    elif spec.color == "RGB":
+        canvas = canvas[:, :, ::-1]
+    values = canvas if spec.dtype == "uint8" else _scaled(canvas, spec)
+    return np.ascontiguousarray((values.transpose(2, 0, 1) if spec.layout == "NCHW" else values)[None])
+
+
+def _scaled(canvas: Raster, spec: InputSpec) -> Raster:
+    mean, std = (np.array(each, dtype=np.float32) for each in (spec.mean, spec.std))
+    values = (canvas.astype(np.float32) * np.float32(spec.scale) - mean) / std
+    typed: Raster = values.astype(spec.dtype)
+    return typed

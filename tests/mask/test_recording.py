@@ -1,0 +1,105 @@
+"""A recording with a mask: the survey stays whole, and of what moves the vehicle's points stay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.io.images import StereoPair
+from laci_stereo.mask.detect import Vehicle
+from laci_stereo.mask.picture import Crop
+from laci_stereo.mask.stage import VehicleMask
+from laci_stereo.stereo.recording import StereoRecording
+from tests.stereo.render import Box
+from tests.stereo.rigs import RIGS
+from tests.stereo.support import FAR, NEAR, STATIC, exposed, off_surfaces, standing, truth, views, write_pairs
+
+MOVERS: tuple[Box | None, ...] = (None, NEAR, None, None, FAR, None, None)
+
+
+class TrueBoxes:
+    """Finds what moves where it truly is in the rectified image."""
+
+    slots, least_px = 2, 64
+    runs, seconds = 0, 0.0
+
+    def __init__(self, name: str, pairs: Sequence[StereoPair], shift: int = 0) -> None:
+        self.seen: list[Crop] = []
+        self.boxes = {
+            pair.stamp_ns: true_box(name, mover) + shift
+            for pair, mover in zip(pairs, MOVERS, strict=True)
+            if mover is not None
+        }
+
+    def find(self, crops: Sequence[Crop]) -> list[tuple[Vehicle, ...]]:
+        self.seen += crops
+        return [(Vehicle(self.boxes[crop.stamp_ns], 0.9, 2),) for crop in crops]
+
+
+def true_box(name: str, mover: Box) -> FloatArray:
+    v, u = np.nonzero(truth(name, (*STATIC, mover)).owner == len(STATIC) + 1)
+    return np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], dtype=np.float64)
+
+
+def frames(name: str, folder: Path, **options: object) -> list[StereoPair]:
+    return write_pairs(folder, exposed([views(name, mover) for mover in MOVERS], **options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "colour"), [("ideal", True), ("mirrored askew", False)])
+def test_the_vehicle_stays_in_grey_and_in_colour(name: str, colour: bool, tmp_path: Path) -> None:
+    pairs = frames(name, tmp_path, colour=colour)
+    finder = TrueBoxes(name, pairs)
+    masked = StereoRecording(pairs, RIGS[name], mask=VehicleMask(finder, "truth"))
+    plain = list(StereoRecording(pairs, RIGS[name]))
+    for cloud, whole, mover in zip(masked, plain, MOVERS, strict=True):
+        assert cloud.stamp_ns == whole.stamp_ns
+        if mover is None:
+            assert len(cloud) == 0
+            continue
+        assert len(cloud) < len(whole)
+        assert on_mover(cloud, mover) > 0.9 * on_mover(whole, mover)
+        assert on_mover(cloud, mover) / len(cloud) > on_mover(whole, mover) / len(whole)
+    for crop in finder.seen:
+        assert crop.image.dtype == np.uint8
+        x0, y0, x1, y1 = finder.boxes[crop.stamp_ns]
+        assert crop.x0 <= x0
+        assert crop.y0 <= y0
+        assert x1 <= crop.x0 + crop.size[0]
+        assert y1 <= crop.y0 + crop.size[1]
+    assert {crop.stamp_ns for crop in finder.seen} == set(finder.boxes)
+
+
+def on_mover(cloud: PointCloud, mover: Box) -> int:
+    """Count the points on the box, above the road."""
+    return int((off_surfaces(standing(cloud), [mover]) < 3).sum())
+
+
+def test_the_survey_is_the_same_as_without(tmp_path: Path) -> None:
+    pairs = frames("ideal", tmp_path)
+    masked = StereoRecording(pairs, RIGS["ideal"], mask=VehicleMask(TrueBoxes("ideal", pairs), "truth"))
+    for one, other in zip(masked.survey(), StereoRecording(pairs, RIGS["ideal"]).survey(), strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+
+
+def test_what_the_mask_did_can_be_drawn(tmp_path: Path) -> None:
+    pairs = frames("ideal", tmp_path)
+    recording = StereoRecording(pairs, RIGS["ideal"], mask=VehicleMask(TrueBoxes("ideal", pairs), "truth"))
+    list(recording)
+    drawn = recording.mask_rays(pairs[1].stamp_ns)
+    assert drawn is not None
+    plane = recording.rectification
+    [outline] = drawn.outlines
+    x0, y0, x1, y1 = true_box("ideal", NEAR).astype(int)
+    np.testing.assert_allclose(outline[0], plane.rays[y0, x0], atol=1e-9)
+    np.testing.assert_allclose(outline[2], plane.rays[y1, x1], atol=1e-9)
+    assert len(drawn.kept)
+    assert len(drawn.dropped)
+    empty = recording.mask_rays(pairs[0].stamp_ns)
+    assert empty is not None
+    assert empty.outlines == ()
+    assert StereoRecording(pairs, RIGS["ideal"]).mask_rays(pairs[1].stamp_ns) is None

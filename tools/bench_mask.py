@@ -1,0 +1,345 @@
+"""Calibrate random scenes without a vehicle mask, with a right one and with wrong ones, side by side.
+
+usage: python -m tools.bench_mask [--sensor stereo_05] [--scenes 30] [--first SEED] [--jobs 2] [--rendered]
+       [--set FACTOR=VALUE ...] [--out FILE.csv]
+
+Each scene has swaying trees and hedges (twice as many as usual), three walkers and two other vehicles, unless --set
+says otherwise. By default what the matcher makes of it is simulated; with --rendered images are painted at 5 Hz and
+matched by the tool itself (5 s an image, so that a scene takes some ten minutes).
+
+No real network knows painted vehicles, so the detector is the truth's: the boxes of all vehicles in view, each side off
+by 3 % (one standard deviation). The wrong masks are, each by itself and then all together: shifted by 20 px in a random
+direction; every third frame missing; a false box in every crop. A result is *accepted* when it is calibrated with
+another verdict than "fail".
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.errors import CalibrationError
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray, invert, transform
+from laci_stereo.mask.apply import Moving, windows
+from laci_stereo.mask.detect import Vehicle
+from laci_stereo.mask.picture import Crop
+from laci_stereo.mask.stage import VehicleMask
+from laci_stereo.stereo.recording import StereoRecording
+from laci_stereo.stereo.rectify import Rectification
+from laci_stereo.stereo.settings import StereoSettings
+from tools.scenes.__main__ import settings as read_factors
+from tools.scenes.disparity import STEREOS, StereoCamera, reproject
+from tools.scenes.runs import NO_SCENE
+from tools.scenes.scene import SENSORS, Recorded, Scene, SceneError, draw_scene, errors_of
+from tools.scenes.seeing import rendered
+from tools.scenes.traffic import Mover
+
+FACTORS: dict[str, object] = {"walkers": 3, "vehicles": 2, "density": 2.0}
+LEAST_LENGTH_M = 2.5
+"""What is shorter is a walker or a cyclist."""
+
+SIDE_SIGMA = 0.03
+SHIFT_PX = 20.0
+SLOTS, LEAST_PX = 6, 160
+
+Boxes = FloatArray
+"""Left, top, right and bottom in the rectified left image, shape (n, 4)."""
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What a spoilt detector knows: the frame's number, the crop, the scene's own direction (pixels), and chance."""
+
+    frame: int
+    crop: Crop
+    shift: FloatArray
+    rng: np.random.Generator
+
+
+Spoil = Callable[[Boxes, Glance], Boxes]
+
+
+def right(boxes: Boxes, _glance: Glance) -> Boxes:
+    """Leave the boxes as they are."""
+    return boxes
+
+
+def shifted(boxes: Boxes, glance: Glance) -> Boxes:
+    """Shift all boxes, in one direction for a whole scene."""
+    return boxes + np.tile(glance.shift, 2)
+
+
+def missing(boxes: Boxes, glance: Glance) -> Boxes:
+    """Leave out every third frame."""
+    return boxes[:0] if glance.frame % 3 == 0 else boxes
+
+
+def false(boxes: Boxes, glance: Glance) -> Boxes:
+    """Put in a box of half of the crop's size somewhere in it."""
+    size = np.array(glance.crop.size)
+    corner = np.array([glance.crop.x0, glance.crop.y0]) + glance.rng.uniform(0.0, 0.5, 2) * size
+    return np.vstack([boxes, np.concatenate([corner, corner + size / 2])])
+
+
+def everything(boxes: Boxes, glance: Glance) -> Boxes:
+    """Do all of that."""
+    return missing(false(shifted(boxes, glance), glance), glance)
+
+
+MASKS: dict[str, Spoil | None] = {
+    "without": None,
+    "with": right,
+    "shifted": shifted,
+    "third missing": missing,
+    "false boxes": false,
+    "all wrong": everything,
+}
+
+
+class TrueDetector:
+    """Finds the vehicles of a scene where they are, or where a spoilt detector would see them."""
+
+    slots, least_px = SLOTS, LEAST_PX
+    runs, seconds = 0, 0.0
+
+    def __init__(self, boxes: dict[int, Boxes], spoil: Spoil, seed: int, stride: int) -> None:
+        self._boxes = boxes
+        self._number = {stamp: number for number, stamp in enumerate(sorted(boxes))}
+        self._spoil = spoil
+        self._rng = np.random.default_rng(seed)
+        angle = 2 * np.pi * self._rng.random()
+        self._shift = SHIFT_PX / stride * np.array([np.cos(angle), np.sin(angle)])
+
+    def find(self, crops: Sequence[Crop]) -> list[tuple[Vehicle, ...]]:
+        """Return the boxes in each crop, cut off at its border."""
+        return [self._in(crop) for crop in crops]
+
+    def _in(self, crop: Crop) -> tuple[Vehicle, ...]:
+        boxes = self._boxes[crop.stamp_ns]
+        sides = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+        boxes = boxes + SIDE_SIGMA * sides * self._rng.normal(size=boxes.shape)
+        boxes = self._spoil(boxes, Glance(self._number[crop.stamp_ns], crop, self._shift, self._rng))
+        first = np.array([crop.x0, crop.y0])
+        middle = (boxes[:, :2] + boxes[:, 2:]) / 2
+        inside = ((middle >= first) & (middle < first + crop.size)).all(axis=1)
+        cut = boxes[inside].clip(np.tile(first, 2), np.tile(first + crop.size, 2))
+        return tuple(Vehicle(box, 1.0, 2) for box in cut)
+
+
+class Simulated:
+    """A simulated stereo camera with a mask (implements `PointCloudSource`); its pixels are the simulation's grid."""
+
+    kind, name = "stereo", "simulated"
+
+    def __init__(self, scene: Scene) -> None:
+        camera = scene.sensor
+        assert isinstance(camera, StereoCamera), scene.sensor_kind
+        self.scene, self.camera = scene, camera
+        self.mask: VehicleMask | None = None
+        self.axes: Axes = scene.axes
+        self._plain = Recorded(scene)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp."""
+        return self._plain.span_ns
+
+    def __len__(self) -> int:
+        return len(self._plain)
+
+    def survey(self) -> Iterator[PointCloud]:
+        """Yield whole frames."""
+        return self._plain.survey()
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        if self.mask is None:
+            return iter(self._plain)
+        half_window = -(-StereoSettings().refine_window_px // 2 // self.camera.stride)
+        return self.mask.apply(map(self.moving, range(len(self))), half_window)
+
+    def moving(self, index: int) -> Moving:
+        """Return what moves in a frame."""
+        stamp_ns, camera = int(self.scene.stamps_ns[index]), self.camera
+        matched = self._plain._matched(index)
+        cloud = PointCloud(stamp_ns, *reproject(camera, matched, matched.moving))
+        keep = np.isfinite(matched.disparity_px) & matched.moving
+        v, u = np.nonzero(keep)
+        # The road is z = 0: a ray that falls by k for each metre of depth meets it in a depth of height / k.
+        fall = -(camera.rays[keep.ravel()] @ self.scene.T_world_sensor[2, :3])
+        road = camera.focal_px * camera.baseline_m * fall / self.scene.T_world_sensor[2, 3]
+        above = (matched.disparity_px[keep] - road) / matched.sigma_px[keep]
+        stats = cv2.connectedComponentsWithStats(matched.moving.astype(np.uint8))[2][1:, :4]
+        rectangles = [(x, y, x + w, y + h) for x, y, w, h in stats.tolist()]
+        size = (matched.moving.shape[1], matched.moving.shape[0])
+        cut = windows(rectangles, size, LEAST_PX // camera.stride)
+        crops = tuple(Crop(stamp_ns, x0, y0, np.zeros((y1 - y0, x1 - x0, 3), np.uint8)) for x0, y0, x1, y1 in cut)
+        return Moving(cloud, u, v, above, crops)
+
+    def is_vehicle(self, index: int) -> BoolArray:
+        """Tell which pixels of a frame truly show a vehicle, shape (rows, columns)."""
+        shown: BoolArray = np.isin(self._plain._matched(index).body, self._numbers())
+        return shown
+
+    def boxes_at(self, index: int) -> Boxes:
+        """Return the boxes of what is seen of all vehicles in a frame."""
+        body = self._plain._matched(index).body
+        found = []
+        for number in self._numbers():
+            v, u = np.nonzero(body == number)
+            if len(u):
+                found.append([u.min(), v.min(), u.max() + 1, v.max() + 1])
+        return np.array(found, dtype=np.float64).reshape(-1, 4)
+
+    def true_boxes(self) -> dict[int, Boxes]:
+        """Return the same of all frames, by stamp."""
+        return {stamp_ns: self.boxes_at(index) for index, stamp_ns in enumerate(self.scene.stamps_ns.tolist())}
+
+    def _numbers(self) -> list[int]:
+        names = {mover.name for mover in vehicles_in(self.scene)}
+        return [number for number, body in enumerate(self.scene.bodies) if body.name in names]
+
+
+def vehicles_in(scene: Scene) -> list[Mover]:
+    """Return what moves and is no walker or cyclist."""
+    return [mover for mover in (scene.sender, *scene.others) if mover.length_m >= LEAST_LENGTH_M]
+
+
+def true_boxes(scene: Scene, recording: StereoRecording) -> dict[int, Boxes]:
+    """Return the boxes of all vehicles in view, by stamp; what hides them is not looked at."""
+    found: dict[int, Boxes] = {}
+    for stamp_ns, time_s in zip(scene.stamps_ns.tolist(), scene.times_s.tolist(), strict=True):
+        each = [_box(mover, time_s, scene, recording.rectification) for mover in vehicles_in(scene)]
+        found[stamp_ns] = np.array([box for box in each if box is not None]).reshape(-1, 4)
+    return found
+
+
+def _box(mover: Mover, time_s: float, scene: Scene, plane: Rectification) -> FloatArray | None:
+    T_rectified_body = invert(scene.T_world_sensor @ plane.T_sensor_rectified) @ mover.pose(time_s)
+    points = transform(T_rectified_body, mover.mesh.vertices)
+    if points[:, 2].min() < 1.0:
+        return None
+    rays = plane.rays[[0, 0, 1], [0, 1, 0]] @ plane.T_sensor_rectified[:3, :3]
+    step = np.array([rays[1, 0] - rays[0, 0], rays[2, 1] - rays[0, 1]])
+    pixels = (points[:, :2] / points[:, 2:] - rays[0, :2]) / step
+    low, high = (edge.clip(0, plane.size) for edge in (pixels.min(axis=0), pixels.max(axis=0)))
+    return None if (high - low).min() < 4 else np.concatenate([low, high])
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scene with one mask; NaN where there is no result."""
+
+    seed: int
+    mask: str
+    refused: str = ""
+    track_xy_cm: float = np.nan
+    rotation_deg: float = np.nan
+    sigma_ratio: float = np.nan
+    rotation_ratio: float = np.nan
+    kept: int = 0
+    dropped: int = 0
+    fallback: int = 0
+    grown: int = 0
+
+
+def run(sensor: str, seed: int, factors: dict[str, object], paint: bool) -> list[Row]:
+    """See a scene once, and calibrate it with each mask."""
+    kind = {name: name for name in SENSORS}[sensor]  # type: ignore[index]
+    try:
+        scene = draw_scene(seed, kind, **{**FACTORS, **factors})
+    except SceneError as error:
+        return [Row(seed, name, f"{NO_SCENE}: {error}") for name in MASKS]
+    if not paint:
+        source = Simulated(scene)
+        return [_row(Row(seed, name), scene, source, source.true_boxes(), source.camera.stride) for name in MASKS]
+    with tempfile.TemporaryDirectory() as folder:
+        recording = rendered(scene, Path(folder))
+        boxes = true_boxes(scene, recording)
+        return [_row(Row(seed, name), scene, recording, boxes, 1) for name in MASKS]
+
+
+def _row(row: Row, scene: Scene, source: StereoRecording | Simulated, boxes: dict[int, Boxes], stride: int) -> Row:
+    spoil = MASKS[row.mask]
+    source.mask = None if spoil is None else VehicleMask(TrueDetector(boxes, spoil, row.seed, stride), row.mask)
+    try:
+        found = calibrate(source, scene.messages, crs=scene.crs)
+    except CalibrationError as error:
+        return replace(row, refused=f"{type(error).__name__}: {error}")
+    errors = errors_of(found, scene)
+    row = replace(
+        row,
+        refused="verdict fail" if found.quality.verdict == "fail" else "",
+        track_xy_cm=errors.track_xy_cm,
+        rotation_deg=errors.rotation_deg,
+        sigma_ratio=errors.sigma_ratio,
+        rotation_ratio=errors.rotation_ratio,
+    )
+    if source.mask is None:
+        return row
+    tally = source.mask.tally
+    return replace(row, kept=tally.kept, dropped=tally.dropped, fallback=tally.fallback, grown=tally.grown)
+
+
+def report(rows: Sequence[Row]) -> str:
+    """Return a table, one line for each mask; errors are those of the accepted results."""
+    lines = [
+        "| mask | scenes | refused | xy median cm | 95 % | worst | angle 95 % deg | beyond 3 sigma | dropped |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name in MASKS:
+        mine = [row for row in rows if row.mask == name and not row.refused.startswith(NO_SCENE)]
+        good = [row for row in mine if not row.refused]
+        if not good:
+            lines.append(f"| {name} | {len(mine)} | {len(mine)} | | | | | | |")
+            continue
+        xy, turned = (np.array([getattr(row, key) for row in good]) for key in ("track_xy_cm", "rotation_deg"))
+        beyond = sum(max(row.sigma_ratio, row.rotation_ratio) > 3 for row in good)
+        points = sum(row.kept + row.dropped for row in good)
+        dropped = sum(row.dropped for row in good) / max(points, 1)
+        lines.append(
+            f"| {name} | {len(mine)} | {len(mine) - len(good)} | {np.median(xy):.1f} | {np.quantile(xy, 0.95):.1f} "
+            f"| {xy.max():.1f} | {np.quantile(turned, 0.95):.2f} | {beyond} | {dropped:.0%} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sensor", choices=STEREOS, default="stereo_05")
+    parser.add_argument("--scenes", type=int, default=30)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--rendered", action="store_true", help="paint images and match them")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
+    parser.add_argument("--out", type=Path, help="one line per scene and mask, as CSV")
+    arguments = parser.parse_args()
+    factors = read_factors(arguments.set)
+    seeds = range(arguments.first, arguments.first + arguments.scenes)
+    rows: list[Row] = []
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        jobs = [pool.submit(run, arguments.sensor, seed, factors, arguments.rendered) for seed in seeds]
+        for number, done in enumerate(as_completed(jobs), start=1):
+            rows += done.result()
+            print(f"\r{number} of {len(jobs)}", end="", flush=True)
+            if arguments.out is not None:
+                with arguments.out.open("w", newline="") as stream:
+                    writer = csv.DictWriter(stream, [field.name for field in fields(Row)])
+                    writer.writeheader()
+                    writer.writerows(asdict(row) for row in rows)
+    print(f"\n{report(rows)}")
+
+
+if __name__ == "__main__":
+    main()
