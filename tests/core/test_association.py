@@ -356,6 +356,7 @@ def passing(scene: Traffic, seed: int, count: int) -> list[int]:
     return np.random.default_rng(seed).choice(inside, count, replace=False).tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [MatchSettings(), UNKNOWN_CLOCK])
 @pytest.mark.parametrize("senders", [1, 3])
 def test_thirty_vehicles_at_a_crossing(senders: int, settings: MatchSettings) -> None:
@@ -370,6 +371,7 @@ def test_thirty_vehicles_at_a_crossing(senders: int, settings: MatchSettings) ->
     assert right >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("senders", "needed"), [(1, 0), (3, 2)])
 def test_thirty_vehicles_on_a_straight_road(senders: int, needed: int) -> None:
     # One sender among cars of nearly its speed is often undecided, but never wrong unsaid; three tell each other apart.

@@ -33,8 +33,12 @@ def test_two_drives_of_different_vehicles_place_the_sensor_to_centimetres_and_ar
 def test_one_drive_gives_what_it_gave() -> None:
     for passage, (_, alone) in zip(passages(), recorded(), strict=True):
         found = combine([passage]).calibration
-        assert found.T_utm_sensor[:3, 3] == pytest.approx(alone.T_utm_sensor[:3, 3], abs=1e-3)
-        assert found.T_utm_sensor[:3, :3] == pytest.approx(alone.T_utm_sensor[:3, :3], abs=1e-5)
+        # It begins elsewhere, and ends where steps are a thirtieth of the doubt.
+        within_m = 0.1 * alone.quality.track_xy_sigma_m
+        assert found.T_utm_sensor[:3, 3] == pytest.approx(alone.T_utm_sensor[:3, 3], abs=within_m)
+        assert found.T_utm_sensor[:3, :3] == pytest.approx(
+            alone.T_utm_sensor[:3, :3], abs=np.radians(0.1 * alone.quality.yaw_sigma_deg)
+        )
         assert found.covariance == pytest.approx(alone.covariance, rel=0.05, abs=1e-9)
         assert found.quality.frames_seen == alone.quality.frames_seen
 
@@ -119,6 +123,7 @@ def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
     assert loose.shares[0].time_sigma_s == pytest.approx(without, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_combined_result_can_be_combined_further() -> None:
     first, second, third = passages()
     stepwise = combine([*combine([first, second]).calibration.passages, third]).calibration

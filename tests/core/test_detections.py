@@ -86,6 +86,7 @@ def test_a_sensor_that_counts_its_axes_otherwise_sees_the_same(name: str) -> Non
         assert max(abs(np.sin(a - b)) for a, b in boxes) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bias_m", [0.0, 0.15])
 def test_the_covariance_of_the_ground_is_honest(bias_m: float) -> None:
     """Also where a detector errs for each vehicle alike, so that many boxes say little more than one."""

@@ -60,6 +60,7 @@ def test_every_contract_in_the_recipe_is_one(tmp_path: Path) -> None:
         read_contract(path)
 
 
+@pytest.mark.slow
 def test_a_network_of_ones_own_from_looking_to_calibrating(tmp_path: Path) -> None:
     model = red_segmenter(tmp_path)
     (tmp_path / "mine.contract.json").write_text(contract_of_the_recipe())

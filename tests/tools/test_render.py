@@ -174,6 +174,7 @@ def test_the_sun_casts_the_shadow_away_from_it() -> None:
     assert (share[2:] > 0.8).all()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_images() -> None:
     tiny = lens(FIVE, size=(120, 90))
     pair = rig(tiny, tiny)
