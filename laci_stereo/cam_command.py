@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -14,6 +13,7 @@ from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import OutputError
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.output import write_file
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
 
@@ -40,7 +40,7 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
     if form is None:
         click.echo(summarise_log(recording, str(log)))
         if out is not None:
-            _write(out, cv2.imencode(".png", draw_log(recording))[1].tobytes())
+            write_file(out, cv2.imencode(".png", draw_log(recording))[1].tobytes())
             click.echo(f"{'Written':<11}{out}")
         return
     for note in recording.notes:
@@ -49,17 +49,5 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
     if out is None:
         click.echo(text, nl=False)
     else:
-        _write(out, text.encode())
+        write_file(out, text.encode())
         click.echo(f"{'Written':<11}{out}", err=True)
-
-
-def _write(out: Path, content: bytes) -> None:
-    """Write a file as a whole, or leave what stood there."""
-    try:
-        with tempfile.NamedTemporaryFile(dir=out.absolute().parent, prefix=f".{out.name}.", delete=False) as stream:
-            temporary = Path(stream.name)
-            stream.write(content)
-        temporary.chmod(0o644)  # the temporary file's own is for the user alone
-        temporary.replace(out)
-    except OSError as problem:
-        raise OutputError(f"{out}: cannot be written ({problem.strerror}); nothing was changed") from problem

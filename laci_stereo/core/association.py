@@ -23,7 +23,7 @@ from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.track_likelihood import Account, hold_against
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
 from laci_stereo.core.track_scene import Scene, extent, lay_out
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking import GATE, Track
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +35,6 @@ So likely it is, too, that none of the tracks is the sender's."""
 MAX_GOOD_SIGMA = 2.0
 """The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
 
-
-GATE = 3.0
 
 BODY_REACH = 10.0
 """What bodies can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""

@@ -50,7 +50,7 @@ USUAL_LENGTH_M, USUAL_LENGTH_SIGMA_M = 4.4, 0.4
 LONGEST_CAR_M = 6.0
 """What is longer and tells no width is a lorry or a bus."""
 
-HEAVY_WIDTH_M, HEAVY_WIDTH_SIGMA_M = 2.55, 0.05
+ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M = 2.55, 0.05
 
 
 def fitting(
@@ -178,7 +178,7 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
     length, width = _told(length_m), _told(width_m)
     sigma, remarks = np.zeros(2), []
     if not np.isfinite(length):
-        if width > WIDEST_M - 2 * HEAVY_WIDTH_SIGMA_M:
+        if width > WIDEST_M - 2 * ALLOWED_WIDTH_SIGMA_M:
             raise CamError(
                 f"the vehicle's length is in none of the {len(length_m)} messages, and its width, {width:.2f} m, is "
                 "that of a lorry or a bus, which may be of any; needed is its length"
@@ -187,16 +187,16 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
         remarks.append(f"the messages tell no length of the vehicle: taken as a car's, {length} +- {sigma[0]} m")
     if not np.isfinite(width):
         car = length <= LONGEST_CAR_M
-        width = USUAL_WIDTH_M if car else HEAVY_WIDTH_M
-        sigma[1] = USUAL_WIDTH_SIGMA_M if car else HEAVY_WIDTH_SIGMA_M
+        width = USUAL_WIDTH_M if car else ALLOWED_WIDTH_M
+        sigma[1] = USUAL_WIDTH_SIGMA_M if car else ALLOWED_WIDTH_SIGMA_M
         kind = "car" if car else "lorry"
         remarks.append(f"the messages tell no width of the vehicle: taken as a {kind}'s, {width} +- {sigma[1]} m")
     elif width > WIDEST_M:
         remarks.append(
             f"the messages tell a width of {width:.2f} m, more than roads allow ({WIDEST_M} m), so it is over "
-            f"the mirrors: taken as {HEAVY_WIDTH_M} +- {HEAVY_WIDTH_SIGMA_M} m"
+            f"the mirrors: taken as {ALLOWED_WIDTH_M} +- {ALLOWED_WIDTH_SIGMA_M} m"
         )
-        width, sigma[1] = HEAVY_WIDTH_M, HEAVY_WIDTH_SIGMA_M
+        width, sigma[1] = ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M
     return np.array([length, width]), sigma, tuple(remarks)
 
 

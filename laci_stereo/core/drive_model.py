@@ -272,15 +272,13 @@ class DriveModel:
             The points that count; None: those that are on the wall at these parameters. Likelihoods can be compared
             only if they are of the same points.
         """
-        chosen = self.choose(x) if chosen is None else chosen
         rows = self.rows(x, chosen)
         sigma = np.sqrt(rows.variance + softening_m**2)
         group = rows.frame * outline.FACES + rows.face
         mixed = mixture.weigh(rows.distance, sigma, group, shares)
-        share = rows.share
-        weight = share * mixed.surface / sigma**2
+        weight = rows.share * mixed.surface / sigma**2
         jacobian = self._by_all(rows)
-        scores = jacobian * (mixed.slope * share)[:, None]
+        scores = jacobian * (mixed.slope * rows.share)[:, None]
         blocks = np.zeros((int(self.block.max(initial=0)) + 1, jacobian.shape[1]))
         np.add.at(blocks, self.block[rows.frame], scores)
         held = np.bincount(rows.frame, mixed.surface, len(self.drive)) > 1.0
@@ -288,7 +286,7 @@ class DriveModel:
             information=(jacobian * weight[:, None]).T @ jacobian,
             gradient=blocks.sum(axis=0),
             block_scores=blocks,
-            log_likelihood=float((share * mixed.log_likelihood).sum()),
+            log_likelihood=float((rows.share * mixed.log_likelihood).sum()),
             shares=mixed.shares,
             weight=float(mixed.surface.sum()),
             squares=float((mixed.surface * rows.distance**2).sum()),

@@ -33,7 +33,7 @@ CONVERGED = 1e-3
 """Squared step, in standard deviations, at which the iteration ends: a thirtieth of the error that is claimed."""
 
 START_YAWS_DEG = (-4.0, 0.0, 4.0)
-START_SHIFT_M = 0.9
+SHIFTS_M = ((0.0, 0.0), (-0.9, -0.9), (-0.9, 0.9), (0.9, -0.9), (0.9, 0.9))
 """Starts around the paper's match: its yaw leans on one box and is a few degrees off at most; its position is off by
 half of what of the vehicle is not seen, which is half a car's width across and somewhat more along it."""
 
@@ -115,7 +115,7 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings)
-    best = thinned.best_of(_starts(thinned, offsets))
+    best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     problem = _Problem([drive.thinned(FINE_ROWS) for drive in drives], begin, centre, settings)
     return _fit(problem, problem.solve(best), centre)
 
@@ -131,19 +131,18 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings or JointSettings())
-    turned = [x for x in _starts(problem, [time_offset_s]) if np.allclose(x[1:3], problem.mean[1:3])]
-    return _fit(problem, problem.solve(problem.best_of(turned)), centre)
+    best = problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)]))
+    return _fit(problem, problem.solve(best), centre)
 
 
 def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
     return np.array([start.yaw_rad, *start(centre[None])[0], 0.0])
 
 
-def _starts(problem: _Problem, offsets: Sequence[float]) -> list[FloatArray]:
+def _starts(problem: _Problem, offsets: Sequence[float], shifts_m: Sequence[tuple[float, float]]) -> list[FloatArray]:
     """Return starts around the first one: turned and shifted along and across the mean direction of view."""
-    shifts = [(0.0, 0.0), *product((-START_SHIFT_M, START_SHIFT_M), repeat=2)]
     found = []
-    for turn_deg, shift in product(START_YAWS_DEG, shifts):
+    for turn_deg, shift in product(START_YAWS_DEG, shifts_m):
         x = problem.at_rest(offsets)
         x[0] += np.radians(turn_deg)
         x[1:3] += shift

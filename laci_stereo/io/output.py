@@ -68,9 +68,12 @@ def write_file(path: Path, content: bytes) -> None:
     try:
         with tempfile.NamedTemporaryFile(dir=path.absolute().parent, prefix=f".{path.name}.", delete=False) as stream:
             temporary = Path(stream.name)
-            stream.write(content)
-        temporary.chmod(0o644)  # the temporary file's own is for the user alone
-        temporary.replace(path)
+        try:
+            temporary.write_bytes(content)
+            temporary.chmod(0o644)  # the temporary file's own is for the user alone
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); nothing was changed") from error
 
