@@ -20,6 +20,7 @@ from laci_stereo.io.evidence_file import Kept, read_evidence
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE
 from laci_stereo.job import Result, sha256
+from laci_stereo.report.page import Photographs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +67,14 @@ class Origin:
     def check(self, calibration: Calibration) -> Checked | None:
         """Check nothing: no image is kept."""
         return not_checked(calibration)
+
+    def photograph(self, _calibration: Calibration) -> Photographs | None:
+        """Return no images: they are with the results that were combined."""
+        return None
+
+    def remarks(self) -> tuple[str, ...]:
+        """Say nothing of the sensor: the results that were combined do."""
+        return ()
 
 
 def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -> Result:

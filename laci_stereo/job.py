@@ -30,11 +30,9 @@ from laci_stereo.io.evidence_file import Kept, write_evidence
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE, result_folder
 from laci_stereo.io.overlap import check_overlap
-from laci_stereo.report.overlay import overlay_stamps
-from laci_stereo.report.page import MOMENTS, Made, Photograph, Photographs, write_page
+from laci_stereo.report.page import Made, Photographs, write_page
 from laci_stereo.report.summary import summarise
 from laci_stereo.report.topdown import draw_topdown
-from laci_stereo.stereo.recording import StereoRecording
 
 PAGE_FILE = "report.html"
 
@@ -140,6 +138,20 @@ Drawing = Callable[[Calibration], Iterator[tuple[str, Raster]]]
 """Draws pictures that only one kind of sensor has, each with its file name."""
 
 
+Photographing = Callable[[Calibration], Photographs | None]
+"""Returns some images of the drive for the report; None where the sensor takes none."""
+
+
+def not_photographed(_calibration: Calibration) -> Photographs | None:
+    """Return no images: the sensor takes none."""
+    return None
+
+
+def no_remarks() -> tuple[str, ...]:
+    """Say nothing of the sensor."""
+    return ()
+
+
 Watch = Callable[[PointCloudSource], PointCloudSource]
 """Wraps a recording, for example to show progress while its frames are consumed."""
 
@@ -159,6 +171,10 @@ class Task(ABC):
         The sensor's own pictures.
     check : callable
         Whether the map's lines lie on the road's.
+    photograph : callable
+        Images for the report.
+    remarks : callable
+        What is to be said of the sensor once the recording was read, one line each.
     """
 
     drive: Drive
@@ -167,6 +183,8 @@ class Task(ABC):
     inputs: str
     draw: Drawing
     check: Checking = not_checked
+    photograph: Photographing = not_photographed
+    remarks: Callable[[], tuple[str, ...]] = no_remarks
 
     @abstractmethod
     def calibrate(self, watch: Watch) -> Calibration:
@@ -258,6 +276,12 @@ class Origin(Protocol):
     def check(self, calibration: Calibration, /) -> Checked | None:
         """Hold the map against what the sensor saw, where both are there."""
 
+    def photograph(self, calibration: Calibration, /) -> Photographs | None:
+        """Return some images of the drive, where the sensor takes images."""
+
+    def remarks(self) -> tuple[str, ...]:
+        """Say what there is to say of the sensor."""
+
 
 @dataclass(frozen=True)
 class Result:
@@ -305,7 +329,7 @@ class Result:
             If the folder exists (and is no result, or ``overwrite`` is False), or cannot be written.
         """
         out = Path(out)
-        masked = _mask_words(self.job)
+        masked = self.job.remarks()
         notes = self.job.provenance.notes + self.calibration.remarks + self.job.skipped
         notes += tuple(f"vehicle mask: {sentence}" for sentence in masked)
         provenance = replace(self.job.provenance, notes=notes)
@@ -316,7 +340,7 @@ class Result:
             read=self.job.read,
             skipped=self.job.skipped,
             lane_map=self.job.lane_map,
-            photographs=_photographs(self.job, self.calibration),
+            photographs=self.job.photograph(self.calibration),
             command=command,
             check=None if self.lanes is None else self.lanes.picture,
             mask=masked,
@@ -342,26 +366,6 @@ class Result:
         yield from self.job.draw(self.calibration)
         if self.lanes is not None:
             yield "check.png", self.lanes.picture
-
-
-def _photographs(job: Origin, calibration: Calibration) -> Photographs | None:
-    """Return some images of the drive, where the sensor takes images."""
-    if not isinstance(job, Job) or not isinstance(job.recording, StereoRecording):
-        return None
-    recording = job.recording
-    epoch_ns = recording.span_ns[0]
-    shots = []
-    for stamp_s in overlay_stamps(calibration, MOMENTS):
-        pair = min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
-        shots.append(Photograph(stamp_s, recording.reader.colour(pair.left), recording.mask_rays(pair.stamp_ns)))
-    return Photographs(recording.rig.left, tuple(shots))
-
-
-def _mask_words(job: Origin) -> tuple[str, ...]:
-    """Say what a vehicle mask did, where there is one."""
-    if not isinstance(job, Job) or not isinstance(job.recording, StereoRecording) or job.recording.mask is None:
-        return ()
-    return job.recording.mask.tally.sentences()
 
 
 def sha256(path: Path) -> str:

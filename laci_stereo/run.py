@@ -22,6 +22,7 @@ from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import MaskOptions
 from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
+from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
 
@@ -108,6 +109,8 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         inputs=f"{len(pairs)} image pairs ({unpaired} unpaired), {len(drive.messages)} CAMs",
         draw=partial(_overlays, recording, drive.lane_map),
         check=partial(_check, recording, drive.lane_map),
+        photograph=partial(_photographs, recording),
+        remarks=partial(_mask_words, recording),
     )
 
 
@@ -145,11 +148,28 @@ def _mask_files(options: MaskOptions | None) -> dict[str, str]:
 def _overlays(
     recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration
 ) -> Iterator[tuple[str, Raster]]:
-    epoch_ns = recording.span_ns[0]
     for number, stamp_s in enumerate(overlay_stamps(calibration), start=1):
-        pair = min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
-        image = recording.reader.colour(pair.left)
+        image = recording.reader.colour(_pair_at(recording, stamp_s).left)
         yield f"overlay_{number}.png", draw_overlay(image, recording.rig.left, calibration, stamp_s, lane_map)
+
+
+def _photographs(recording: StereoRecording, calibration: Calibration) -> Photographs:
+    shots = []
+    for stamp_s in overlay_stamps(calibration, MOMENTS):
+        pair = _pair_at(recording, stamp_s)
+        shots.append(Photograph(stamp_s, recording.reader.colour(pair.left), recording.mask_rays(pair.stamp_ns)))
+    return Photographs(recording.rig.left, tuple(shots))
+
+
+def _pair_at(recording: StereoRecording, stamp_s: float) -> StereoPair:
+    """Return the image pair that is nearest to a time after the recording's first stamp."""
+    epoch_ns = recording.span_ns[0]
+    return min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
+
+
+def _mask_words(recording: StereoRecording) -> tuple[str, ...]:
+    """Say what a vehicle mask did, where there is one."""
+    return () if recording.mask is None else recording.mask.tally.sentences()
 
 
 def _check(recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:
