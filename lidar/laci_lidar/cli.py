@@ -12,13 +12,14 @@ from laci_lidar.errors import ScanError
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
+from laci_stereo.asked import Asked, calibrating, parse_background
 from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, the_map
-from laci_stereo.cli import Asked, calibrating, parse_background, run_command
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.lane_map import find_lane_map
 from laci_stereo.io.stored_calibration import read_calibration
 from laci_stereo.job import Job
+from laci_stereo.program import run_command
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})

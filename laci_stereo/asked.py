@@ -1,0 +1,305 @@
+"""What every calibrating command is asked, and how its answer is delivered."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
+from laci_stereo.core.cloud import PointCloud, PointCloudSource
+from laci_stereo.core.errors import SettingError
+from laci_stereo.core.frames import Axes
+from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
+from laci_stereo.io.output import check_output
+from laci_stereo.job import DriveOptions, Result, Task
+
+UNKNOWN_CLOCK_S = 1.0
+"""Standard deviation of the offset between clocks of which nothing is known but that people set them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What every calibrating command is asked, whatever the sensor; ``workers`` only where there are frames."""
+
+    out: Path
+    overwrite: bool
+    lane_map: Path | None
+    station: int | None
+    cam_reference: str
+    crs: str | None
+    height: float | None
+    method: Method
+    clock: str
+    clock_sigma: float | None
+    name: str | None
+    workers: int = 0
+    quiet: bool
+    verbose: bool
+
+    def drive(self, background: tuple[int, int] | Path | None) -> DriveOptions:
+        """Return what of it concerns the drive.
+
+        Raises
+        ------
+        SettingError
+            If it makes no sense.
+        """
+        return DriveOptions(
+            lane_map=self.lane_map,
+            station=self.station,
+            reference=parse_reference(self.cam_reference),
+            crs=self.crs,
+            name=self.name,
+            background=background,
+            core=core_settings(self.method, self.height, clock_sigma(self.clock, self.clock_sigma)),
+        )
+
+
+PATH = click.Path(path_type=Path)
+
+_ASKED = (
+    click.option("--out", type=PATH, default=Path("calibration"), show_default=True, help="Folder for the result."),
+    click.option("--overwrite", is_flag=True, help="Replace a result that is there already."),
+    click.option(
+        "--map", "lane_map", type=PATH, help="Lanelet2 or GeoJSON lane map [default: map.osm beside the recording]."
+    ),
+    click.option("--station", type=int, help="Sender, where the log has several [default: the one whose track fits]."),
+    click.option(
+        "--cam-reference",
+        default="front",
+        show_default=True,
+        metavar="front|center|rear-axle:X|X,Y",
+        help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
+        "the box's centre, or X m ahead and Y m left of it.",
+    ),
+    click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
+    click.option("--height", type=float, metavar="M", help="About how high the sensor hangs [default: found]."),
+    click.option(
+        "--method",
+        type=click.Choice(["joint", "paper"]),
+        default="joint",
+        show_default=True,
+        help="Estimator: the outline in all frames at once, or the paper's; the result shows both.",
+    ),
+    click.option(
+        "--clock",
+        type=click.Choice(["known", "unknown"]),
+        default="known",
+        show_default=True,
+        help="Whether sensor and sender follow one clock, to some 10 ms, or may be a second apart.",
+    ),
+    click.option(
+        "--clock-sigma", type=float, metavar="S", help="How far apart their clocks are, one standard deviation, s."
+    ),
+    click.option("--name", help="What you call the sensor [default: the folder around the recording]."),
+)
+
+
+_WORKERS = click.option(
+    "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
+)
+
+_SAID = (
+    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
+    click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
+)
+
+
+def calibrating(command: Callable[..., Task]) -> Callable[..., None]:
+    """Make a command of a function that prepares the task of a sensor whose frames are read."""
+    return _asking(command, (*_ASKED, _WORKERS, *_SAID))
+
+
+def matching(command: Callable[..., Task]) -> Callable[..., None]:
+    """Make a command of a function that prepares a task without frames."""
+    return _asking(command, (*_ASKED, *_SAID))
+
+
+def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]]) -> Callable[..., None]:
+    """Make a command of a function that prepares a task: add the common options, run the task, save and print."""
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        asked = Asked(**{field.name: given.pop(field.name) for field in fields(Asked) if field.name in given})
+        log_to_stderr(quiet=asked.quiet, verbose=asked.verbose)
+        check_output(asked.out, overwrite=asked.overwrite)
+        _carry_out(command(asked, **given), asked)
+
+    for option in reversed(options):
+        run = option(run)
+    return run
+
+
+def _carry_out(job: Task, asked: Asked) -> None:
+    if not asked.quiet:
+        for note in job.provenance.notes:
+            click.echo(f"note: {note}", err=True)
+    result = job.run(lambda source: source if asked.quiet else WithProgress(source))
+    deliver(result, job.skipped, asked.out, overwrite=asked.overwrite, quiet=asked.quiet)
+
+
+def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool, quiet: bool) -> None:
+    """Save a result and say what it is."""
+    result.save(out, overwrite=overwrite, command=_command())
+    if not quiet:
+        for note in notes:
+            click.echo(f"note: {note}", err=True)
+        click.echo(result.summary)
+        click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+def _command() -> str:
+    """Return the command line as it could be typed again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+class WithProgress:
+    """A source that shows on a terminal how far its frames are consumed, and how long it will take."""
+
+    def __init__(self, source: PointCloudSource) -> None:
+        self._source = source
+
+    @property
+    def kind(self) -> str:
+        """As the source's."""
+        return self._source.kind
+
+    @property
+    def name(self) -> str:
+        """As the source's."""
+        return self._source.name
+
+    @property
+    def axes(self) -> Axes:
+        """As the source's."""
+        return self._source.axes
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """As the source's."""
+        return self._source.span_ns
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        yield from self._shown(iter(self._source), len(self._source), "frames")
+
+    def survey(self) -> Iterator[PointCloud]:
+        """As the source's."""
+        yield from self._shown(self._source.survey(), None, "survey")
+
+    @staticmethod
+    def _shown(clouds: Iterator[PointCloud], length: int | None, label: str) -> Iterator[PointCloud]:
+        if not sys.stderr.isatty():
+            yield from clouds
+            return
+        with click.progressbar(clouds, length=length, label=label, show_pos=True, file=sys.stderr) as bar:
+            yield from bar
+
+
+def parse_background(text: str | None) -> tuple[int, int] | Path | None:
+    """Read ``START..END`` or the path of another recording.
+
+    Raises
+    ------
+    SettingError
+        If it is neither.
+    """
+    if text is None:
+        return None
+    numbers = interval(text)
+    if numbers is not None:
+        return numbers
+    if Path(text).exists():
+        return Path(text)
+    raise SettingError(f"--background is {text!r}; needed is START..END in frame numbers, or an existing folder")
+
+
+def interval(text: str) -> tuple[int, int] | None:
+    """Read ``A..B``; None if it is not that."""
+    found = re.fullmatch(r"(\d{1,9})\.\.(\d{1,9})", text)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def parse_reference(text: str) -> ReferencePoint:
+    """Read ``front``, ``center``, ``rear-axle:X`` or ``X,Y``.
+
+    Raises
+    ------
+    SettingError
+        If it is none of them.
+    """
+    if text == "front":
+        return FRONT
+    if text in {"center", "centre"}:
+        return CENTRE
+    number = r"([+-]?\d+(?:\.\d+)?)"
+    axle = re.fullmatch(rf"rear-axle:{number}", text)
+    if axle:
+        return ReferencePoint(-float(axle[1]))
+    point = re.fullmatch(rf"{number},{number}", text)
+    if point:
+        return ReferencePoint(float(point[1]), float(point[2]))
+    raise SettingError(f"--cam-reference is {text!r}; needed is front, center, rear-axle:X or X,Y in metres")
+
+
+def ground_near(height_m: float | None) -> GroundSettings:
+    """Bound the height over the ground by what the user says about it, give or take a third.
+
+    Raises
+    ------
+    SettingError
+        If it is not a positive number.
+    """
+    if height_m is None:
+        return GroundSettings()
+    if not 0 < height_m < math.inf:
+        raise SettingError(f"--height is {height_m} m; needed is a number above 0")
+    return GroundSettings(min_height_m=height_m * 2 / 3, max_height_m=height_m * 4 / 3)
+
+
+def clock_sigma(clock: str, sigma_s: float | None) -> float:
+    """Return the standard deviation of the clocks' offset in seconds: as said, else by what is known of them.
+
+    Raises
+    ------
+    SettingError
+        If it is not a number above 0, or said twice.
+    """
+    if sigma_s is None:
+        return UNKNOWN_CLOCK_S if clock == "unknown" else JointSettings().clock_sigma_s
+    if clock == "unknown":
+        raise SettingError(f"--clock is unknown and --clock-sigma is {sigma_s} s; needed is one of them")
+    if not 0 < sigma_s < math.inf:
+        raise SettingError(f"--clock-sigma is {sigma_s} s; needed is a number above 0")
+    return sigma_s
+
+
+def core_settings(method: Method, height_m: float | None, clock_sigma_s: float) -> Settings:
+    """Put what was asked over the core's defaults."""
+    return Settings(
+        method=method,
+        ground=ground_near(height_m),
+        match=MatchSettings(clock_sigma_s=clock_sigma_s),
+        joint=JointSettings(clock_sigma_s=clock_sigma_s),
+    )
+
+
+def log_to_stderr(*, quiet: bool, verbose: bool) -> None:
+    """Say on standard error as much as was asked for."""
+    logging.basicConfig(
+        level=logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING,
+        format="%(levelname)s: %(message)s",
+        force=True,
+    )

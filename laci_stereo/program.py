@@ -1,0 +1,63 @@
+"""Running a command line: errors become one line and an exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+
+import click
+
+from laci_stereo.core.errors import CalibrationError, LaciError
+
+NOT_CALIBRATED = 1
+UNUSABLE_INPUT = 2
+INTERRUPTED = 130
+
+
+def _terminate(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def run_command(command: click.Command, program: str) -> None:
+    """Run a command line: every error that is the input's becomes one line and an exit code."""
+    _silence_decoders()
+    signal.signal(signal.SIGTERM, _terminate)  # so that a half-written result is removed
+    message, code = _outcome(command, program)
+    if message:
+        click.echo(f"{program}: {message}", err=True)
+    sys.exit(code)
+
+
+def _outcome(command: click.Command, program: str) -> tuple[str, int]:
+    """Return what to say, in one line, and the exit code."""
+    try:
+        command(prog_name=program, standalone_mode=False)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return "interrupted; nothing was written", INTERRUPTED
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return "", error.exit_code
+    except click.UsageError as error:
+        asked = error.ctx.command_path if error.ctx is not None else program
+        return f"{error.format_message().rstrip('.')}; see {asked} --help", UNUSABLE_INPUT
+    except CalibrationError as error:
+        return f"not calibrated: {error}", NOT_CALIBRATED
+    except LaciError as error:
+        return str(error), UNUSABLE_INPUT
+    except OSError as error:  # a file system that fails under a path that was readable before
+        return f"{error.filename or 'input or output'}: {error.strerror}", UNUSABLE_INPUT
+    return "", 0
+
+
+def _silence_decoders() -> None:
+    """Keep standard error for ourselves: libjpeg writes to its descriptor, whatever one sets, about damaged images."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    if sys.stderr is None:  # closed by whoever started the command
+        sys.stderr = os.fdopen(nowhere, "w", encoding="utf-8")
+        return
+    ours = os.dup(sys.stderr.fileno())
+    os.dup2(nowhere, sys.stderr.fileno())
+    os.close(nowhere)
+    sys.stderr = os.fdopen(ours, "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)
