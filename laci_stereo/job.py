@@ -329,21 +329,18 @@ class Result:
             If the folder exists (and is no result, or ``overwrite`` is False), or cannot be written.
         """
         out = Path(out)
-        masked = self.job.remarks()
-        notes = self.job.provenance.notes + self.calibration.remarks + self.job.skipped
-        notes += tuple(f"vehicle mask: {sentence}" for sentence in masked)
+        notes = self.job.provenance.notes + self.calibration.remarks + self.job.remarks()
         provenance = replace(self.job.provenance, notes=notes)
         lanes = None if self.lanes is None else check_document(self.lanes.check, MAP_SIGMA_M)
-        document = to_document(self.calibration, provenance, lanes)
+        document = to_document(self.calibration, replace(provenance, notes=notes + self.job.skipped), lanes)
         made = Made(
-            provenance=self.job.provenance,
+            provenance=provenance,
             read=self.job.read,
             skipped=self.job.skipped,
             lane_map=self.job.lane_map,
             photographs=self.job.photograph(self.calibration),
             command=command,
             check=None if self.lanes is None else self.lanes.picture,
-            mask=masked,
         )
         with result_folder(out, overwrite=overwrite) as folder:
             (folder / RESULT_FILE).write_text(to_text(document), encoding="utf-8")

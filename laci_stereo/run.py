@@ -169,7 +169,8 @@ def _pair_at(recording: StereoRecording, stamp_s: float) -> StereoPair:
 
 def _mask_words(recording: StereoRecording) -> tuple[str, ...]:
     """Say what a vehicle mask did, where there is one."""
-    return () if recording.mask is None else recording.mask.tally.sentences()
+    told = () if recording.mask is None else recording.mask.tally.sentences()
+    return tuple(f"vehicle mask: {sentence}" for sentence in told)
 
 
 def _check(recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,8 +12,6 @@ from scipy.spatial import cKDTree
 from laci_stereo.core.frames import Axes, FloatArray, IntArray
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.settings import GroundSettings
-
-log = logging.getLogger(__name__)
 
 START_SIGMA_M = 0.02
 """What most data sheets promise; with it the ground is found for the first time."""
@@ -52,10 +49,13 @@ class Noise:
     Attributes
     ----------
     range_sigma_m, angle_sigma_rad : float
+    assumed : str
+        What of it is a guess, in a sentence; empty if nothing is.
     """
 
     range_sigma_m: float
     angle_sigma_rad: float
+    assumed: str = ""
 
 
 def estimate_angle_sigma(scans: Sequence[FloatArray]) -> float:
@@ -73,14 +73,14 @@ def estimate_angle_sigma(scans: Sequence[FloatArray]) -> float:
 
 def estimate_range_sigma(
     scans: Sequence[FloatArray], angle_sigma_rad: float, axes: Axes, settings: GroundSettings
-) -> float:
+) -> float | None:
     """Estimate the noise of ranges from the ground in scans, each of shape (n, 3).
 
     The plane predicts the range of every point on the road. Of two neighbours in one scan the residuals differ only by
     noise, for the road's crown and the plane's error are common to both. A bearing that is off by d makes the plane's
     prediction wrong by k d, k = range / tan(grazing angle), so the variance of a residual is sigma_range^2 + k^2
     sigma_bearing^2. A line through the variances over k^2 separates the two; the medians in its bins leave kerbs out.
-    Where there are too few neighbours for that, it is `USUAL_SIGMA_M`, and a warning is logged.
+    Where there are too few neighbours for that, it is None.
 
     Raises
     ------
@@ -94,14 +94,7 @@ def estimate_range_sigma(
     ground = fit_ground(points, along, range_m * angle_sigma_rad, axes.up, settings)
     differences, leverage = np.concatenate([_differences(scan, ground) for scan in scans], axis=1)
     if len(differences) < _MIN_PAIRS:
-        log.warning(
-            "%d pairs of neighbouring points on the ground, needed are %d for an estimate of the noise of ranges: "
-            "it is taken as %.0f cm",
-            len(differences),
-            _MIN_PAIRS,
-            100 * USUAL_SIGMA_M,
-        )
-        return USUAL_SIGMA_M
+        return None
     # Of the steeper half, because far away the unevenness of the road counts; fine where the road is seen most steeply.
     edges = np.round(len(leverage) / 2 * np.linspace(0.0, 1.0, _BINS + 1) ** 2).astype(np.int64)
     bins = np.split(np.argsort(leverage)[: edges[-1]], edges[1:-1])

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from laci_lidar.errors import ScanError
-from laci_lidar.noise import Noise, estimate_angle_sigma, estimate_range_sigma
+from laci_lidar.noise import USUAL_SIGMA_M, Noise, estimate_angle_sigma, estimate_range_sigma
 from laci_lidar.scan import Scan
 from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings
@@ -33,6 +33,11 @@ GAP_PERIODS = 1.5
 """Scans farther apart than this are not gathered into one frame."""
 
 MAX_READERS = 4
+
+_ASSUMED = (
+    "too few neighbouring points are on the ground for an estimate of the noise of ranges, which is taken as "
+    f"{100 * USUAL_SIGMA_M:.0f} cm; --range-sigma tells another one"
+)
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,10 @@ class LidarRecording:
         """Why each scan that could not be used was left out, one line each."""
         return tuple(self.scans.skipped.values())
 
+    def remarks(self) -> tuple[str, ...]:
+        """Say what was assumed of the scanner, where something was."""
+        return tuple(filter(None, (self.scanner.noise.assumed,)))
+
     def __len__(self) -> int:
         return len(self._frames)
 
@@ -136,6 +145,8 @@ class LidarRecording:
             nearest = f"{self.settings.min_range_m:g} m"
             raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
         scanner = Scanner(view, self._noise(kept))
+        if scanner.noise.assumed:
+            log.warning("%s", scanner.noise.assumed)
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
             np.degrees(view.width_rad),
@@ -160,6 +171,8 @@ class LidarRecording:
             angle = estimate_angle_sigma(scans)
         if along is None:
             along = estimate_range_sigma(scans, angle, self.axes, self._ground)
+        if along is None:
+            return Noise(USUAL_SIGMA_M, angle, _ASSUMED)
         return Noise(along, angle)
 
     def _clouds(self, sequence: ScanSequence, frames: Sequence[IntArray]) -> Iterator[PointCloud]:

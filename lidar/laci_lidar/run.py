@@ -93,6 +93,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
         inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
         draw=_no_pictures,
         check=partial(_check, sequence, drive.lane_map),
+        remarks=recording.remarks,
     )
 
 

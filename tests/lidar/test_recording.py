@@ -74,6 +74,15 @@ def test_noise_that_is_not_set_is_estimated():
     assert half_set.range_sigma_m == pytest.approx(0.02, rel=0.25)
 
 
+def test_a_scanner_that_sees_too_little_ground_gets_the_usual_noise_and_says_so():
+    few = [Scan(road(sigma_m=0.01, step_deg=0.8, seed=seed)[::40], None, None) for seed in range(2)]
+    recording = LidarRecording(listed(few))
+    assert recording.scanner.noise.range_sigma_m == 0.03
+    (remark,) = recording.remarks()
+    assert "3 cm; --range-sigma" in remark
+    assert LidarRecording(listed(few), EXACT).remarks() == ()
+
+
 def test_without_times_of_points_there_are_none_unless_the_sweep_is_told():
     sequence = listed(scans(3, offset=False))
     assert all(cloud.offset_s is None for cloud in LidarRecording(sequence, EXACT))

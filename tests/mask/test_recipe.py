@@ -84,7 +84,7 @@ def test_a_network_of_ones_own_from_looking_to_calibrating(tmp_path: Path) -> No
     assert len(document["inputs"][str(model)]) == 64
     assert any("points" in note and "dropped" in note for note in document["notes"])
     page = (out / "report.html").read_text()
-    assert "What the vehicle mask did" in page
+    assert "vehicle mask: of " in page
     kept, dropped = map(int, re.findall(r"points (\d+) were kept and (\d+) dropped", page)[0])
     assert min(kept, dropped) > 0
     assert page.count('data-layer="mask"') == 1

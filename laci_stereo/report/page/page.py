@@ -51,8 +51,6 @@ class Made:
         The command line; None from Python.
     check : ndarray or None
         The picture to the lane check, where there is one.
-    mask : tuple of str
-        What the vehicle mask did, in sentences; empty without one.
     """
 
     provenance: Provenance
@@ -62,7 +60,6 @@ class Made:
     photographs: Photographs | None = None
     command: str | None = None
     check: Raster | None = None
-    mask: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
