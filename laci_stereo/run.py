@@ -9,14 +9,14 @@ from pathlib import Path
 
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.result import placed_by
-from laci_stereo.core.errors import ImageError, RigError
+from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, pair_images, read_image
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
-from laci_stereo.io.stereo_calibration import find_stereo_calibration, read_stereo_calibration
+from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.job import DriveOptions, Job, Result, read_drive, sha256
 from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import MaskOptions
@@ -37,14 +37,14 @@ class Options(DriveOptions):
 
     Attributes
     ----------
-    stereo : Path or None
-        The stereo calibration; None looks for stereo.yaml, .yml or .json beside the left images.
+    stereo : Path, or tuple of Path
+        The stereo calibration: one file or two, or a folder that holds them; () looks beside the left images.
     camera : StereoSettings
     mask : MaskOptions or None
         A network that tells which moving points are a vehicle's.
     """
 
-    stereo: Path | None = None
+    stereo: Path | tuple[Path, ...] = ()
     camera: StereoSettings = field(default_factory=StereoSettings)
     mask: MaskOptions | None = None
 
@@ -98,12 +98,12 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
             inputs={
                 str(left): len(pairs),
                 str(right): len(pairs),
-                str(stereo): sha256(stereo),
+                **{str(path): sha256(path) for path in stereo},
                 **_mask_files(options.mask),
                 **drive.files,
             },
             config=options.config(),
-            notes=_notes(pairs) + _assumed(recording) + drive.notes,
+            notes=_notes(pairs) + _understood(recording) + _assumed(recording) + drive.notes,
             T_sensor_rectified=recording.rectification.T_sensor_rectified,
         ),
         inputs=f"{len(pairs)} image pairs ({unpaired} unpaired), {len(drive.messages)} CAMs",
@@ -114,22 +114,24 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
     )
 
 
-def _recording(left: Path, pairs: Pairs, options: Options) -> tuple[StereoRecording, Path]:
-    """Return the recording and the file that its calibration is from."""
-    stereo = options.stereo or find_stereo_calibration(left)
-    beside = left.absolute().parent
-    if stereo is None:
-        raise RigError(f"{beside}: no stereo.yaml, stereo.yml or stereo.json; needed is one, or --stereo FILE")
+def _recording(left: Path, pairs: Pairs, options: Options) -> tuple[StereoRecording, tuple[Path, ...]]:
+    """Return the recording and the files that its calibration is from."""
+    stereo = calibration_files(options.stereo, left)
     recording = StereoRecording(
         pairs.pairs,
-        read_stereo_calibration(stereo, _image_size(pairs)),
+        read_stereo_calibration(stereo, _image_size(pairs), left),
         options.camera,
         options.core.ground,
         _background(pairs, options.background),
-        options.name or beside.name,
+        options.name or left.absolute().parent.name,
         None if options.mask is None else VehicleMask.load(options.mask),
     )
     return recording, stereo
+
+
+def _understood(recording: StereoRecording) -> tuple[str, ...]:
+    """Say how the stereo calibration was understood."""
+    return tuple(f"stereo calibration: {note}" for note in recording.rig.notes)
 
 
 def _assumed(recording: StereoRecording) -> tuple[str, ...]:

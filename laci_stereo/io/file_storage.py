@@ -14,10 +14,11 @@ Node: TypeAlias = "float | str | list[Node] | dict[str, Node]"
 """What stands in such a file: a number, a text, a sequence, or a map of names to nodes."""
 
 _DEEPEST = 20
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?\.?(nan|inf)", re.IGNORECASE)
+# None of these looks twice at the same characters, so time grows with the length of the text, whatever it holds.
+_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?\.?(nan|inf)", re.IGNORECASE)
 _TAG = re.compile(r"!\S*\s*|&\S+\s*")
-_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s"'\[\]{},#][^"'\[\]{}:]*?)\s*:(?:\s+(.*))?""", re.DOTALL)
-_QUOTED = r""""(?:[^"\\]|\\.)*"|'[^']*'"""
+_KEY = re.compile(r"""("[^"]*"\s*|'[^']*'\s*|[^\s"'\[\]{},#][^"'\[\]{}:]*):(?:\s+(.*))?""", re.DOTALL)
+_QUOTED = r""""(?:[^"\\]|\\.)*(?:"|\\?\Z)|'[^']*'"""
 _COMMENT = re.compile(rf"({_QUOTED})|(?:^|(?<=\s))#.*")
 _FLOW_WORD = re.compile(rf"""{_QUOTED}|[\[\]{{}},]|[^\s\[\]{{}},"'][^\[\]{{}},"']*""")
 
@@ -145,7 +146,7 @@ class _YamlReader:
                 break
             self._at += 1
             value = _TAG.sub("", match[2] or "", count=1) if (match[2] or "")[:1] in "!&" else match[2]
-            key = match[1].strip("\"'")
+            key = match[1].strip().strip("\"'")
             entries[key] = _flow(value, line) if value else self._value_below(indent, depth)
         return entries
 
@@ -162,38 +163,58 @@ class _YamlReader:
 
 def _logical_lines(text: str) -> Iterator[tuple[int, int, str]]:
     """Yield number, indent and content of each line; a flow collection over several lines is one of them."""
-    pending, start, depth = "", 0, 0
+    pending: list[str] = []
+    start, depth = 0, 0
     for i, raw in enumerate(text.splitlines(), start=1):
         line = _COMMENT.sub(lambda match: match[1] or "", raw).rstrip()
         if not line.strip() or line.startswith(("%", "---", "...")):
             continue
-        pending, start = (f"{pending} {line.strip()}", start) if depth else (line, i)
+        if depth:
+            pending.append(line.strip())
+        else:
+            pending, start = [line], i
         bare = re.sub(_QUOTED, "", line)
         depth += bare.count("[") + bare.count("{") - bare.count("]") - bare.count("}")
         if depth <= 0:
-            content = pending.lstrip()
-            yield start, len(pending) - len(content), content
+            content = pending[0].lstrip()
+            yield start, len(pending[0]) - len(content), " ".join([content, *pending[1:]])
             depth = 0
     if depth:
         raise StorageError(f"line {start}: a bracket is never closed")
 
 
 def _flow(text: str, line: int) -> Node:
-    """Return a scalar or a sequence. The entries of flow maps, of which calibrations have none, stay texts."""
+    """Return a scalar, or a sequence or a map in brackets."""
     if text[:1] not in ("[", "{"):
         return _scalar(text)
-    open_sequences: list[list[Node]] = [[]]
-    for word in _FLOW_WORD.findall(text):
-        if word in ("[", "{"):
-            _check_depth(len(open_sequences))
-            open_sequences.append([])
-        elif word in ("]", "}"):
-            closed = open_sequences.pop()
-            if not open_sequences:
-                break
-            open_sequences[-1].append(closed)
-        elif word != ",":
-            open_sequences[-1].append(_scalar(word.strip()))
-    if len(open_sequences) != 1 or len(open_sequences[0]) != 1:
+    words = _FLOW_WORD.findall(text)
+    root, end = _flow_node(words, 0, 0, line)
+    if end < len(words):
         raise StorageError(f"line {line}: the brackets do not match")
-    return open_sequences[0][0]
+    return root
+
+
+def _flow_node(words: list[str], at: int, depth: int, line: int) -> tuple[Node, int]:
+    """Return the node that begins with a word, and the place of the word after it."""
+    _check_depth(depth)
+    if words[at] not in ("[", "{"):
+        return _scalar(words[at].strip()), at + 1
+    closing = "]" if words[at] == "[" else "}"
+    items: list[Node] = []
+    entries: dict[str, Node] = {}
+    at += 1
+    while at < len(words) and words[at] not in ("]", "}"):
+        if words[at] == ",":
+            at += 1
+        elif closing == "]":
+            item, at = _flow_node(words, at, depth + 1, line)
+            items.append(item)
+        else:
+            # "name: value" is one word, and "name: " before a bracket another.
+            name, _, value = words[at].partition(":")
+            inner = not value.strip() and at + 1 < len(words) and words[at + 1] in ("[", "{")
+            node, at = _flow_node(words, at + 1, depth + 1, line) if inner else (_scalar(value.strip()), at + 1)
+            entries[name.strip("\"' ")] = node
+    if at >= len(words) or words[at] != closing:
+        raise StorageError(f"line {line}: the brackets do not match")
+    return (items if closing == "]" else entries), at + 1

@@ -80,7 +80,7 @@ def rectify(rig: StereoRig) -> Rectification:
     The rectified image has the raw left one's size and about its focal length; what the lens sees beyond is lost,
     what it does not see is masked by the views' ``valid``.
     """
-    left_R, right_R, left_P, right_P = _bouguet(rig)
+    left_R, right_R, left_P, right_P = bouguet(rig)
     mirrored = bool(right_P[0, 3] > 0)
     focal = float(left_P[0, 0])
     width, height = rig.left.size
@@ -100,16 +100,22 @@ def rectify(rig: StereoRig) -> Rectification:
 
 
 def already_rectified(rig: StereoRig) -> StereoRig:
-    """Return the rig whose raw images are rectified: both as the left camera without distortion, only shifted."""
+    """Return the rig of images that were rectified elsewhere.
+
+    Where the calibration describes these, as it says; else both as the left camera without distortion, only shifted.
+    """
+    if rig.rectified is not None:
+        return rig.rectified
     lens = replace(rig.left, distortion=np.zeros(4), model="pinhole")
     side = np.sign((rig.R_right_left.T @ rig.t_right_left_m)[0])
-    return StereoRig(lens, lens, np.eye(3), np.array([side * rig.baseline_m, 0.0, 0.0]))
+    return StereoRig(lens, lens, np.eye(3), np.array([side * rig.baseline_m, 0.0, 0.0]), rig.notes)
 
 
-def _bouguet(rig: StereoRig) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def bouguet(rig: StereoRig) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the rectifying rotations, shape (3, 3), and projections, shape (3, 4), of both cameras."""
     lenses = (rig.left.K, rig.left.distortion, rig.right.K, rig.right.distortion, rig.left.size)
-    pose = (rig.R_right_left, rig.t_right_left_m.reshape(3, 1))
+    # OpenCV refuses a part of a larger matrix.
+    pose = (np.ascontiguousarray(rig.R_right_left), np.ascontiguousarray(rig.t_right_left_m).reshape(3, 1))
     if rig.left.model == "fisheye":
         found = cv2.fisheye.stereoRectify(*lenses, *pose, cv2.CALIB_ZERO_DISPARITY, balance=0.0)[:4]
     else:

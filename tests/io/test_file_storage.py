@@ -13,6 +13,7 @@ from laci_stereo.io.file_storage import StorageError, parse_file_storage
 from tests.io.support import fuzz, noise
 
 FORMATS = ["yaml", "json", "xml"]
+M = {"rows": 2.0, "cols": 1.0, "data": [1.0, 2.0], "t": {"a": "b"}}
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -73,6 +74,7 @@ def test_what_opencv_writes_comes_back_exactly(tmp_path: Path, suffix: str) -> N
             {"cams": [{"name": "left", "f": 3.0}, {"name": "right"}]},
         ),
         ("K1: [ 1,\n   2 ]\r\nempty:\nn: 1", {"K1": [1.0, 2.0], "empty": "", "n": 1.0}),
+        ("m: {rows: 2, cols: 1,\n  data: [1, 2], t: {a: b}}\nn: 1", {"m": M, "n": 1.0}),
         ("m: [ .Nan, -.Inf ]", None),
         ('{"K1": [[1, 2], [3, 4]], "n": null}', {"K1": [[1.0, 2.0], [3.0, 4.0]], "n": "None"}),
         ("<?xml version='1.0'?><opencv_storage><a>1 2.</a><b>\"x\"</b></opencv_storage>", {"a": [1.0, 2.0], "b": "x"}),

@@ -209,12 +209,12 @@ def test_what_is_no_calibration_file(tmp_path: Path) -> None:
 def test_the_file_beside_the_left_images_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     left = tmp_path / "left"
     left.mkdir()
-    assert find_stereo_calibration(left) is None
+    assert find_stereo_calibration(left) == ()
     for name in ("stereo.xml", "stereo.json", "stereo.yml", "stereo.yaml"):
         (tmp_path / name).touch()
-        assert find_stereo_calibration(left) == tmp_path / name
+        assert find_stereo_calibration(left) == (tmp_path / name,)
     monkeypatch.chdir(left)
-    assert find_stereo_calibration(Path()) == tmp_path / "stereo.yaml"
+    assert find_stereo_calibration(Path()) == (tmp_path / "stereo.yaml",)
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "json", "xml"])
@@ -234,8 +234,7 @@ def test_any_file_is_read_or_refused(tmp_path: Path, suffix: str) -> None:
 
 @needs_shared
 def test_the_shared_calibrations() -> None:
-    path = find_stereo_calibration(SHARED / "data/crossing/left")
-    assert path is not None
+    (path,) = find_stereo_calibration(SHARED / "data/crossing/left")
     rig = read_stereo_calibration(path, SIZE)
     assert (rig.left.K[0, 0], rig.baseline_m, rig.left.size) == (1100.0, 0.6, SIZE)
     with pytest.raises(RigError, match=r"lacks the rotation between the cameras.*it holds M1, D1, M2, D2"):

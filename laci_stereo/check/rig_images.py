@@ -1,0 +1,186 @@
+"""A stereo calibration held against image pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from laci_stereo.check.rig_matches import Compared, PairMatches, Partners, match_pair, read_compared
+from laci_stereo.check.rig_parallax import FEWEST_IN_CELL, lag, measure
+from laci_stereo.check.rig_points import in_common, rectified
+from laci_stereo.check.rig_verdict import Finding, Fit, Outcome, judge, outcome_of
+from laci_stereo.core.errors import ImageError
+from laci_stereo.io.images import StereoPair
+from laci_stereo.io.rig import Lens, Size, StereoRig
+from laci_stereo.stereo.recording import spread
+from laci_stereo.stereo.rectify import already_rectified
+
+PAIRS = 5
+"""Compared, evenly spread: the noise of some thousand matches is far below what is systematic."""
+
+
+@dataclass(frozen=True)
+class RigCheck:
+    """How a calibration fits its images.
+
+    Attributes
+    ----------
+    rig : StereoRig
+        As it was used: scaled, where the images are.
+    size : tuple of int
+        Of the images, pixels.
+    fit : Fit or None
+        None if the images cannot be of these cameras.
+    findings : tuple of Finding
+    shown : Compared
+        The pair to draw.
+    skipped : tuple of str
+        Images that could not be read, a line each.
+    """
+
+    rig: StereoRig
+    size: Size
+    fit: Fit | None
+    findings: tuple[Finding, ...]
+    shown: Compared
+    skipped: tuple[str, ...]
+
+    @property
+    def outcome(self) -> Outcome:
+        """The verdict."""
+        return outcome_of(self.findings)
+
+
+@dataclass(frozen=True)
+class Matched:
+    """What image pairs show, whatever their calibration.
+
+    Attributes
+    ----------
+    first : Compared
+        The first of the pairs.
+    matches : tuple of PairMatches
+    skipped : tuple of str
+        Images that could not be read, a line each.
+    """
+
+    first: Compared
+    matches: tuple[PairMatches, ...]
+    skipped: tuple[str, ...]
+
+
+def match_images(pairs: Sequence[StereoPair]) -> Matched:
+    """Match points in some of the pairs.
+
+    Raises
+    ------
+    ImageError
+        If none of them can be read.
+    """
+    images, skipped = _read(pairs)
+    return Matched(images[0], tuple(match_pair(compared) for compared in images), skipped)
+
+
+def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
+    """Hold a calibration against what image pairs show."""
+    matches = matched.matches
+    height, width = matched.first.left.shape
+    size = (width, height)
+    used, findings = _sized(rig, size)
+    if used is None:
+        return RigCheck(rig, size, None, findings, matched.first, matched.skipped)
+    fit = fit_of(used, matches)
+    against = judge(fit)
+    if outcome_of(against) == "fail":
+        swapped = tuple(_swapped(used, matches))
+        against = (*swapped, *against) if swapped else (*against, *_flat(used, matches))
+    elif findings:
+        findings = tuple(Finding("fail", f"{finding.text}; scaled to them it fits") for finding in findings)
+    return RigCheck(used, size, fit, (*findings, *against), matched.first, matched.skipped)
+
+
+def fit_of(rig: StereoRig, matches: Sequence[PairMatches]) -> Fit:
+    """Lay matches under a calibration."""
+    everything = rectified(rig, matches)
+    points, strange = in_common(everything)
+    strange += sum(not len(found) for found in matches)
+    # What moves may tell of the images' times, so it says nothing of the calibration.
+    still = points.chosen(~points.moves)
+    judged = still if len(still) >= FEWEST_IN_CELL else points
+    parallax = measure(judged) if len(judged) >= FEWEST_IN_CELL else None
+    return Fit(
+        points,
+        len(matches),
+        strange,
+        parallax,
+        # Of images that are not of one time, what moves lies on no common geometry.
+        None if parallax is None else lag(everything.chosen(everything.moves), parallax),
+        _together([found.moving for found in matches]),
+        _together([found.still for found in matches]),
+    )
+
+
+def _together(partners: Sequence[Partners]) -> Partners:
+    return Partners(sum(each.points for each in partners), sum(each.matched for each in partners))
+
+
+def _read(pairs: Sequence[StereoPair]) -> tuple[list[Compared], tuple[str, ...]]:
+    """Read some pairs of one size, evenly spread; return them and why others are left out."""
+    images: list[Compared] = []
+    skipped: list[str] = []
+    for number in spread(range(len(pairs)), PAIRS):
+        try:
+            compared = read_compared(pairs, number)
+        except ImageError as problem:
+            skipped.append(str(problem))
+            continue
+        if images and compared.left.shape != images[0].left.shape:
+            skipped.append(f"{pairs[number].left}: of another size than {pairs[0].left}; needed is one size")
+        else:
+            images.append(compared)
+    if not images:
+        raise ImageError(skipped[0])
+    return images, tuple(skipped)
+
+
+def _sized(rig: StereoRig, size: Size) -> tuple[StereoRig | None, tuple[Finding, ...]]:
+    """Return the rig for images of a size, scaled if they may be; None if they cannot be of these cameras."""
+    if rig.left.size == size:
+        return rig, ()
+    said = "the images are {} x {} pixels, the calibration is for {} x {}".format(*size, *rig.left.size)
+    factor = size[0] / rig.left.size[0]
+    if abs(rig.left.size[1] * factor - size[1]) > 1:
+        return None, (Finding("fail", f"{said}: another camera's, or cropped"),)
+    return scaled(rig, factor), (Finding("fail", f"{said}: were they scaled by {factor:g}?"),)
+
+
+def scaled(rig: StereoRig, factor: float) -> StereoRig:
+    """Return the rig of the same images in another size."""
+
+    def resized(lens: Lens) -> Lens:
+        # The border of an image is half a pixel beyond the middle of its first pixel.
+        K = lens.K.copy()
+        K[:2] *= factor
+        K[:2, 2] += (factor - 1.0) / 2
+        return replace(lens, K=K, size=(round(lens.size[0] * factor), round(lens.size[1] * factor)))
+
+    return replace(rig, left=resized(rig.left), right=resized(rig.right), rectified=None)
+
+
+def _swapped(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
+    """Say that left and right are swapped, if the calibration fits the other way round."""
+    if _fits(rig, [found.swapped() for found in matches]):
+        yield Finding("fail", "the images of left and right are swapped: the other way round the calibration fits")
+
+
+def _flat(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
+    """Ask whether the images are rectified already, if that would explain what they show."""
+    flat = already_rectified(rig)
+    if _fits(flat, matches):
+        yield Finding("fail", "are the images rectified already? With --rectified the calibration fits")
+    elif _fits(flat, [found.swapped() for found in matches]):
+        yield Finding("fail", "are the images rectified already? With --rectified and left and right swapped it fits")
+
+
+def _fits(rig: StereoRig, matches: Sequence[PairMatches]) -> bool:
+    return outcome_of(judge(fit_of(rig, matches))) != "fail"

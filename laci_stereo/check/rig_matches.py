@@ -1,0 +1,204 @@
+"""The same points of the scene in both raw images of a pair: what a stereo calibration is held against."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from laci_stereo.core.errors import ImageError
+from laci_stereo.core.frames import BoolArray, FloatArray, Raster
+from laci_stereo.io.images import StereoPair, read_image
+from laci_stereo.stereo.reader import EightBit
+
+FEATURES = 2000
+"""In each image: some hundred for each twelfth of the image, though texture is uneven."""
+
+DISTINCT = 0.8
+"""A match is kept whose descriptor is that much nearer than the second nearest: Lowe's ratio."""
+
+WINDOW_PX = 15
+"""Side of the window in which a match is refined: as in the disparity's own sub-pixel estimate, and a pixel around."""
+
+LEAST_CONTRAST, EVEN_CONTRAST = 2.0, 40.0
+"""Grey values: the noise of an 8-bit image, and what texture is brought to, of which three lie within 128."""
+
+MOST_REFINED_PX = 3.0
+"""A point of a feature is right to that, beyond it the refinement has found something else."""
+
+RETURNED_PX = 0.5
+"""A refined match leads back to where it started to half a pixel, or the window holds no texture that fixes it."""
+
+
+MOVED_PX = 1.0
+"""Points that move by less until the next image may as well stand still."""
+
+
+@dataclass(frozen=True)
+class Partners:
+    """How many points of a left image there are, and how many of them have a match in the right one."""
+
+    points: int = 0
+    matched: int = 0
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """Matched points of a pair, raw pixels.
+
+    Attributes
+    ----------
+    left, right : ndarray, shape (n, 2)
+    later : ndarray, shape (n, 2)
+        Where the left point is in the left image that follows; NaN where it was not found.
+    later_s : float
+        How much later that is.
+    moving, still : Partners
+        Of all points of the left image that were followed to the next one.
+    """
+
+    left: FloatArray
+    right: FloatArray
+    later: FloatArray
+    later_s: float
+    moving: Partners
+    still: Partners
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def swapped(self) -> PairMatches:
+        """Return the matches as if left were right."""
+        return replace(self, left=self.right, right=self.left, later=np.full(self.later.shape, np.nan))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A pair of images with their following left one, grey, uint8; without it the recording ends or times are unknown.
+
+    Attributes
+    ----------
+    left, right : ndarray, shape (height, width)
+    later : ndarray or None
+    later_s : float
+    """
+
+    left: Raster
+    right: Raster
+    later: Raster | None
+    later_s: float
+
+
+def read_compared(pairs: Sequence[StereoPair], number: int) -> Compared:
+    """Read a pair and the left image that follows it.
+
+    Raises
+    ------
+    ImageError
+        If one of the pair cannot be read, or left and right are not of one size.
+    """
+    pair = pairs[number]
+    left, right = (EightBit().grey(read_image(path)) for path in (pair.left, pair.right))
+    if left.shape != right.shape:
+        (h, w), (right_h, right_w) = left.shape, right.shape
+        raise ImageError(f"{pair.right}: the image is {right_w}x{right_h} pixels; needed are {w}x{h}, as the left one")
+    later, later_s = None, 0.0
+    if number + 1 < len(pairs):
+        following = EightBit().grey(read_image(pairs[number + 1].left))
+        later_s = (pairs[number + 1].stamp_ns - pair.stamp_ns) / 1e9
+        later = following if following.shape == left.shape and later_s > 0 else None
+    return Compared(left, right, later, later_s)
+
+
+def match_pair(images: Compared) -> PairMatches:
+    """Match points between both images wherever they may lie, to a fraction of a pixel.
+
+    No calibration is used: whatever is wrong with it shows in the matches.
+    """
+    even_left, even_right = _evened(images.left), _evened(images.right)
+    finder = cv2.SIFT.create(nfeatures=FEATURES)
+    left_keys, left_words = finder.detectAndCompute(_stretched(images.left), None)
+    right_keys, right_words = finder.detectAndCompute(_stretched(images.right), None)
+    if left_words is None or right_words is None or min(len(left_keys), len(right_keys)) < 2:
+        nothing = np.zeros((0, 2))
+        return PairMatches(nothing, nothing, nothing, images.later_s, Partners(), Partners())
+    left, right = (np.array([key.pt for key in keys], dtype=np.float32) for keys in (left_keys, right_keys))
+    there, back = _distinct(left_words, right_words), _distinct(right_words, left_words)
+    mutual = np.array([(i, j) for i, j in there.items() if back.get(j) == i], dtype=np.int64).reshape(-1, 2)
+    found = np.full(left.shape, np.nan, dtype=np.float32)
+
+    refined, usable = _refined(even_left, even_right, left[mutual[:, 0]], right[mutual[:, 1]])
+    found[mutual[usable, 0]] = refined[usable]
+    later = np.full(left.shape, np.nan, dtype=np.float32)
+    if images.later is not None:
+        followed, seen = _refined(even_left, _evened(images.later), left, left, most_px=np.inf, levels=3)
+        later[seen] = followed[seen]
+    # A feature that is found on two scales is one point.
+    _, once = np.unique(np.rint(left * 4), axis=0, return_index=True)
+    return _gathered(left[once], found[once], later[once], images.later_s)
+
+
+def _gathered(left: Raster, right: Raster, later: Raster, later_s: float) -> PairMatches:
+    """Keep what was matched, and count partners. Points are float32, NaN where they were not found."""
+    matched, followed = (np.isfinite(there).all(axis=1) for there in (right, later))
+    flow = later - left
+    shake = np.median(flow[followed], axis=0) if followed.any() else np.zeros(2)
+    moved = np.linalg.norm(flow - shake, axis=1)
+    moving, still = followed & (moved > MOVED_PX), followed & (moved <= MOVED_PX)
+    kept = [points[matched].astype(np.float64) for points in (left, right, later)]
+    partners = [Partners(int(those.sum()), int((those & matched).sum())) for those in (moving, still)]
+    return PairMatches(kept[0], kept[1], kept[2], later_s, partners[0], partners[1])
+
+
+def _stretched(image: Raster) -> Raster:
+    """Return an image whose grey values fill 8 bit, so that as many features are found in a dark one."""
+    low, high = np.percentile(image, [0.5, 99.5])
+    stretched: Raster = np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+    return stretched
+
+
+def _evened(image: Raster) -> Raster:
+    """Return an image of even brightness and contrast, uint8: cameras of a pair seldom expose alike.
+
+    Texture below the noise of an 8-bit image stays faint.
+    """
+    grey = image.astype(np.float32)
+    detail = grey - cv2.GaussianBlur(grey, (0, 0), WINDOW_PX)
+    contrast = np.sqrt(cv2.GaussianBlur(detail**2, (0, 0), WINDOW_PX))
+    return np.clip(detail / (contrast + LEAST_CONTRAST) * EVEN_CONTRAST + 128.0, 0, 255).astype(np.uint8)
+
+
+def _distinct(words: Raster, others: Raster) -> dict[int, int]:
+    found = cv2.BFMatcher(cv2.NORM_L2).knnMatch(words, others, k=2)
+    return {two[0].queryIdx: two[0].trainIdx for two in found if two[0].distance < DISTINCT * two[1].distance}
+
+
+def _refined(
+    image: Raster, other: Raster, points: Raster, start: Raster, most_px: float = MOST_REFINED_PX, levels: int = 0
+) -> tuple[Raster, BoolArray]:
+    """Return where points are in another image, shape (n, 2), and which of them are trusted."""
+    if not len(points):
+        return start, np.zeros(0, dtype=bool)
+    there, seen = _followed(image, other, points, start, levels)
+    back, also = _followed(other, image, there, points, levels)
+    returned = np.linalg.norm(back - points, axis=1) < RETURNED_PX
+    near = np.linalg.norm(there - start, axis=1) <= most_px
+    usable: BoolArray = seen & also & returned & near
+    return there, usable
+
+
+def _followed(image: Raster, other: Raster, points: Raster, start: Raster, levels: int) -> tuple[Raster, BoolArray]:
+    """Return where Lucas and Kanade find points, shape (n, 2), from a start, and which they find."""
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        image,
+        other,
+        points[:, None],
+        start[:, None].copy(),
+        winSize=(WINDOW_PX, WINDOW_PX),
+        maxLevel=levels,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return np.asarray(found)[:, 0], np.asarray(status)[:, 0] == 1

@@ -1,0 +1,181 @@
+"""Whether a stereo calibration fits its images, and what is wrong if not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from laci_stereo.check.rig_matches import Partners
+from laci_stereo.check.rig_parallax import FLOOR_PX, Lag, Parallax, Turn
+from laci_stereo.check.rig_points import COLUMNS, ROWS, Rectified
+
+Outcome: TypeAlias = Literal["pass", "warn", "fail"]
+
+WARN_PX = 3 * FLOOR_PX
+"""Three standard deviations of what is accounted for as imperfect rectification: more of it is not."""
+
+FAIL_PX = 0.5
+"""The row above or below is then nearer to a point's partner than the row that is searched. On an edge that leans by
+45 deg, a disparity is wrong by as much as the rows are."""
+
+FEWEST_CELLS = COLUMNS * ROWS // 4
+"""Of the image: a quarter, and twice as many as a turn and a shift have unknowns."""
+
+FEWEST_EXPECTED = 12
+"""Of that many partners a quarter or less is found by chance once in 400 times (Poisson)."""
+
+_AXES = ("up or down (pitch)", "sideways (yaw)", "about its line of sight (roll)")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that speaks against a calibration, and how loudly; one that passes is a remark."""
+
+    outcome: Outcome
+    text: str
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How matches lie under a calibration.
+
+    Attributes
+    ----------
+    points : Rectified
+        Of the pairs that show one scene.
+    pairs, strange : int
+        Compared; and those of them whose images have nothing in common.
+    parallax : Parallax or None
+        None if there are too few matches.
+    lag : Lag or None
+        None if nothing moves.
+    moving, still : Partners
+        Of all pairs.
+    """
+
+    points: Rectified
+    pairs: int
+    strange: int
+    parallax: Parallax | None
+    lag: Lag | None
+    moving: Partners
+    still: Partners
+
+
+def judge(fit: Fit) -> tuple[Finding, ...]:
+    """Return what speaks against a calibration; nothing does if it fits.
+
+    *fail*: disparities cannot be trusted. *warn*: they are worse than is accounted for, or it cannot be told.
+    """
+    if 2 * fit.strange > fit.pairs or fit.parallax is None:
+        return (Finding("fail", _strangers(fit)),)
+    found = [*_coverage(fit, fit.parallax), *_rows(fit.parallax), *_columns(fit.parallax, fit.points.focal_px)]
+    if fit.strange:
+        found.append(Finding("warn", _strangers(fit)))
+    return (*found, *_times(fit))
+
+
+def outcome_of(findings: tuple[Finding, ...]) -> Outcome:
+    """Return the gravest."""
+    said = {finding.outcome for finding in findings}
+    return "fail" if "fail" in said else "warn" if "warn" in said else "pass"
+
+
+def graded(pixels: float) -> Outcome:
+    """Return how grave it is that rows or columns are off."""
+    return "fail" if pixels > FAIL_PX else "warn" if pixels > WARN_PX else "pass"
+
+
+def _strangers(fit: Fit) -> str:
+    return (
+        f"in {fit.strange} of {fit.pairs} pairs the images have no more in common than chance: left and right show "
+        "different scenes, are of different times, or hold nothing with texture"
+    )
+
+
+def _coverage(fit: Fit, parallax: Parallax) -> list[Finding]:
+    cells = len(parallax.cells.count)
+    if cells >= FEWEST_CELLS:
+        return []
+    return [
+        Finding(
+            "warn",
+            f"{len(fit.points)} matches, and enough of them in {cells} of {COLUMNS * ROWS} parts of the image; needed "
+            f"are {FEWEST_CELLS} to judge: is there texture, light and focus?",
+        )
+    ]
+
+
+def _rows(parallax: Parallax) -> list[Finding]:
+    grade = graded(parallax.systematic_px)
+    if grade == "pass":
+        return []
+    stale = "the calibration is stale, or of another camera" if grade == "fail" else "the calibration has drifted"
+    return [
+        Finding(
+            grade,
+            f"after rectification partners lie {parallax.systematic_px:.2f} px beside their row, beyond noise; allowed "
+            f"is {WARN_PX:g} px, and {FAIL_PX:g} px make disparities wrong: {stale}; {explained(parallax.turn)}",
+        )
+    ]
+
+
+def explained(turn: Turn) -> str:
+    """Say what would explain the parallax."""
+    if turn.left_over_px > WARN_PX:
+        return "no turn of a camera explains it: focal lengths, lens distortion or the image's crop do not fit"
+    parts = [
+        f"{np.degrees(angle):+.2f} deg {axis}"
+        for angle, sigma, axis in zip(turn.angles_rad, turn.sigma_rad, _AXES, strict=True)
+        if abs(angle) > 2 * sigma
+    ]
+    return f"the right camera has turned by {', '.join(parts)}" if parts else "a shift of the right camera explains it"
+
+
+def _columns(parallax: Parallax, focal_px: float) -> list[Finding]:
+    """Judge what is off along the rows, which shows less: a turn sideways, and points beyond infinity."""
+    found = []
+    turn = parallax.turn
+    off_px = focal_px * max(abs(turn.angles_rad[1]) - 3 * turn.sigma_rad[1], 0.0)
+    if graded(off_px) != "pass" and turn.left_over_px <= WARN_PX:
+        angle, sigma = np.degrees([turn.angles_rad[1], turn.sigma_rad[1]])
+        found.append(
+            Finding(
+                graded(off_px),
+                f"the right camera has turned sideways by {angle:+.2f} +- {sigma:.2f} deg, so disparities are off by "
+                f"{focal_px * abs(turn.angles_rad[1]):.1f} px; allowed is {WARN_PX:g} px",
+            )
+        )
+    if graded(parallax.behind_px) != "pass":
+        found.append(
+            Finding(
+                graded(parallax.behind_px),
+                f"points lie beyond infinity: disparities go {parallax.behind_px:.1f} px below zero, beyond noise; "
+                "needed are positive ones",
+            )
+        )
+    return found
+
+
+def _times(fit: Fit) -> list[Finding]:
+    expected = fit.moving.points * fit.still.matched / max(fit.still.points, 1)
+    if expected >= FEWEST_EXPECTED and fit.moving.matched <= expected / 4:
+        return [
+            Finding(
+                "fail",
+                f"{fit.moving.matched} of {fit.moving.points} points that move have a partner, where {expected:.0f} "
+                "were to be expected: left and right are of different times",
+            )
+        ]
+    lag = fit.lag
+    if lag is None or abs(lag.seconds) <= 3 * lag.sigma_s or graded(lag.effect_px) == "pass":
+        return []
+    return [
+        Finding(
+            graded(lag.effect_px),
+            f"the right images are of {1000 * lag.seconds:+.0f} +- {1000 * lag.sigma_s:.0f} ms later than the left "
+            f"ones, by {lag.count} points that move and are off by {lag.effect_px:.1f} px; allowed is {WARN_PX:g} px",
+        )
+    ]

@@ -1,0 +1,229 @@
+"""What every stereo calibration comes to, whatever its format: two lenses, and where one is seen from the other."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from laci_stereo.core.errors import RigError
+from laci_stereo.core.frames import FloatArray
+
+Size: TypeAlias = tuple[int, int]
+"""Width and height of an image, pixels."""
+
+Model: TypeAlias = Literal["pinhole", "fisheye"]
+
+MIN_BASELINE_M = 0.02
+MAX_BASELINE_M = 10.0
+
+NARROWEST, WIDEST = 100.0, 0.1
+"""Focal lengths in image widths: 0.6 deg across, and twice as wide as the widest fisheye (180 deg in 0.32)."""
+
+LARGEST_COEFFICIENT = 1e4
+"""Of a distortion: it multiplies powers of a position in focal lengths, of which a wide image reaches one; those of the
+rational model, which nearly cancel, come to some hundred."""
+
+_MAX_ROTATION_ERROR = 1e-3
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How one camera projects, in OpenCV's conventions.
+
+    Attributes
+    ----------
+    K : ndarray, shape (3, 3)
+        Camera matrix, pixels.
+    distortion : ndarray, shape (k,)
+        Of the pinhole model 4, 5, 8, 12 or 14 coefficients (k1, k2, p1, p2, k3, ...), of the fisheye model 4.
+    size : tuple of int
+        Width and height of the image, pixels.
+    model : {"pinhole", "fisheye"}
+    """
+
+    K: FloatArray
+    distortion: FloatArray
+    size: Size
+    model: Model
+
+
+@dataclass(frozen=True)
+class StereoRig:
+    """Two cameras and where the left one is seen from the right one: ``p_right = R_right_left p_left + t``.
+
+    Attributes
+    ----------
+    left, right : Lens
+    R_right_left : ndarray, shape (3, 3)
+    t_right_left_m : ndarray, shape (3,)
+        OpenCV's ``T``, metres: about ``(-baseline, 0, 0)``.
+    notes : tuple of str
+        How the file was understood, where it could be understood otherwise.
+    rectified : StereoRig or None
+        The same cameras for images that the calibration's own tool has rectified, where the file describes these.
+    """
+
+    left: Lens
+    right: Lens
+    R_right_left: FloatArray
+    t_right_left_m: FloatArray
+    notes: tuple[str, ...] = ()
+    rectified: StereoRig | None = None
+
+    @property
+    def baseline_m(self) -> float:
+        """The distance between the two cameras, metres."""
+        return math.hypot(*self.t_right_left_m)
+
+
+@dataclass(frozen=True)
+class ForImages:
+    """The images that a calibration is read for: what a file leaves open, they may tell.
+
+    Attributes
+    ----------
+    size : tuple of int or None
+        Width and height, pixels.
+    left : Path or None
+        The folder of the left ones.
+    """
+
+    size: Size | None = None
+    left: Path | None = None
+
+    @property
+    def left_camera(self) -> int | None:
+        """The number in the folder's name or the name above it, as in ``image_02/data``; None without one."""
+        parts = () if self.left is None else self.left.absolute().parts[-2:]
+        found = [re.fullmatch(r"(?:image|cam|camera)_?0*(\d{1,2})", part) for part in reversed(parts)]
+        return next((int(match[1]) for match in found if match), None)
+
+
+def rectified_pair(left_P: FloatArray, right_P: FloatArray, size: Size, notes: tuple[str, ...]) -> StereoRig:
+    """Return the rig of rectified images from their projections.
+
+    Parameters
+    ----------
+    left_P, right_P : ndarray, shape (3, 4)
+        ``K (I | t)``, with t in metres.
+    size : tuple of int
+    notes : tuple of str
+    """
+    left, right = (Lens(P[:, :3].copy(), np.zeros(4), size, "pinhole") for P in (left_P, right_P))
+    rig = StereoRig(left, right, np.eye(3), projection_shift(right_P) - projection_shift(left_P), notes)
+    return replace(rig, rectified=rig)
+
+
+def projection_shift(P: FloatArray) -> FloatArray:
+    """Return t, shape (3,), of a projection ``K (I | t)``, shape (3, 4), whose K is upper triangular."""
+    z = P[2, 3] / P[2, 2]
+    y = (P[1, 3] - P[1, 2] * z) / P[1, 1]
+    return np.array([(P[0, 3] - P[0, 1] * y - P[0, 2] * z) / P[0, 0], y, z])
+
+
+def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
+    """Refuse a calibration for images of another size.
+
+    Raises
+    ------
+    RigError
+    """
+    if rig.left.size == image_size:
+        return
+    found, needed = ("{} x {}".format(*size) for size in (rig.left.size, image_size))
+    factor = image_size[0] / rig.left.size[0]
+    scaled = abs(rig.left.size[1] * factor - image_size[1]) <= 1 and factor != 1
+    raise RigError(
+        f"{name}: the image size is {found}; the images are {needed} pixels, needed is a calibration for these"
+        + (f" (were they scaled by {factor:g}?)" if scaled else "")
+    )
+
+
+def check_rig(name: str, rig: StereoRig) -> None:
+    """Refuse what describes no usable stereo camera.
+
+    Raises
+    ------
+    RigError
+    """
+    for side, lens in (("left", rig.left), ("right", rig.right)):
+        _check_lens(name, f"the {side} camera's", lens)
+    if rig.left.model != rig.right.model:
+        raise RigError(
+            f"{name}: the left camera is {rig.left.model}, the right one {rig.right.model}; needed is one model"
+        )
+    _check_rotation(name, rig.R_right_left)
+    _check_baseline(name, rig)
+
+
+def _check_lens(name: str, whose: str, lens: Lens) -> None:
+    fx, fy, cx, cy = lens.K[0, 0], lens.K[1, 1], lens.K[0, 2], lens.K[1, 2]
+    if not (np.isfinite(lens.K).all() and np.isfinite(lens.distortion).all()):
+        raise RigError(f"{name}: {whose} camera matrix or distortion is not finite; needed are finite numbers")
+    largest = float(np.abs(lens.distortion).max(initial=0.0))
+    if largest > LARGEST_COEFFICIENT:
+        raise RigError(
+            f"{name}: {whose} distortion has a coefficient of {largest:g}; needed are at most {LARGEST_COEFFICIENT:g}"
+        )
+    if not (fx > 0 and fy > 0):
+        raise RigError(f"{name}: {whose} focal length is {fx:g}, {fy:g} pixels; needed are positive ones")
+    if not np.allclose(lens.K[[1, 2, 2], [0, 0, 1]], 0.0) or not np.isclose(lens.K[2, 2], 1.0):
+        raise RigError(f"{name}: {whose} camera matrix is no [fx 0 cx; 0 fy cy; 0 0 1]; needed is one")
+    width, height = lens.size
+    if not (0 <= cx <= width and 0 <= cy <= height):
+        raise RigError(
+            f"{name}: {whose} principal point is {cx:g}, {cy:g}; needed is one inside the image of {width} x {height}"
+        )
+    if not WIDEST * width <= min(fx, fy) <= max(fx, fy) <= NARROWEST * width:
+        raise RigError(
+            f"{name}: {whose} focal length is {fx:g}, {fy:g} pixels in an image {width} wide; needed are "
+            f"{WIDEST:g} to {NARROWEST:g} widths"
+        )
+
+
+def _check_rotation(name: str, R: FloatArray) -> None:
+    error = float(np.abs(R @ R.T - np.eye(3)).max())
+    determinant = float(np.linalg.det(R))
+    if not error <= _MAX_ROTATION_ERROR or determinant < 0:
+        raise RigError(
+            f"{name}: R is no rotation (R R^T is off the identity by {error:.3g}, det R is {determinant:.3g}); "
+            "needed is an orthogonal matrix with determinant 1"
+        )
+
+
+def _check_baseline(name: str, rig: StereoRig) -> None:
+    baseline = rig.baseline_m
+    if not MIN_BASELINE_M <= baseline <= MAX_BASELINE_M:
+        units = [
+            name
+            for name, metres in (("millimetres", 1e-3), ("centimetres", 1e-2))
+            if MIN_BASELINE_M <= baseline * metres <= MAX_BASELINE_M
+        ]
+        hint = f"; is T in {' or '.join(units)}?" if units and baseline > MAX_BASELINE_M else ""
+        raise RigError(
+            f"{name}: the baseline (length of T) is {baseline:g} m; a stereo rig's is {MIN_BASELINE_M:g} to "
+            f"{MAX_BASELINE_M:g} m{hint}"
+        )
+    # Seen from half-way between the two orientations, as rectification does.
+    half_back = Rotation.from_matrix(rig.R_right_left).as_rotvec() * -0.5
+    along = np.abs(Rotation.from_rotvec(half_back).apply(rig.t_right_left_m))
+    if along.argmax() == 1:
+        raise RigError(
+            f"{name}: the cameras stand one above the other (T is {_vector(rig.t_right_left_m)} m); disparity is "
+            "searched along rows, needed are cameras side by side"
+        )
+    if along.argmax() == 2:
+        raise RigError(
+            f"{name}: the cameras stand one behind the other (T is {_vector(rig.t_right_left_m)} m); needed are "
+            "cameras side by side"
+        )
+
+
+def _vector(values: FloatArray) -> str:
+    return ", ".join(f"{value:g}" for value in values)

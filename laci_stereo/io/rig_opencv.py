@@ -1,0 +1,137 @@
+"""Stereo calibrations in OpenCV's FileStorage (YAML, JSON, XML), in one file or in two."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from laci_stereo.core.errors import RigError
+from laci_stereo.io.file_storage import Node
+from laci_stereo.io.rig import ForImages, Lens, Model, Size, StereoRig, rectified_pair
+from laci_stereo.io.rig_document import Document, Entry, numbers, plain
+from laci_stereo.io.text_file import listed, quoted
+
+COEFFICIENTS: Mapping[Model, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,)}
+"""How many distortion coefficients OpenCV's models have."""
+
+MATRIX = ("K", "M", "cameraMatrix", "intrinsics", "intrinsicMatrix", "mtx")
+DISTORTION = ("D", "distCoeffs", "distCoeff", "distortion", "distortionCoefficients", "distortionCoeffs", "dist")
+ROTATION = Entry("rotation between the cameras", ("R", "rotation", "rotationMatrix", "stereoR", "rotationOfCamera2"))
+TRANSLATION = Entry(
+    "translation between the cameras",
+    ("T", "translation", "translationVector", "trans", "stereoT", "translationOfCamera2"),
+)
+_PROJECTION = ("P", "projectionMatrix", "projection")
+_MODEL_NAMES = ("model", "distortionmodel", "cameramodel")
+_FISHEYE_FLAGS = ("fisheye", "fisheyemodel", "isfisheye", "usefisheye")
+_FALSE = ("", "0", "false", "no", "none")
+MODELS: Mapping[str, Model] = {
+    **dict.fromkeys(("fisheye", "equidistant", "kannalabrandt", "kannalabrandt4", "kb4"), "fisheye"),
+    **dict.fromkeys(("pinhole", "plumbbob", "radtan", "rationalpolynomial", "rational", "thinprism"), "pinhole"),
+    **dict.fromkeys(("tilted", "standard", "opencv", "brown", "brownconrady", "perspective"), "pinhole"),
+}
+
+
+def read_opencv(documents: Sequence[Document], images: ForImages) -> StereoRig:
+    """Read what is left when no other format claims the files.
+
+    Raises
+    ------
+    RigError
+    """
+    document, notes = _merged([_flattened(document) for document in documents])
+    model = model_of(document)
+    size = document.size()
+    if size is None:
+        size, notes = images.size, (*notes, "the file tells no image size; taken from the images")
+    if size is None:
+        raise RigError(
+            f"{document.name} lacks the image size; needed are image_width and image_height, it holds "
+            f"{listed(list(document.root))}"
+        )
+    left, right = (_lens(document, side, size, model) for side in ("left", "right"))
+    if model == "pinhole" and {len(left.distortion), len(right.distortion)} == {4} and not _names_model(document):
+        notes = (*notes, "four distortion coefficients and no model named; taken as k1, k2, p1, p2, not as a fisheye's")
+    rotation = document.array(ROTATION, (3, 3), (3,))
+    if rotation.shape == (3,):
+        rotation = Rotation.from_rotvec(rotation).as_matrix()
+        notes = (*notes, "the rotation is three numbers; taken as a rotation vector, rad")
+    rig = StereoRig(left, right, rotation, document.array(TRANSLATION, (3,)), notes)
+    return replace(rig, rectified=_rectified(document, size))
+
+
+def model_of(document: Document) -> Model:
+    """Return the lens model that a file names, the pinhole where it names none.
+
+    Raises
+    ------
+    RigError
+        If it names another one.
+    """
+    models: list[Model] = []
+    for name, node in document.root.items():
+        if plain(name) in _MODEL_NAMES:
+            model = MODELS.get(plain(node)) if isinstance(node, str) else None
+            if model is None:
+                raise RigError(f"{document.name}: {name} is {quoted(str(node))}; needed is pinhole or fisheye")
+            models.append(model)
+        elif plain(name) in _FISHEYE_FLAGS and node != 0.0 and plain(str(node)) not in _FALSE:
+            models.append("fisheye")
+    return "fisheye" if "fisheye" in models else "pinhole"
+
+
+def _names_model(document: Document) -> bool:
+    return any(plain(name) in (*_MODEL_NAMES, *_FISHEYE_FLAGS) for name in document.root)
+
+
+def _lens(document: Document, side: Literal["left", "right"], size: Size, model: Model) -> Lens:
+    K = document.array(Entry.of_camera("camera matrix", MATRIX, side), (3, 3))
+    shapes = tuple((count,) for count in COEFFICIENTS[model])
+    distortion = document.array(Entry.of_camera(f"{model} distortion", DISTORTION, side), *shapes)
+    return Lens(K, distortion, size, model)
+
+
+def _rectified(document: Document, size: Size) -> StereoRig | None:
+    """Return the rig of the rectified images, where the file has their projections."""
+    entries = [Entry.of_camera("projection", _PROJECTION, side) for side in ("left", "right")]
+    if any(document.find(entry) is None for entry in entries):
+        return None
+    left_P, right_P = (document.array(entry, (3, 4)) for entry in entries)
+    return rectified_pair(left_P, right_P, size, ("rectified images as the projections P1 and P2 in the file say",))
+
+
+def _flattened(document: Document) -> Document:
+    """Return a file whose cameras have a section each as if their names stood together: left: {K: ...} as left_K."""
+    root: dict[str, Node] = {}
+    for name, node in document.root.items():
+        if isinstance(node, dict) and numbers(node) is None and not {"data", "rows"} & node.keys():
+            prefix = f"{name}_" if plain(name) in ("left", "right") else ""
+            root |= {f"{prefix}{inner}": value for inner, value in node.items()}
+        else:
+            root[name] = node
+    return Document(document.name, root)
+
+
+def _merged(documents: Sequence[Document]) -> tuple[Document, tuple[str, ...]]:
+    """Lay two files over each other; where both have an entry, that beside the translation counts."""
+    if len(documents) == 1:
+        return documents[0], ()
+    ordered = sorted(documents, key=lambda document: document.find(TRANSLATION) is not None)
+    root: dict[str, Node] = {}
+    twice: list[str] = []
+    for document in ordered:
+        twice += [name for name, node in document.root.items() if name in root and not _same(root[name], node)]
+        root |= document.root
+    notes = (f"{listed(twice)}: in both files, and not the same; taken from {ordered[-1].name}",) if twice else ()
+    return Document(" + ".join(document.name for document in documents), root), notes
+
+
+def _same(one: Node, other: Node) -> bool:
+    first, second = numbers(one), numbers(other)
+    if first is None or second is None:
+        return one == other
+    return first.shape == second.shape and np.array_equal(first, second)

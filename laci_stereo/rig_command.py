@@ -1,0 +1,94 @@
+"""``laci-stereo rig``: what a stereo calibration was understood to be, and whether it fits the images."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import cv2
+
+from laci_stereo.check.rig_describe import describe_rig, rig_document
+from laci_stereo.check.rig_images import check_rig, match_images
+from laci_stereo.check.rig_picture import draw_rig
+from laci_stereo.core.errors import ImageError, OutputError
+from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, pair_images, read_image
+from laci_stereo.io.output import write_file
+from laci_stereo.io.stereo_calibration import ForImages, Size, calibration_files, read_rig
+from laci_stereo.io.timed_files import names_in
+from laci_stereo.stereo.rectify import already_rectified
+
+DOES_NOT_FIT = 1
+"""Exit code of a calibration that fails."""
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("calibration", nargs=-1, type=_PATH, metavar="[CALIB]...")
+@click.argument("left", type=_PATH)
+@click.argument("right", type=_PATH)
+@click.option("--rectified", is_flag=True, help="The images are rectified already.")
+@click.option("--picture", type=_PATH, help="File for a picture of the rectified pair with its matches (PNG).")
+@click.option("--json", "json_file", type=_PATH, help="File for all figures.")
+@click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
+def rig(
+    calibration: tuple[Path, ...],
+    left: Path,
+    right: Path,
+    rectified: bool,
+    picture: Path | None,
+    json_file: Path | None,
+    overwrite: bool,
+) -> None:
+    """Show how a stereo calibration is understood, and whether it fits the images.
+
+    CALIB is a file, two files that belong together, or a folder with them, as for --stereo; without it, it is looked
+    for beside LEFT. LEFT and RIGHT are folders of images. Points are matched in some pairs without the calibration;
+    after rectification by it, partners must lie in one row.
+
+    Exit codes: 0 it fits, perhaps with a warning; 1 it does not; 2 something cannot be read or makes no sense.
+    """
+    for path in filter(None, (picture, json_file)):
+        if path.exists() and not overwrite:
+            raise OutputError(f"{path}: exists already; needed is another name, or --overwrite to replace it")
+    files = calibration_files(calibration, left)
+    pairs = _pairs(left, right)
+    found = read_rig(files, ForImages(_size(pairs), left))
+    check = check_rig(already_rectified(found) if rectified else found, match_images(pairs))
+    click.echo(describe_rig(files, check))
+    if picture is not None:
+        write_file(picture, cv2.imencode(".png", draw_rig(check))[1].tobytes())
+    if json_file is not None:
+        write_file(json_file, (json.dumps(rig_document(files, check), indent=2, allow_nan=False) + "\n").encode())
+    written = [str(path) for path in (picture, json_file) if path is not None]
+    if written:
+        click.echo(f"{'Written':<11}{', '.join(written)}")
+    if check.outcome == "fail":
+        sys.exit(DOES_NOT_FIT)
+
+
+def _size(pairs: Sequence[StereoPair]) -> Size:
+    """Return the width and height of the first left image that can be read."""
+    problems = []
+    for pair in pairs:
+        try:
+            height, width = read_image(pair.left).shape[:2]
+        except ImageError as problem:
+            problems.append(problem)
+        else:
+            return width, height
+    raise problems[0]
+
+
+def _pairs(left: Path, right: Path) -> tuple[StereoPair, ...]:
+    """Pair images by their times; by their names where these are the same but tell no time, or there is one only."""
+    try:
+        return pair_images(ImageFolder.open(left), ImageFolder.open(right)).pairs
+    except ImageError:
+        names = names_in(left, IMAGES)
+        if names != names_in(right, IMAGES):
+            raise
+        return tuple(StereoPair(0, left / name, right / name) for name in names)

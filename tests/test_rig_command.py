@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from scipy.spatial.transform import Rotation
+
+from laci_stereo.check.rig_images import Matched, RigCheck, check_rig, match_images, scaled
+from laci_stereo.core.frames import Raster
+from laci_stereo.io.images import StereoPair
+from laci_stereo.io.rig import StereoRig
+from laci_stereo.rig_command import rig as rig_command
+from laci_stereo.run import Options, prepare
+from laci_stereo.stereo.rectify import rectify
+from tests.cli_support import DEMONSTRATION, refusal, run
+from tests.io.rig_writers import opencv_entries, ros, write_storage
+from tests.stereo.render import Box, expose
+from tests.stereo.rigs import RIGS
+from tests.stereo.support import STATIC, exposed, views, write_pairs
+
+KINDS = ("five", "askew", "fisheye", "mirrored askew")
+AXES = {"x": "up or down (pitch)", "y": "sideways (yaw)", "z": "about its line of sight (roll)"}
+DRIVER = Box(13.0, -1.0, yaw_rad=0.2, seed=3, grey=110.0)
+SPEED_M = 0.5
+"""Of the moving box from one frame to the next."""
+
+
+@lru_cache(maxsize=len(RIGS))
+def images(name: str) -> tuple[Raster, Raster]:
+    return exposed([views(name)], seed=1)[0]
+
+
+def pairs(folder: Path, name: str) -> list[StereoPair]:
+    return write_pairs(folder, [images(name)] * 2)
+
+
+@pytest.fixture(scope="module")
+def matched(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Matched]:
+    @lru_cache(maxsize=len(RIGS))
+    def matched_as(name: str) -> Matched:
+        return match_images(pairs(tmp_path_factory.mktemp("pairs"), name))
+
+    return matched_as
+
+
+def check_rig_images(rig: StereoRig, found: Sequence[StereoPair]) -> RigCheck:
+    return check_rig(rig, match_images(found))
+
+
+def turned(rig: StereoRig, axis: str, degrees: float) -> StereoRig:
+    """Return the rig whose right camera is turned about an axis of its own."""
+    R = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return replace(rig, R_right_left=R @ rig.R_right_left, t_right_left_m=R @ rig.t_right_left_m)
+
+
+def said(check: RigCheck) -> str:
+    return "; ".join(finding.text for finding in check.findings)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_right_calibration_passes(matched: Callable[[str], Matched], name: str) -> None:
+    check = check_rig(RIGS[name], matched(name))
+    assert (check.outcome, check.findings, check.skipped) == ("pass", (), ())
+    assert check.fit is not None
+    parallax = check.fit.parallax
+    assert parallax is not None
+    assert len(check.fit.points) > 500
+    assert parallax.noise_px < 0.2
+    assert (np.abs(parallax.turn.angles_rad) < 3 * parallax.turn.sigma_rad).all()
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("axis", AXES)
+def test_a_camera_that_has_turned_is_found_and_named(matched: Callable[[str], Matched], name: str, axis: str) -> None:
+    """The images are of a right camera that has turned by +0.3 deg since it was calibrated."""
+    check = check_rig(turned(RIGS[name], axis, -0.3), matched(name))
+    assert check.outcome == ("warn" if axis == "y" else "fail")  # a turn sideways hardly moves rows
+    assert check.fit is not None
+    assert check.fit.parallax is not None
+    turn = check.fit.parallax.turn
+    expected = np.radians([0.3 if each == axis else 0.0 for each in AXES])
+    assert (np.abs(turn.angles_rad - expected) < 3 * turn.sigma_rad).all()
+    assert np.degrees(np.abs(turn.angles_rad - expected)).max() < 0.05
+    if axis != "y":
+        assert f"stale, or of another camera; the right camera has turned by +0.30 deg {AXES[axis]}" in said(check)
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.3])
+def test_cameras_that_expose_differently(tmp_path: Path, gain: float) -> None:
+    rng = np.random.default_rng(5)
+    left, right = (expose(view, rng, each) for view, each in zip(views("five"), (1.0, gain), strict=True))
+    check = check_rig_images(RIGS["five"], write_pairs(tmp_path, [(left, right)]))
+    assert check.outcome == "pass"
+    assert check.fit is not None
+    assert check.fit.parallax is not None
+    assert check.fit.parallax.noise_px < 0.1
+    assert len(check.fit.points) > 500
+
+
+def test_a_large_turn_sideways_fails(matched: Callable[[str], Matched]) -> None:
+    """It shifts disparities, by 360 px per radian, and in the corners rows."""
+    check = check_rig(turned(RIGS["five"], "y", -1.0), matched("five"))
+    assert check.outcome == "fail"
+    assert "the right camera has turned sideways by +1.0" in said(check)
+
+
+def test_points_beyond_infinity_are_named(matched: Callable[[str], Matched]) -> None:
+    check = check_rig(turned(RIGS["ideal"], "y", -2.0), matched("ideal"))
+    assert "points lie beyond infinity" in said(check)
+    assert "swapped" not in said(check)
+
+
+@pytest.mark.parametrize("name", ["askew", "fisheye"])
+def test_a_swapped_pair_is_named(tmp_path: Path, name: str) -> None:
+    swapped = [StereoPair(pair.stamp_ns, pair.right, pair.left) for pair in pairs(tmp_path, name)]
+    check = check_rig_images(RIGS[name], swapped)
+    assert check.outcome == "fail"
+    assert check.findings[0].text.startswith("the images of left and right are swapped")
+
+
+def test_a_wrong_focal_length_is_no_turn(matched: Callable[[str], Matched]) -> None:
+    rig = RIGS["five"]
+    K = rig.right.K * [[1.03], [1.03], [1.0]]
+    K[:2, 2] = rig.right.K[:2, 2]
+    check = check_rig(replace(rig, right=replace(rig.right, K=K)), matched("five"))
+    assert check.outcome == "fail"
+    assert "no turn of a camera explains it: focal lengths, lens distortion" in said(check)
+
+
+def test_images_of_another_size_are_named(matched: Callable[[str], Matched]) -> None:
+    found = matched("five")
+    check = check_rig(scaled(RIGS["five"], 2.0), found)
+    assert check.outcome == "fail"
+    assert said(check).startswith("the images are 400 x 300 pixels, the calibration is for 800 x 600")
+    assert said(check).endswith("were they scaled by 0.5?; scaled to them it fits")
+    larger = replace(RIGS["five"], left=replace(RIGS["five"].left, size=(640, 360)))
+    check = check_rig(larger, found)
+    assert (check.outcome, check.fit) == ("fail", None)
+    assert said(check).endswith("640 x 360: another camera's, or cropped")
+
+
+def test_a_scaled_rig_sees_the_scaled_image() -> None:
+    """Half an image is what a camera of half the pixels sees: the border stays where it is."""
+    whole = RIGS["five"]
+    half = scaled(whole, 0.5)
+    direction = np.array([0.2, -0.1, 1.0])
+    pixel, half_pixel = ((lens.K @ direction)[:2] for lens in (whole.left, half.left))
+    np.testing.assert_allclose((pixel + 0.5) / whole.left.size, (half_pixel + 0.5) / half.left.size)
+
+
+def test_images_that_are_rectified_already_are_named(tmp_path: Path) -> None:
+    plane = rectify(RIGS["five"])
+    left, right = images("five")
+    flat = write_pairs(tmp_path, [(plane.left.look_up(left), plane.right.look_up(right))])
+    check = check_rig_images(RIGS["five"], flat)
+    assert check.outcome == "fail"
+    assert "are the images rectified already? With --rectified the calibration fits" in said(check)
+
+
+def texture(seed: int) -> Raster:
+    rough = np.random.default_rng(seed).normal(size=(300, 400)).astype(np.float32)
+    smooth = cv2.GaussianBlur(rough, (0, 0), 1.5)
+    return np.clip(128 + 40 * smooth / smooth.std(), 0, 255).astype(np.uint8)
+
+
+def test_different_scenes_are_named(tmp_path: Path) -> None:
+    frames = [(images("five")[0], texture(seed)) for seed in range(3)]
+    check = check_rig_images(RIGS["five"], write_pairs(tmp_path, frames))
+    assert check.outcome == "fail"
+    assert said(check).startswith("in 3 of 3 pairs the images have no more in common than chance")
+
+
+def test_images_without_texture_are_not_judged(tmp_path: Path) -> None:
+    blank = np.full((300, 400), 128, dtype=np.uint8)
+    check = check_rig_images(RIGS["five"], write_pairs(tmp_path, [(blank, blank)] * 2))
+    assert check.outcome == "fail"
+    assert "nothing with texture" in said(check)
+
+
+def test_a_scene_that_fills_a_corner_is_not_enough(tmp_path: Path) -> None:
+    left, right = (image.copy() for image in images("five"))
+    for image in (left, right):
+        image[:200] = 128
+        image[:, :270] = 128
+    check = check_rig_images(RIGS["five"], write_pairs(tmp_path, [(left, right)]))
+    assert check.outcome == "warn"
+    assert "of 48 parts of the image; needed are 12 to judge" in said(check)
+
+
+def drive(folder: Path, steps_later: float) -> list[StereoPair]:
+    """Write pairs of a box that comes nearer, the right images taken some frames later."""
+    frames = []
+    for number in range(2):
+        places = (number, number + steps_later)
+        boxes = [replace(DRIVER, x=DRIVER.x - SPEED_M * place) for place in places]
+        left, right = (views("five", box, STATIC)[side] for side, box in enumerate(boxes))
+        frames.append((left, right))
+    return write_pairs(folder, exposed(frames, seed=2))
+
+
+@pytest.mark.parametrize("later", [0.0, 0.5, -0.5])
+def test_how_much_later_the_right_images_are(tmp_path: Path, later: float) -> None:
+    """Frames are 0.1 s apart, so half a frame is 50 ms."""
+    check = check_rig_images(RIGS["five"], drive(tmp_path, later))
+    assert check.fit is not None
+    assert check.fit.lag is not None
+    assert check.fit.lag.seconds == pytest.approx(0.1 * later, abs=3 * check.fit.lag.sigma_s)
+    assert check.fit.lag.sigma_s < 0.01
+    assert check.outcome == ("fail" if later else "pass")
+    assert ("ms later than the left ones" in said(check)) == bool(later)
+    assert "stale" not in said(check)
+
+
+def test_images_of_different_times_are_named(tmp_path: Path) -> None:
+    """Nothing but the box moves, and it is elsewhere in the right images."""
+    check = check_rig_images(RIGS["five"], drive(tmp_path, -20.0))
+    assert check.outcome == "fail"
+    assert "left and right are of different times" in said(check)
+
+
+def invoke(*arguments: object) -> Result:
+    return CliRunner().invoke(rig_command, [str(argument) for argument in arguments])
+
+
+def test_the_command_shows_what_was_understood(tmp_path: Path) -> None:
+    pairs(tmp_path, "five")
+    left, right = ros(None)(tmp_path, RIGS["five"])
+    folders = (tmp_path / "left", tmp_path / "right")
+    picture, figures = tmp_path / "rig.png", tmp_path / "rig.json"
+    ran = invoke(*folders, "--picture", picture, "--json", figures)
+    assert ran.exit_code == 0, ran.output
+    for words in (f"{left} + {right}", "ROS camera_info", "400 x 300", "0.5003 m", "Verdict    PASS", "deg"):
+        assert words in ran.output
+    seen = cv2.imread(str(picture))
+    assert seen is not None
+    assert seen.shape == (300, 800, 3)
+    document = json.loads(figures.read_text())
+    assert document["verdict"] == "pass"
+    assert document["baseline_m"] == pytest.approx(RIGS["five"].baseline_m)
+    assert invoke(left, right, *folders).output == ran.output.rpartition("Written")[0]
+    assert "exists already" in str(invoke(*folders, "--picture", picture).exception)
+
+
+def test_the_command_fails_with_what_does_not_fit(tmp_path: Path) -> None:
+    pairs(tmp_path, "five")
+    path = write_storage(tmp_path / "old.yaml", opencv_entries(turned(RIGS["five"], "x", -0.3)))
+    ran = invoke(path, tmp_path / "left", tmp_path / "right")
+    assert ran.exit_code == 1
+    assert "Verdict    FAIL" in ran.output
+
+
+def test_images_without_times_are_paired_by_name(tmp_path: Path) -> None:
+    for side, image in zip(("left", "right"), images("five"), strict=True):
+        (tmp_path / side).mkdir()
+        assert cv2.imwrite(str(tmp_path / side / "scene_a.png"), image)
+    write_storage(tmp_path / "stereo.yaml", opencv_entries(RIGS["five"]))
+    assert invoke(tmp_path / "left", tmp_path / "right").exit_code == 0
+
+
+def arguments(*given: object) -> Sequence[str]:
+    return ["rig", *map(str, given)]
+
+
+def test_what_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    pairs(tmp_path, "five")
+    entries = opencv_entries(RIGS["five"])
+    entries["T"] = 1000.0 * RIGS["five"].t_right_left_m
+    path = write_storage(tmp_path / "stereo.yaml", entries)
+    ran = run(arguments(path, tmp_path / "left", tmp_path / "right"), tmp_path)
+    refusal(ran, 2, "stereo.yaml", "is 500.325 m", "millimetres")
+
+
+def test_a_calibration_of_two_files_is_calibrated_with(tmp_path: Path) -> None:
+    """The demonstration's rig, written as ROS does, gives the same plane, and the result says what it is from."""
+    left, right, cam = (DEMONSTRATION / name for name in ("left", "right", "cam.csv"))
+    plain = prepare(left, right, cam)
+    files = ros(None)(tmp_path, plain.recording.rig)
+    job = prepare(left, right, cam, Options(stereo=files))
+    for name in ("focal_px", "baseline_m"):
+        assert getattr(job.recording.rectification, name) == pytest.approx(getattr(plain.recording.rectification, name))
+    np.testing.assert_allclose(job.recording.rectification.rays, plain.recording.rectification.rays, atol=1e-9)
+    assert {str(path) for path in files} < job.provenance.inputs.keys()
+    assert any(note.startswith("stereo calibration: ROS camera_info") for note in job.provenance.notes)
+
+
+def test_a_damaged_first_image_is_skipped(tmp_path: Path) -> None:
+    found = pairs(tmp_path, "five")
+    found[0].left.write_bytes(b"no image")
+    write_storage(tmp_path / "stereo.yaml", opencv_entries(RIGS["five"]))
+    ran = invoke(tmp_path / "left", tmp_path / "right")
+    assert ran.exit_code == 0
+    assert f"Skipped    {found[0].left} cannot be decoded" in ran.output
