@@ -34,6 +34,7 @@ class Asked:
     out: Path
     overwrite: bool
     lane_map: Path | None
+    map_crs: str | None
     station: int | None
     cam_reference: str
     crs: str | None
@@ -56,6 +57,7 @@ class Asked:
         """
         return DriveOptions(
             lane_map=self.lane_map,
+            map_crs=self.map_crs,
             station=self.station,
             reference=parse_reference(self.cam_reference),
             crs=self.crs,
@@ -67,12 +69,22 @@ class Asked:
 
 PATH = click.Path(path_type=Path)
 
+map_crs_option = click.option(
+    "--map-crs",
+    metavar="CRS[@E,N]",
+    help="Coordinate system of a map that does not state it, as EPSG:25832; E,N is where they count from.",
+)
+
 _ASKED = (
     click.option("--out", type=PATH, default=Path("calibration"), show_default=True, help="Folder for the result."),
     click.option("--overwrite", is_flag=True, help="Replace a result that is there already."),
     click.option(
-        "--map", "lane_map", type=PATH, help="Lanelet2 or GeoJSON lane map [default: map.osm beside the recording]."
+        "--map",
+        "lane_map",
+        type=PATH,
+        help="Lane map: Lanelet2, OpenDRIVE, GeoJSON, DXF or CSV [default: map.osm or the like beside the recording].",
     ),
+    map_crs_option,
     click.option("--station", type=int, help="Sender, where the log has several [default: the one whose track fits]."),
     click.option(
         "--cam-reference",

@@ -8,22 +8,29 @@ from pathlib import Path
 
 import click
 import cv2
+import numpy as np
 
+from laci_stereo.asked import map_crs_option
 from laci_stereo.check.describe import check_document, describe_check
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.placed import Placed
-from laci_stereo.core.errors import CalibrationFileError, MapError, OutputError, RigError
+from laci_stereo.check.verdict import TOO_FAR_M, TOO_FAR_RAD
+from laci_stereo.core.errors import CalibrationFileError, MapError, OutputError
 from laci_stereo.io.images import ImageFolder, read_image
 from laci_stereo.io.lane_map import LaneMap, find_lane_map, read_lane_map
 from laci_stereo.io.output import write_file
-from laci_stereo.io.stereo_calibration import find_stereo_calibration, read_stereo_calibration
+from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.rectify import already_rectified
 
 CONTRADICTED = 1
 """Exit code of a check that fails."""
+
+UNCLAIMED = np.diag([0.0, 0.0, TOO_FAR_RAD**2, TOO_FAR_M**2, TOO_FAR_M**2, 0.0])
+"""Covariance of a calibration that does not say how good it is: in the plane, what a pass rules out must be possible.
+Errors of its tilt and height move the lines on the ground as well, and are counted as such."""
 
 _PATH = click.Path(path_type=Path)
 
@@ -44,26 +51,37 @@ def map_options(command: click.decorators.FC) -> click.decorators.FC:
             metavar="M",
             help="Error of a line's place in the map, one standard deviation.",
         ),
-        click.option("--map", "lane_map", type=_PATH, help="Lanelet2 or GeoJSON [default: map.osm beside the data]."),
+        map_crs_option,
+        click.option("--map", "lane_map", type=_PATH, help="Lane map [default: map.osm or the like beside the data]."),
     ):
         command = option(command)
     return command
+
+
+stereo_option = click.option(
+    "--stereo",
+    type=_PATH,
+    multiple=True,
+    help="Stereo calibration: a file, a folder with one, or, given twice, two files that belong together (left and "
+    "right, intrinsics and extrinsics) [default: found beside LEFT].",
+)
 
 
 @click.command()
 @click.argument("calibration", type=_PATH)
 @click.argument("left", type=_PATH)
 @map_options
-@click.option("--stereo", type=_PATH, help="Stereo calibration [default: stereo.yaml, .yml or .json beside LEFT].")
+@stereo_option
 def check(
     calibration: Path,
     left: Path,
     lane_map: Path | None,
+    map_crs: str | None,
     map_sigma: float,
     json_file: Path | None,
     picture: Path,
     overwrite: bool,
-    stereo: Path | None,
+    stereo: tuple[Path, ...],
 ) -> None:
     """Check a stereo camera's calibration against a lane map.
 
@@ -76,13 +94,11 @@ def check(
     stored = read_calibration(calibration)
     needs_kind(stored, "stereo")
     folder = ImageFolder.open(left)
-    rig_file = stereo or find_stereo_calibration(left)
-    if rig_file is None:
-        raise RigError(f"{left.absolute().parent}: no stereo.yaml, stereo.yml or stereo.json; needed is --stereo FILE")
     height, width = read_image(folder.files[0]).shape[:2]
-    rig = read_stereo_calibration(rig_file, (width, height))
+    rig = read_stereo_calibration(calibration_files(stereo, left), (width, height), left)
     rig = already_rectified(rig) if stored.rectified else rig
-    lines = the_map(stored, lane_map or find_lane_map(left))
+    lines = the_map(stored, lane_map or find_lane_map(left), map_crs)
+    say_notes(stored, lines)
     checked = check_images(folder.files, GreyReader(rig), rig.left, placed_by(stored), lines, map_sigma)
     deliver(checked, map_sigma, picture, json_file)
 
@@ -112,7 +128,7 @@ def needs_kind(stored: StoredCalibration, kind: str) -> None:
         raise CalibrationFileError(f"{stored.path}: the sensor's kind is {stored.kind}; needed is {kind}")
 
 
-def the_map(stored: StoredCalibration, path: Path | None) -> LaneMap:
+def the_map(stored: StoredCalibration, path: Path | None, crs: str | None = None) -> LaneMap:
     """Read the map, into the world of a result.
 
     Raises
@@ -121,12 +137,25 @@ def the_map(stored: StoredCalibration, path: Path | None) -> LaneMap:
     """
     if path is None:
         raise MapError("no map.osm or map.geojson lies beside the data; needed is --map FILE")
-    return read_lane_map(path, stored.world)
+    return read_lane_map(path, stored.world, crs)
 
 
 def placed_by(stored: StoredCalibration) -> Placed:
-    """Return where a result puts its sensor."""
-    return Placed(stored.T_world_sensor, stored.covariance, stored.centre_world, stored.boxes)
+    """Return where a result puts its sensor; one that claims nothing is taken for as doubtful as a pass rules out."""
+    covariance = stored.covariance if stored.claims else UNCLAIMED
+    return Placed(stored.T_world_sensor, covariance, stored.centre_world, stored.boxes)
+
+
+def say_notes(stored: StoredCalibration, lines: LaneMap) -> None:
+    """Say how the map was understood, and what was assumed of the result."""
+    for note in lines.notes:
+        click.echo(f"note: {note}", err=True)
+    if not stored.claims:
+        click.echo(
+            f"note: {stored.path} was imported and does not say how good it is; taken are {TOO_FAR_M:g} m and "
+            f"{np.degrees(TOO_FAR_RAD):g} deg in the plane, one sigma, which a pass rules out",
+            err=True,
+        )
 
 
 def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path | None) -> None:

@@ -32,12 +32,15 @@ class CombineOptions:
     name : str or None
         What people call the sensor; None takes the first result's.
     lane_map : Path or None
+    map_crs : str or None
+        The map's coordinate system where its file does not state it; see `read_lane_map`.
         Lanelet2 or GeoJSON; it is only drawn.
     core : Settings
     """
 
     name: str | None = None
     lane_map: Path | None = None
+    map_crs: str | None = None
     core: Settings = field(default_factory=Settings)
 
 
@@ -102,7 +105,7 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
     passages = [passage for run, one in zip(runs, kept, strict=True) for passage in _named(str(run), one)]
     combined = estimate(passages, options.core)
     world = combined.calibration.world
-    lane_map = None if options.lane_map is None else read_lane_map(options.lane_map, world)
+    lane_map = None if options.lane_map is None else read_lane_map(options.lane_map, world, options.map_crs)
     files = [*paths, *([] if options.lane_map is None else [options.lane_map])]
     provenance = Provenance(
         name=options.name or kept[0].name,

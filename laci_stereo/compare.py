@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -36,7 +36,7 @@ DIGITS = {"deg": 3, "m": 3}
 LEAST_SIGMA = 1e-6
 """Radians and metres: what a result claims to know better is no doubt but a rounding."""
 
-Outcome = Literal["agree", "contradict"]
+Outcome = Literal["agree", "contradict", "cannot tell"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Difference:
     ----------
     name : str
     value, sigma : float
-        How far apart, without sign, and one standard deviation of that by what both claim.
+        How far apart, without sign, and one standard deviation of that by what both claim; NaN if one claims nothing.
     unit : str
     """
 
@@ -70,7 +70,7 @@ class Comparison:
         sensor; then by how much objects on the tracks are put elsewhere in the plane, and the angle between both.
     chi_square, probability : float
         Of all six parameters under both covariances, and how often results that are as good as they claim are at least
-        so far apart.
+        so far apart; NaN where one claims nothing.
     """
 
     first: str
@@ -82,6 +82,8 @@ class Comparison:
     @property
     def outcome(self) -> Outcome:
         """Whether they agree within what they claim."""
+        if np.isnan(self.probability):
+            return "cannot tell"
         return "agree" if self.probability >= CONTRADICTION_RATE else "contradict"
 
 
@@ -224,6 +226,13 @@ SHARED = (
 )
 
 
+_VERDICTS: Mapping[Outcome, str] = {
+    "agree": "AGREE",
+    "contradict": "CONTRADICT EACH OTHER",
+    "cannot tell": "CANNOT TELL",
+}
+
+
 def to_table(comparison: Comparison) -> str:
     """Return a comparison as a table for a terminal."""
     lines = [
@@ -232,14 +241,16 @@ def to_table(comparison: Comparison) -> str:
     ]
     for each in comparison.differences:
         value, sigma = (f"{number:.{DIGITS[each.unit]}f} {each.unit}" for number in (each.value, each.sigma))
-        lines.append(f"{each.name:<24}{value:>14}{sigma:>16}{each.value / each.sigma:>11.1f}")
-    verdict = "AGREE" if comparison.outcome == "agree" else "CONTRADICT EACH OTHER"
-    lines.append(f"{'Verdict':<11}{verdict}: {chance(comparison)}")
+        in_sigmas = f"{sigma:>16}{each.value / each.sigma:>11.1f}" if np.isfinite(each.sigma) else f"{'unknown':>16}"
+        lines.append(f"{each.name:<24}{value:>14}{in_sigmas}")
+    lines.append(f"{'Verdict':<11}{_VERDICTS[comparison.outcome]}: {chance(comparison)}")
     return "\n".join(lines)
 
 
 def chance(comparison: Comparison) -> str:
     """Say how likely the differences are."""
+    if comparison.outcome == "cannot tell":
+        return "one of them was imported and claims nothing, so only by how much they differ can be said"
     return (
         f"chi-square {comparison.chi_square:.1f} of 6; results that are as good as they claim are so far apart in "
         f"{100 * comparison.probability:.2g} % of cases, and contradict below {100 * CONTRADICTION_RATE:g} %"
@@ -256,8 +267,7 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*header, "chi_square", "probability", "verdict"])
     for one in comparisons:
-        numbers = [f"{number:.6g}" for each in one.differences for number in (each.value, each.sigma)]
-        writer.writerow(
-            [one.first, one.second, *numbers, f"{one.chi_square:.6g}", f"{one.probability:.6g}", one.outcome]
-        )
+        values = [number for each in one.differences for number in (each.value, each.sigma)]
+        numbers = ["" if np.isnan(value) else f"{value:.6g}" for value in (*values, one.chi_square, one.probability)]
+        writer.writerow([one.first, one.second, *numbers, one.outcome])
     return text.getvalue()

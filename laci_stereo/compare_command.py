@@ -31,8 +31,8 @@ def compare_command(
 
     RESULT are result folders or their calibration.json, of different drives or settings.
 
-    Exit codes: 0 they agree within what they claim; 1 some contradict each other; 2 the input cannot be read or makes
-    no sense.
+    Exit codes: 0 they agree within what they claim, or one was imported and claims nothing; 1 some contradict each
+    other; 2 the input cannot be read or makes no sense.
     """
     for path in filter(None, (csv_file, page_file)):
         if path.exists() and not overwrite:
@@ -50,4 +50,4 @@ def compare_command(
 
 def _pair(comparison: Comparison) -> Pair:
     rows = [Row(each.name, each.value, each.sigma, each.unit) for each in comparison.differences]
-    return Pair(comparison.first, comparison.second, tuple(rows), comparison.outcome == "agree", chance(comparison))
+    return Pair(comparison.first, comparison.second, tuple(rows), comparison.outcome, chance(comparison))

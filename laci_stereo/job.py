@@ -44,7 +44,9 @@ class DriveOptions:
     Attributes
     ----------
     lane_map : Path or None
-        Lanelet2 or GeoJSON; None looks for map.osm beside the recording.
+        Lanelet2, OpenDRIVE, GeoJSON, DXF or CSV; None looks for map.osm and the like beside the recording.
+    map_crs : str or None
+        The map's coordinate system where its file does not state it; see `read_lane_map`.
     station : int or None
         The sender; None takes the one whose track fits.
     reference : ReferencePoint
@@ -59,6 +61,7 @@ class DriveOptions:
     """
 
     lane_map: Path | None = None
+    map_crs: str | None = None
     station: int | None = None
     reference: ReferencePoint = FRONT
     crs: str | None = None
@@ -74,6 +77,7 @@ class DriveOptions:
             "station": self.station,
             "reference": asdict(self.reference),
             "crs": self.crs,
+            "map_crs": self.map_crs,
             **asdict(self.core),
         }
 
@@ -121,7 +125,7 @@ def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], optio
     with _naming(cam):
         check_overlap(messages, *span_ns)
         world = world_around(messages.between(*span_ns), options.crs)
-    read = read_lane_map(lane_map, world) if lane_map is not None else None
+    read = read_lane_map(lane_map, world, options.map_crs) if lane_map is not None else None
     files = {str(path): sha256(path) for path in (cam, lane_map) if path is not None}
     return Drive(cam, messages, read, files, recorded.notes + (read.notes if read is not None else ()))
 

@@ -31,7 +31,8 @@ class StoredCalibration:
     world : World
     T_world_sensor : ndarray, shape (4, 4)
     covariance : ndarray, shape (6, 6)
-        Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``.
+        Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``. NaN
+        where nobody knows it, as of an imported result.
     centre_world : ndarray, shape (3,)
     boxes : ndarray, shape (n, 6)
         The static background, world: centre x and y, length, width, yaw, height.
@@ -52,6 +53,11 @@ class StoredCalibration:
     boxes: FloatArray
     angles_deg: tuple[float, float, float]
     rectified: bool
+
+    @property
+    def claims(self) -> bool:
+        """Whether it says how good it is."""
+        return not np.isnan(self.covariance).all()
 
 
 def read_calibration(result: Path) -> StoredCalibration:
@@ -92,12 +98,16 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
         frame=sensor["frame"],
         world=World(world["crs"], (float(east), float(north)), float(world["grid_scale"])),
         T_world_sensor=np.array(document["T_world_sensor"], dtype=np.float64),
-        covariance=np.array(document["covariance"], dtype=np.float64),
+        covariance=_covariance(document["covariance"]),
         centre_world=np.array(document["covariance_centre_world"], dtype=np.float64),
         boxes=np.array(document["background_boxes"], dtype=np.float64).reshape(-1, 6),
         angles_deg=(angles["roll"], angles["down"], angles["yaw"]),
         rectified=_says_rectified(document["config"]),
     )
+
+
+def _covariance(rows: list[list[float]] | None) -> FloatArray:
+    return np.full((6, 6), np.nan) if rows is None else np.array(rows, dtype=np.float64)
 
 
 def _says_rectified(config: Document) -> bool:
@@ -113,6 +123,8 @@ def _check(stored: StoredCalibration) -> None:
         raise CalibrationFileError(
             f"{stored.path}: T_world_sensor is no rigid transform, its axes are off by {off:.2g}; needed is a rotation"
         )
+    if not stored.claims:
+        return
     least = float(np.linalg.eigvalsh((stored.covariance + stored.covariance.T) / 2).min())
     if not least > -1e-12 * max(float(np.trace(stored.covariance)), 1e-12):
         raise CalibrationFileError(

@@ -111,7 +111,7 @@ def test_a_geojson_in_another_coordinate_system_says_so(tmp_path: Path, name: st
     path.write_text(geojson([line], crs={"type": "name", "properties": {"name": name}}))
     # The ellipsoids of ETRS89 and WGS84 differ by a tenth of a millimetre.
     np.testing.assert_allclose(read_lane_map(path, WORLD).lines[0].xy, SQUARE, atol=1e-3)
-    path.write_text(geojson([line]))
+    path.write_text(geojson([line], crs={"type": "name", "properties": {"name": "EPSG:4326"}}))
     with pytest.raises(
         MapError, match=r"has a point at '\[569\d+\.0, 5363\d+\.0\]'; needed are longitude and latitude"
     ):
@@ -136,10 +136,17 @@ def test_virtual_lines_are_kept_as_such_and_lost_points_noted(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("position", ['lat="" lon=""', 'lat="0" lon="0.0"', ""])
-def test_a_map_with_only_local_coordinates_is_refused(tmp_path: Path, position: str) -> None:
+def test_a_map_with_only_local_coordinates_needs_to_know_where_they_begin(tmp_path: Path, position: str) -> None:
     path = tmp_path / "map.osm"
-    path.write_text(f'<osm><node id="1" {position}><tag k="local_x" v="3"/><tag k="local_y" v="4"/></node></osm>')
-    with pytest.raises(MapError, match=r"none of 1 nodes has lat and lon, only local_x and local_y"):
+    local = '<tag k="local_x" v="3"/><tag k="local_y" v="4"/>'
+    nodes = "".join(f'<node id="{i}" {position}>{local}</node>' for i in "12")
+    path.write_text(f'<osm>{nodes}<way id="w"><nd ref="1"/><nd ref="2"/></way></osm>')
+    with pytest.raises(MapError, match=r"does not say its coordinate system, and 3, 4 is not near .* --map-crs EPSG"):
+        read_lane_map(path, WORLD)
+    path.write_text(f'<osm><node id="1" {position}/></osm>')
+    with pytest.raises(
+        MapError, match=r"none of 1 nodes has lat and lon, or local_x and local_y; needed are positions"
+    ):
         read_lane_map(path, WORLD)
 
 
@@ -156,9 +163,9 @@ def test_a_map_of_somewhere_else_is_refused_with_its_distance(tmp_path: Path) ->
     ("text", "message"),
     [
         ("", "is empty"),
-        ("hello", "is neither Lanelet2 .* nor GeoJSON: syntax error"),
+        ("hello", r"is no map that is known; needed is Lanelet2 \(\.osm\), OpenDRIVE \(\.xodr\), GeoJSON, DXF or CSV"),
         ("<html/>", "is XML of <html>; needed is Lanelet2"),
-        ("<osm><way", "is neither Lanelet2 .* nor GeoJSON"),
+        ("<osm><way", "is neither Lanelet2 .* nor OpenDRIVE .*: unclosed token"),
         ('<!DOCTYPE osm [<!ENTITY a "b">]><osm>&a;</osm>', "is neither .* a document type .* is refused"),
         ("<osm/>", "holds no lines"),
         ('<osm><node id="7" lat="91" lon="8"/></osm>', "node '7' is at lat '91', lon '8'; needed are degrees"),

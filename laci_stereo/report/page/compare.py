@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from laci_stereo.report.page.page import policy_for, template, text_of
 
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity: how far apart, and one sigma of that."""
+    """A quantity: how far apart, and one sigma of that; NaN where it is not known."""
 
     name: str
     value: float
@@ -18,9 +20,9 @@ class Row:
     unit: str
 
     @property
-    def sigmas(self) -> float:
-        """How many sigma apart."""
-        return self.value / self.sigma
+    def sigmas(self) -> float | None:
+        """How many sigma apart; None where that is not known."""
+        return None if math.isnan(self.sigma) else self.value / self.sigma
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Pair:
     first: str
     second: str
     rows: tuple[Row, ...]
-    agree: bool
+    outcome: Literal["agree", "contradict", "cannot tell"]
     chance: str
 
 

@@ -1,0 +1,66 @@
+"""``laci-stereo export``: a calibration in the format of another tool."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from laci_stereo.core.errors import OutputError, SettingError
+from laci_stereo.io.exports import FORMATS, ExportedFile, export_as
+from laci_stereo.io.output import write_file
+from laci_stereo.io.siting import site
+from laci_stereo.io.stored_calibration import read_calibration
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("calibration", type=_PATH, required=False)
+@click.option("--to", "form", type=click.Choice([each.name for each in FORMATS]), help="Format; see --list.")
+@click.option("--out", type=_PATH, help="File, or folder where there are several [default: standard output].")
+@click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
+@click.option("--list", "listing", is_flag=True, help="Say what each format is.")
+def export(calibration: Path | None, form: str | None, out: Path | None, overwrite: bool, listing: bool) -> None:
+    """Write a calibration for another tool.
+
+    CALIBRATION is a result folder or its calibration.json. Every file says in words which way its transform leads,
+    between which frames, and in which unit.
+    """
+    if listing:
+        click.echo("\n".join(f"{each.name:<11}{each.meaning}" for each in FORMATS))
+        return
+    if calibration is None or form is None:
+        raise SettingError("nothing to write; needed are a CALIBRATION and --to FORMAT, or --list")
+    files = export_as(site(read_calibration(calibration)), form)
+    if out is None:
+        click.echo(_only(files).text, nl=False)
+        return
+    paths = [out] if len(files) == 1 and not out.is_dir() else [out / file.name for file in files]
+    _check_free(paths, overwrite=overwrite)
+    if len(files) > 1:
+        _make(out)
+    for path, file in zip(paths, files, strict=True):
+        write_file(path, file.text.encode())
+    click.echo(f"{'Written':<11}{', '.join(map(str, paths))}", err=True)
+
+
+def _only(files: tuple[ExportedFile, ...]) -> ExportedFile:
+    if len(files) > 1:
+        raise SettingError(
+            f"there are {len(files)} files, {', '.join(each.name for each in files)}; needed is --out DIR"
+        )
+    return files[0]
+
+
+def _check_free(paths: list[Path], *, overwrite: bool) -> None:
+    for path in paths:
+        if path.exists() and not overwrite:
+            raise OutputError(f"{path}: exists already; needed is another --out, or --overwrite to replace it")
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror}); needed is a folder") from error

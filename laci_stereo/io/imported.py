@@ -1,0 +1,282 @@
+"""Transforms of other tools as results of our own: what can be known of them, and what cannot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError
+
+from laci_stereo.core.errors import CalibrationFileError, SettingError
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, FloatArray, invert
+from laci_stereo.core.result import viewing_angles
+from laci_stereo.core.world import World
+from laci_stereo.io.calibration_file import Document, validate
+from laci_stereo.io.siting import Siting, Statement, rigid_in_grid
+from laci_stereo.io.written_pose import WrittenPose, read_pose
+
+HIGHEST_M = 100.0
+"""Above the ground: the tallest masts along roads are half of it, so more is another unit, or an altitude."""
+
+DAIR_WORLD, DAIR_CAMERA = "virtuallidar_to_world.json", "virtuallidar_to_camera.json"
+
+_KIND_AXES = {"stereo": OPENCV_AXES, "lidar": FORWARD_LEFT_UP_AXES, "detections": FORWARD_LEFT_UP_AXES}
+_KIND_FRAMES = {
+    "stereo": "raw left camera: origin in the lens, x right, y down, z forward",
+    "lidar": "as in the scans",
+}
+
+Direction = Literal["sensor-to-map", "map-to-sensor"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """What a user says about a transform of another tool.
+
+    Attributes
+    ----------
+    kind : str or None
+        Of the sensor: stereo or lidar; None where the file says it.
+    crs : str or None
+        The UTM zone of the map; None where the file says it.
+    origin : tuple of float or None
+        UTM east and north of the map frame's origin, and the ground's z in it; None for what the file says, or 0, 0, 0.
+    direction : str or None
+        None for what the file's names say, else from sensor to map.
+    centre : tuple of float or None
+        UTM east and north where a rigid transform is true to scale; None for what the file says, or the sensor's place.
+    name : str or None
+    entry : str or None
+        Which of several transforms in the file.
+    form : str or None
+        How the file is written; None finds it by the content.
+    """
+
+    kind: str | None = None
+    crs: str | None = None
+    origin: tuple[float, ...] | None = None
+    direction: Direction | None = None
+    centre: tuple[float, float] | None = None
+    name: str | None = None
+    entry: str | None = None
+    form: str | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A transform of another tool in our frames, and how it was understood."""
+
+    siting: Siting
+    notes: tuple[str, ...]
+
+
+def import_pose(path: Path, options: ImportOptions) -> Imported:
+    """Read a transform that another tool wrote.
+
+    Parameters
+    ----------
+    path : Path
+        A file; or a folder with DAIR-V2X's two of a camera.
+    options : ImportOptions
+
+    Raises
+    ------
+    CalibrationFileError
+        If it cannot be read, is no rigid transform, or puts the sensor where none can be.
+    SettingError
+        If something that the file does not say was not said either.
+    """
+    pose, told = _read(path, options)
+    kind = _said("--kind stereo or lidar", options.kind, told.kind if told else None, path)
+    if kind not in _KIND_AXES:
+        raise CalibrationFileError(f"{path}: the sensor's kind is {kind!r}; needed is {', '.join(_KIND_AXES)}")
+    crs = _utm_zone(_said("--crs EPSG:326..", options.crs, told.world.crs if told else None, path))
+    if told is not None and pose.from_map is None:  # the other exports of ours say it by a name
+        pose = replace(pose, from_map=False)
+    T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
+    T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, told)
+    _check_place(path, T_utm_sensor)
+    world = _world(crs, T_utm_sensor, told)
+    world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale)
+    siting = Siting(
+        options.name or (told.name if told else path.absolute().stem),
+        kind,
+        told.frame if told else _KIND_FRAMES[kind],
+        world,
+        *_in_world(world, T_utm_sensor, pose.grid_scale, _centre(world, T_utm_sensor, options.centre, told)),
+    )
+    notes = (f"transform {pose.name} of {path.name}, {direction_note}", *local, *pose.notes)
+    return Imported(siting, notes)
+
+
+def _read(path: Path, options: ImportOptions) -> tuple[WrittenPose, Statement | None]:
+    if not path.is_dir():
+        return read_pose(path, options.entry, options.form)
+    world, told = read_pose(path / DAIR_WORLD, options.entry, options.form)
+    camera, _ = read_pose(path / DAIR_CAMERA, options.entry, options.form)
+    T = world.T @ invert(camera.T)
+    return WrittenPose(f"{DAIR_WORLD} after the inverse of {DAIR_CAMERA}", T, from_map=False), told
+
+
+def _said(option: str, asked: str | None, told: str | None, path: Path) -> str:
+    if asked is None and told is None:
+        raise SettingError(f"{path} does not say it; needed is {option}")
+    if asked is not None and told is not None and asked != told:
+        raise SettingError(f"{path} says {told}, the option {asked}; needed is {option} as the file has it, or without")
+    return asked or told or ""
+
+
+def _utm_zone(crs: str) -> str:
+    try:
+        parsed = CRS.from_user_input(crs)
+    except CRSError:
+        parsed = None
+    code = None if parsed is None or parsed.utm_zone is None else parsed.to_epsg()
+    if code is None or code // 100 not in (326, 327):
+        raise SettingError(f"coordinate system {crs!r} is no UTM zone of WGS84; needed is one such as EPSG:32632")
+    return f"EPSG:{code}"
+
+
+def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, axes: Axes) -> tuple[FloatArray, str]:
+    """Return the transform from sensor to map, and how its direction is known."""
+    asked, ground = options.direction, (*(options.origin or ()), 0.0, 0.0, 0.0)[2]
+    from_map = asked == "map-to-sensor" if asked is not None else bool(pose.from_map)
+    T, other = (invert(pose.T), pose.T) if from_map else (pose.T, invert(pose.T))
+    if not _stands(T, axes, ground) and _stands(other, axes, ground):
+        raise CalibrationFileError(
+            f"{path}: {pose.name} read {_way(from_map)} puts the sensor {T[2, 3]:.2f} m above the ground or upside "
+            f"down, the other way {other[2, 3]:.2f} m and upright; needed is --direction {_way(not from_map)}"
+        )
+    known = (
+        "as the file says" if asked is None and pose.from_map is not None else "as was asked" if asked else "assumed"
+    )
+    return T, f"{_way(from_map)}, {known}"
+
+
+def _way(from_map: bool) -> Direction:
+    return "map-to-sensor" if from_map else "sensor-to-map"
+
+
+def _stands(T_map_sensor: FloatArray, axes: Axes, ground: float) -> bool:
+    """Tell whether a sensor hangs above the ground, which is at that z of the map, with its upper side up."""
+    return bool(0.0 < T_map_sensor[2, 3] - ground <= HIGHEST_M and (T_map_sensor[:3, :3] @ np.array(axes.up))[2] > 0.0)
+
+
+def _in_utm(
+    path: Path, T_map_sensor: FloatArray, origin: tuple[float, ...] | None, told: Statement | None
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Add the origin of the map frame, where the numbers are no UTM coordinates already."""
+    T = T_map_sensor.copy()
+    if origin is not None:
+        east, north, ground = (*origin, 0.0)[:3]
+        T[:3, 3] += (east, north, -ground)
+        return T, (f"its map begins at UTM {origin[0]:.3f}, {origin[1]:.3f}, as was asked",)
+    east, north = T[:2, 3]
+    if _is_utm(east, north):
+        return T, ()
+    if told is not None:
+        T[:2, 3] += told.world.origin_utm
+        return T, ()
+    if _is_utm(east / 1000.0, north / 1000.0):
+        raise CalibrationFileError(
+            f"{path}: the translation is {east:.0f}, {north:.0f}; needed are UTM coordinates in metres: is it in "
+            "millimetres?"
+        )
+    raise CalibrationFileError(
+        f"{path}: the translation is {east:.6g}, {north:.6g}; needed are UTM coordinates in metres, --origin E,N where "
+        "they count from, or --direction map-to-sensor"
+    )
+
+
+def _is_utm(east: float, north: float) -> bool:
+    """Tell whether coordinates are UTM's: no zone, even a widened one, is more than 4 deg to either side of 500 km."""
+    return 5e4 <= east <= 9.5e5 and 0.0 <= north <= 1e7
+
+
+def _check_place(path: Path, T_utm_sensor: FloatArray) -> None:
+    east, north, height = T_utm_sensor[:3, 3]
+    if not _is_utm(east, north):
+        raise CalibrationFileError(
+            f"{path}: the sensor would stand at UTM {east:.6g}, {north:.6g}; needed are metres in a UTM zone: look at "
+            "--origin, and at the unit"
+        )
+    if not 0.0 < height <= HIGHEST_M:
+        raise CalibrationFileError(
+            f"{path}: the sensor would stand {height:.6g} m above the ground; needed are 0 to {HIGHEST_M:g}: where z "
+            "is an altitude, --origin E,N,Z takes the ground's away; otherwise look at the unit and at --direction"
+        )
+
+
+def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None) -> World:
+    if told is not None and told.world.crs == crs:
+        return told.world
+    to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    longitude, latitude = to_degrees.transform(float(T_utm_sensor[0, 3]), float(T_utm_sensor[1, 3]))
+    if not (math.isfinite(longitude) and math.isfinite(latitude)):
+        raise CalibrationFileError(f"{crs} knows no latitude at UTM {T_utm_sensor[0, 3]:.0f}, {T_utm_sensor[1, 3]:.0f}")
+    return World.around(latitude, longitude, crs)
+
+
+def _centre(
+    world: World, T_utm_sensor: FloatArray, asked: tuple[float, float] | None, told: Statement | None
+) -> FloatArray:
+    if asked is None and told is not None:
+        return told.centre_world
+    utm = T_utm_sensor[:2, 3] if asked is None else np.array(asked)
+    return np.append(world.from_utm(utm[None])[0], 0.0)
+
+
+def _in_world(
+    world: World, T_utm_sensor: FloatArray, grid_scale: float | None, centre_world: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``T_world_sensor`` and the centre; a transform that holds the grid's scale is exact everywhere."""
+    T_map_sensor = T_utm_sensor.copy()
+    T_map_sensor[:2, 3] -= world.origin_utm
+    if grid_scale is None:
+        return rigid_in_grid(world, T_map_sensor, centre_world), centre_world
+    T_map_sensor[:2, 3] /= grid_scale
+    return T_map_sensor, centre_world
+
+
+def imported_document(imported: Imported, inputs: dict[str, str], options: dict[str, object]) -> Document:
+    """Write it as a result; what nobody knows of it is null.
+
+    Raises
+    ------
+    CalibrationFileError
+        If that does not fit the schema.
+    """
+    siting = imported.siting
+    angles = viewing_angles(siting.T_world_sensor, _KIND_AXES[siting.kind])
+    document: Document = {
+        "schema": "laci-calibration/1",
+        "version": version("laci-stereo"),
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "method": "imported",
+        "sensor": {"name": siting.name, "kind": siting.kind, "frame": siting.frame},
+        "world": {
+            "crs": siting.world.crs,
+            "origin_utm": list(siting.world.origin_utm),
+            "grid_scale": siting.world.grid_scale,
+        },
+        "T_world_sensor": siting.T_world_sensor.tolist(),
+        "T_utm_sensor": siting.T_utm_sensor.tolist(),
+        "T_enu_sensor": None,
+        "slope": None,
+        "height_m": float(siting.T_world_sensor[2, 3]),
+        "euler_deg": {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg},
+        **dict.fromkeys(("time_offset_s", "time_sigma_s", "station_id", "vehicle", "covariance", "quality", "paper")),
+        "covariance_centre_world": siting.centre_world.tolist(),
+        "background_boxes": [],
+        "inputs": inputs,
+        "notes": list(imported.notes),
+        "config": {"import": options},
+    }
+    validate(document)
+    return document

@@ -1,0 +1,139 @@
+"""A sensor's place as it goes into the files of other tools, and the words that go with it into each of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.world import World
+from laci_stereo.io.stored_calibration import StoredCalibration
+
+STATEMENT = "laci_calibration"
+"""Under this name every exported file tells in JSON what its numbers alone do not."""
+
+_STATEMENT = re.compile(rf'"?{STATEMENT}"?\s*:\s*(?=\{{)')
+
+
+@dataclass(frozen=True)
+class Siting:
+    """Where a sensor stands.
+
+    Attributes
+    ----------
+    name, kind, frame : str
+        Of the sensor; the frame in words.
+    world : World
+    T_world_sensor : ndarray, shape (4, 4)
+    centre_world : ndarray, shape (3,)
+        Where a rigid transform into the grid is true to scale.
+    """
+
+    name: str
+    kind: str
+    frame: str
+    world: World
+    T_world_sensor: FloatArray
+    centre_world: FloatArray
+
+    @property
+    def T_map_sensor(self) -> FloatArray:
+        """Into grid metres from the world's origin, shape (4, 4): rigid, and exact in the plane at the centre."""
+        T: FloatArray = self.T_world_sensor.copy()
+        T[:2, 3] += (self.world.grid_scale - 1.0) * self.centre_world[:2]
+        return T
+
+    @property
+    def T_utm_sensor(self) -> FloatArray:
+        """The same with UTM coordinates, shape (4, 4)."""
+        T = self.T_map_sensor
+        T[:2, 3] += self.world.origin_utm
+        return T
+
+
+def site(stored: StoredCalibration) -> Siting:
+    """Return where a result puts its sensor."""
+    return Siting(stored.name, stored.kind, stored.frame, stored.world, stored.T_world_sensor, stored.centre_world)
+
+
+def rigid_in_grid(world: World, T_map_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
+    """Return ``T_world_sensor``, shape (4, 4), of what `Siting.T_map_sensor` returned."""
+    T: FloatArray = T_map_sensor.copy()
+    T[:2, 3] -= (world.grid_scale - 1.0) * centre_world[:2]
+    return T
+
+
+def words(siting: Siting, *, absolute: bool) -> tuple[str, ...]:
+    """Say what frames an exported transform leads between; ``absolute`` if into UTM itself, else into the map frame."""
+    (east, north), crs, scale = siting.world.origin_utm, siting.world.crs, siting.world.grid_scale
+    centre = siting.world.to_utm(siting.centre_world[None, :2])[0]
+    target = (
+        f"utm: x = UTM east, y = UTM north ({crs}), z = height over the ground, metres; beyond what float32 can hold"
+        if absolute
+        else f"map: x = grid east, y = grid north, z = height over the ground, metres; UTM of {crs} is "
+        f"x + {east:.0f}, y + {north:.0f}"
+    )
+    name = "utm" if absolute else "map"
+    off_cm = 100.0 * 100.0 * abs(scale - 1.0)
+    exact_at = f"UTM {centre[0]:.1f}, {centre[1]:.1f}, the middle of what it was made from"
+    return (
+        _on_one_line(f"sensor: {siting.name} ({siting.kind}), {siting.frame}; metres"),
+        target,
+        f"direction: sensor to {name}, p_{name} = T_{name}_sensor p_sensor",
+        f"scale: rigid, and exact at {exact_at}; by the grid's scale, {scale:.7f}, {off_cm:.1f} cm off at 100 m",
+    )
+
+
+def _on_one_line(text: str) -> str:
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
+
+
+def statement(siting: Siting) -> dict[str, Any]:
+    """Return as JSON what brings an exported transform back without loss."""
+    return {
+        "name": siting.name,
+        "kind": siting.kind,
+        "frame": siting.frame,
+        "crs": siting.world.crs,
+        "origin_utm": list(siting.world.origin_utm),
+        "grid_scale": siting.world.grid_scale,
+        "centre_world": siting.centre_world.tolist(),
+    }
+
+
+def comments(siting: Siting, *, absolute: bool = False) -> str:
+    """Return all of that as lines of comment after ``#``."""
+    told = f"{STATEMENT}: {json.dumps(statement(siting))}"
+    return "".join(f"# {line}\n" for line in (*words(siting, absolute=absolute), told))
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What an exported file says about itself; see `statement`."""
+
+    name: str
+    kind: str
+    frame: str
+    world: World
+    centre_world: FloatArray
+
+
+def find_statement(text: str) -> Statement | None:
+    """Return what an exported file says about itself, or None if it is none or says what cannot be."""
+    found = _STATEMENT.search(text)
+    if found is None:
+        return None
+    try:
+        told, _ = json.JSONDecoder().raw_decode(text, found.end())
+        east, north = (float(value) for value in told["origin_utm"])
+        world = World(str(told["crs"]), (east, north), float(told["grid_scale"]))
+        centre = np.array(told["centre_world"], dtype=np.float64).reshape(3)
+        said = Statement(str(told["name"]), str(told["kind"]), str(told["frame"]), world, centre)
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        return None
+    sound = np.abs([east, north, *centre]).max() < 1e8 and 0.9 < world.grid_scale < 1.1  # which NaN is not, either
+    return said if sound else None

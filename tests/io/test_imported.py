@@ -1,0 +1,364 @@
+"""Transforms of other tools come back as they were meant, and wrong ones are named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from laci_stereo.core.errors import CalibrationFileError, InputError, SettingError
+from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.io.calibration_file import to_text
+from laci_stereo.io.exports import FORMATS, export_as
+from laci_stereo.io.imported import Imported, ImportOptions, import_pose, imported_document
+from laci_stereo.io.siting import Siting, site
+from laci_stereo.io.stored_calibration import read_calibration
+from tests.io.sitings import FIJI, SITINGS, ULM, siting, sitings, ten_points
+from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
+
+STEREO = siting("stereo")
+LIDAR = siting("lidar", down_deg=3.0)
+ORIGIN = (569000.0, 5363000.0)
+TWO_ULP_OF_A_NORTHING = 2 * np.spacing(1e7)
+LOCAL = tuple(each.name for each in FORMATS if each.name not in ("matrix", "dair", "proj"))
+
+
+def exported(folder: Path, sited: Siting, form: str) -> Path:
+    written = export_as(sited, form)
+    for file in written:
+        (folder / file.name).write_text(file.text)
+    return folder if len(written) > 1 else folder / written[0].name
+
+
+def taken(path: Path, **options: object) -> Imported:
+    return import_pose(path, ImportOptions(**{"kind": "lidar", "crs": "EPSG:32632", **options}))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("form", [each.name for each in FORMATS if each.name != "proj"])
+@pytest.mark.parametrize("sited", SITINGS[:3], ids=["stereo", "lidar", "detections"])
+def test_every_export_of_ours_comes_back(tmp_path: Path, sited: Siting, form: str) -> None:
+    path = exported(tmp_path, sited, form)
+    back = import_pose(path, ImportOptions()).siting
+    assert (back.kind, back.frame, back.world) == (sited.kind, sited.frame, sited.world)
+    assert back.name == sited.name
+    # Coordinates of UTM have no more digits than that.
+    apart = 1e-9 if form in LOCAL else TWO_ULP_OF_A_NORTHING
+    np.testing.assert_allclose(back.T_world_sensor, sited.T_world_sensor, rtol=0, atol=apart)
+    np.testing.assert_allclose(back.T_utm_sensor, sited.T_utm_sensor, rtol=0, atol=TWO_ULP_OF_A_NORTHING)
+    np.testing.assert_array_equal(back.centre_world, sited.centre_world)
+
+
+@fuzz
+@given(sitings(), st.sampled_from(LOCAL))
+def test_any_place_comes_back(tmp_path: Path, sited: Siting, form: str) -> None:
+    back = import_pose(exported(tmp_path, sited, form), ImportOptions()).siting
+    np.testing.assert_allclose(back.T_world_sensor, sited.T_world_sensor, rtol=0, atol=1e-9)
+
+
+def test_looking_straight_down_costs_angles_no_more_than_their_digits(tmp_path: Path) -> None:
+    back = import_pose(exported(tmp_path, SITINGS[3], "autoware"), ImportOptions()).siting
+    np.testing.assert_allclose(back.T_world_sensor, SITINGS[3].T_world_sensor, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("sited", SITINGS[:3], ids=["stereo", "lidar", "detections"])
+def test_pipeline_comes_back_with_its_scale(tmp_path: Path, sited: Siting) -> None:
+    path = exported(tmp_path, sited, "proj")
+    kind = "lidar" if sited.kind == "detections" else sited.kind
+    back = import_pose(path, ImportOptions(kind=kind, crs=sited.world.crs)).siting
+    np.testing.assert_allclose(in_utm(back), in_utm(sited), rtol=0, atol=2 * TWO_ULP_OF_A_NORTHING)
+
+
+def in_utm(sited: Siting) -> FloatArray:
+    points_world = transform(sited.T_world_sensor, ten_points())
+    return np.column_stack([sited.world.to_utm(points_world[:, :2]), points_world[:, 2]])
+
+
+def test_the_document_is_a_result_that_others_read(tmp_path: Path) -> None:
+    imported = import_pose(exported(tmp_path, STEREO, "opencv"), ImportOptions())
+    result = tmp_path / "calibration.json"
+    result.write_text(to_text(imported_document(imported, {"x": "y"}, {})))
+    stored = read_calibration(result)
+    assert not stored.claims
+    assert np.isnan(stored.covariance).all()
+    np.testing.assert_allclose(site(stored).T_utm_sensor, STEREO.T_utm_sensor, rtol=0, atol=TWO_ULP_OF_A_NORTHING)
+    assert stored.angles_deg == pytest.approx((0.8, 15.0, 114.7))
+
+
+def test_only_an_imported_result_may_claim_nothing(tmp_path: Path) -> None:
+    imported = import_pose(exported(tmp_path, STEREO, "opencv"), ImportOptions())
+    document = imported_document(imported, {}, {})
+    document["method"] = "joint"
+    result = tmp_path / "calibration.json"
+    result.write_text(json.dumps(document))
+    with pytest.raises(CalibrationFileError, match="None is not of type"):
+        read_calibration(result)
+
+
+# What other tools write: the same LiDAR, whose map frame begins at ORIGIN.
+T_MAP = LIDAR.T_map_sensor.copy()
+T_MAP[:2, 3] += np.array(LIDAR.world.origin_utm) - ORIGIN
+R, T = T_MAP[:3, :3], T_MAP[:3, 3]
+QUATERNION = Rotation.from_matrix(R).as_quat()
+ROLL, PITCH, YAW = Rotation.from_matrix(R).as_euler("xyz")
+XYZ = dict(zip("xyz", T.tolist(), strict=True))
+
+
+def rows(matrix: FloatArray, separator: str = " ") -> str:
+    return "\n".join(separator.join(repr(float(value)) for value in row) for row in matrix)
+
+
+def opencv_yaml(**matrices: FloatArray) -> str:
+    storage = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for name, matrix in matrices.items():
+        storage.write(name, matrix)
+    return str(storage.releaseAndGetString())
+
+
+WRITTEN = {
+    "plain": rows(T_MAP),
+    "three rows, commas": rows(T_MAP[:3], ","),
+    "comments": f"# made by hand\n{rows(T_MAP)}\n// end\n",
+    "json matrix": json.dumps({"transform": T_MAP.tolist()}),
+    "json list": json.dumps({"sensor": {"extrinsic": T_MAP.ravel().tolist()}}),
+    "json rotation": json.dumps({"R": R.tolist(), "t": T.tolist()}),
+    "json column": json.dumps({"rotation": R.tolist(), "translation": T[:, None].tolist()}),
+    "quaternion names": yaml.safe_dump(
+        {"transform": {"translation": XYZ, "rotation": dict(zip("xyzw", QUATERNION.tolist(), strict=True))}}
+    ),
+    "quaternion list": yaml.safe_dump({"position": T.tolist(), "orientation": QUATERNION.tolist()}),
+    "flat quaternion": yaml.safe_dump({**XYZ, **dict(zip(("qx", "qy", "qz", "qw"), QUATERNION.tolist(), strict=True))}),
+    "angles": yaml.safe_dump(
+        {"map": {"lidar": {**XYZ, "roll": float(ROLL), "pitch": float(PITCH), "yaw": float(YAW)}}}
+    ),
+    "rpy": yaml.safe_dump({"xyz": T.tolist(), "rpy": [float(ROLL), float(PITCH), float(YAW)]}),
+    "opencv": opencv_yaml(T_map_lidar=T_MAP),
+    "opencv inverse": opencv_yaml(T_lidar_map=invert(T_MAP)),
+    "solvePnP": opencv_yaml(
+        rvec=Rotation.from_matrix(R.T).as_rotvec()[:, None], tvec=-(R.T @ T)[:, None], rms=np.array([[0.4]])
+    ),
+    "kitti": f"calib_time: 09-Jan-2012 13:57:47\nR: {rows(R.reshape(1, 9))}\nT: {rows(T[None])}\n",
+    "command line": "ros2 run tf2_ros static_transform_publisher "
+    + " ".join(f"--{key} {value!r}" for key, value in XYZ.items())
+    + f" --yaw {YAW} --pitch {PITCH} --roll {ROLL} --frame-id map --child-frame-id lidar",
+    "python launch": "Node(package='tf2_ros', executable='static_transform_publisher', arguments=["
+    + ", ".join(f"'--{key}', '{value!r}'" for key, value in XYZ.items())
+    + ", "
+    + ", ".join(f"'--q{axis}', '{float(value)!r}'" for axis, value in zip("xyzw", QUATERNION, strict=True))
+    + ", '--frame-id', 'map', '--child-frame-id', 'lidar'])",
+}
+
+
+@pytest.mark.parametrize("text", WRITTEN.values(), ids=WRITTEN.keys())
+def test_what_other_tools_write(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "mast.txt"
+    path.write_text(text)
+    found = taken(path, origin=ORIGIN, centre=tuple(centre_utm())).siting
+    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(in_utm(found), in_utm(LIDAR), rtol=0, atol=1e-5)
+    assert (found.name, found.kind) == ("mast", "lidar")
+
+
+def centre_utm() -> FloatArray:
+    return LIDAR.world.to_utm(LIDAR.centre_world[None, :2])[0]
+
+
+def test_utm_needs_no_origin_and_an_inverse_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "T.txt"
+    path.write_text(rows(LIDAR.T_utm_sensor))
+    np.testing.assert_allclose(taken(path).siting.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    path.write_text(rows(invert(LIDAR.T_utm_sensor)))
+    found = taken(path, direction="map-to-sensor").siting
+    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-7)
+
+
+def test_an_altitude_is_counted_from_the_ground(tmp_path: Path) -> None:
+    path = tmp_path / "T.txt"
+    T_utm = LIDAR.T_utm_sensor.copy()
+    T_utm[2, 3] += 478.0
+    path.write_text(rows(T_utm))
+    with pytest.raises(CalibrationFileError, match=r"484\.5 m above the ground; needed .* --origin E,N,Z"):
+        taken(path)
+    found = taken(path, origin=(0.0, 0.0, 478.0)).siting
+    assert found.T_world_sensor[2, 3] == pytest.approx(6.5)
+
+
+def test_of_several_transforms_one_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "kit.yaml"
+    kit = {name: {**XYZ, "roll": 0.0, "pitch": 0.0, "yaw": yaw} for name, yaw in (("left", 0.3), ("right", -0.3))}
+    path.write_text(yaml.safe_dump({"map": kit}))
+    with pytest.raises(
+        CalibrationFileError, match=r"it holds 2 transforms, map/left, map/right; needed is --entry NAME"
+    ):
+        taken(path, origin=ORIGIN)
+    with pytest.raises(
+        CalibrationFileError, match="holds no 'middle'; needed is --entry with one of map/left, map/right"
+    ):
+        taken(path, origin=ORIGIN, entry="middle")
+    found = taken(path, origin=ORIGIN, entry="map/right").siting.T_world_sensor
+    assert np.arctan2(found[1, 0], found[0, 0]) == pytest.approx(-0.3)
+
+
+def scaled(factor: float) -> FloatArray:
+    return np.diag([factor] * 3 + [1.0]) @ T_MAP
+
+
+def turned(T_wrong: FloatArray, change: Callable[[FloatArray], None]) -> FloatArray:
+    T_wrong = T_wrong.copy()
+    change(T_wrong)
+    return T_wrong
+
+
+WRONG = {
+    rows(turned(T_MAP, lambda m: m[:3, 0].__imul__(-1.0))): r"the rotation of matrix mirrors \(determinant -1\)",
+    rows(turned(T_MAP, lambda m: m[0, :3].__imul__(1.3))): "the rotation of matrix is none",
+    rows(scaled(1000.0)): r"the rotation of matrix is scaled by 1000",
+    rows(T_MAP.T): r"matrix is transposed, its last column is 0 0 0 1",
+    rows(turned(T_MAP, lambda m: m[3].__iadd__(0.5))): "the last row of matrix is",
+    rows(T_MAP[:, :3]): "holds 12 numbers|the rotation of matrix|the last row",
+    rows(np.eye(3)): "it holds 9 numbers; needed are the 16",
+    rows(turned(T_MAP, lambda m: m[:3, 3].__imul__(1000.0))): r"the sensor would stand at UTM",
+    yaml.safe_dump({**XYZ, "roll": 0.0, "pitch": 3.0, "yaw": 114.7}): r"an angle of roll is 114\.7; .* in degrees\?",
+    yaml.safe_dump(
+        {"t": T.tolist(), "q": [0.1, 0.2, 0.3, 0.4]}
+    ): r"the quaternion of q has the norm 0\.547723; needed is 1",
+    yaml.safe_dump({"t": T.tolist(), "rvec": [0.0, 90.0, 0.0]}): r"the rotation vector of rvec has the length 90",
+    yaml.safe_dump({"camera_matrix": [1.0, 2.0], "name": "left"}): "it holds no transform; needed are 16 numbers",
+    rows(invert(T_MAP)): "needed is --direction map-to-sensor|above the ground",
+    "+proj=pipeline +step +proj=affine +s11=2": "the affine step stretches by 2 1 1",
+    "+proj=pipeline +step +proj=utm +zone=32 +step +proj=affine": "other steps than one",
+    "{": "it is neither a matrix nor YAML, JSON or XML",
+    "": "is empty",
+}
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG.items(), ids=[str(i) for i in range(len(WRONG))])
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "mast.txt"
+    path.write_text(text)
+    with pytest.raises(CalibrationFileError, match=message) as refused:
+        taken(path, origin=ORIGIN)
+    assert len(str(refused.value).splitlines()) == 1
+    assert "mast.txt" in str(refused.value)
+
+
+def test_a_transform_the_wrong_way_round_is_recognised(tmp_path: Path) -> None:
+    path = tmp_path / "T.txt"
+    path.write_text(rows(LIDAR.T_utm_sensor))
+    with pytest.raises(CalibrationFileError, match="upright; needed is --direction sensor-to-map"):
+        taken(path, direction="map-to-sensor")
+    path.write_text(rows(invert(LIDAR.T_utm_sensor)))
+    with pytest.raises(CalibrationFileError, match="upright; needed is --direction map-to-sensor"):
+        taken(path)
+
+
+def test_what_is_asked_for_stands_above_what_a_name_means_to_us(tmp_path: Path) -> None:
+    """Others call the way from b to a T_b_a."""
+    path = tmp_path / "T.json"
+    path.write_text(json.dumps({"T_lidar_map": LIDAR.T_utm_sensor.tolist()}))
+    with pytest.raises(CalibrationFileError, match="needed is --direction sensor-to-map"):
+        taken(path)
+    found = taken(path, direction="sensor-to-map").siting
+    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+
+
+def test_millimetres_are_recognised(tmp_path: Path) -> None:
+    path = tmp_path / "T.txt"
+    T_utm = LIDAR.T_utm_sensor.copy()
+    T_utm[:3, 3] *= 1000.0
+    path.write_text(rows(T_utm))
+    with pytest.raises(CalibrationFileError, match=r"needed are UTM coordinates in metres: is it in millimetres\?"):
+        taken(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"crs": None}, r"does not say it; needed is --crs EPSG:326\.\."),
+        ({"kind": None}, r"does not say it; needed is --kind stereo or lidar"),
+        ({"crs": "EPSG:4326"}, "is no UTM zone of WGS84; needed is one such as EPSG:32632"),
+        ({"crs": "Ulm"}, "'Ulm' is no UTM zone"),
+        ({"origin": None}, "needed are UTM coordinates in metres, --origin E,N"),
+    ],
+)
+def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path, options: dict[str, object], message: str) -> None:
+    path = tmp_path / "T.txt"
+    path.write_text(rows(T_MAP))
+    with pytest.raises(InputError, match=message):
+        taken(path, **{"origin": ORIGIN, **options})
+
+
+def test_what_file_and_option_say_must_agree(tmp_path: Path) -> None:
+    path = exported(tmp_path, LIDAR, "matrix")
+    with pytest.raises(SettingError, match="says lidar, the option stereo"):
+        import_pose(path, ImportOptions(kind="stereo"))
+    with pytest.raises(SettingError, match=r"says EPSG:32632, the option EPSG:32633"):
+        import_pose(path, ImportOptions(crs="EPSG:32633"))
+
+
+def test_rounded_numbers_are_brought_to_the_nearest_rotation(tmp_path: Path) -> None:
+    path = tmp_path / "T.txt"
+    path.write_text("\n".join(" ".join(f"{value:.3f}" for value in row) for row in LIDAR.T_utm_sensor))
+    found = taken(path).siting.T_world_sensor[:3, :3]
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(found, LIDAR.T_world_sensor[:3, :3], atol=1e-3)
+
+
+@pytest.mark.parametrize("form", [each.name for each in FORMATS if each.name != "dair"])
+def test_any_file_is_read_or_refused(tmp_path: Path, form: str) -> None:
+    whole = exported(tmp_path, LIDAR, form).read_bytes()
+    path = tmp_path / "any"
+
+    @fuzz
+    @given(
+        st.one_of(mutations(whole), noise("R:", "T:", "{", "}", "[", "]", ": ", "\n", "1 0 0 ", "rotation", "- ", ","))
+    )
+    def check(content: bytes) -> None:
+        path.write_bytes(content)
+        found = read_or_refused(lambda: import_pose(path, ImportOptions(kind="lidar", crs="EPSG:32632")), InputError)
+        assert found is None or np.isfinite(found.siting.T_utm_sensor).all()
+
+    check()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1" * 200_000,
+        "1 " * 200_000,
+        "a: " + "[" * 50_000,
+        "\n" * 200_000 + "x",
+        "<!DOCTYPE a [<!ENTITY b 'c'>]><a/>",
+        "1e999 " * 16,
+        "T: " + "1 " * 100_000,
+        "--x " * 50_000 + "static_transform_publisher",
+    ],
+    ids=range(8),
+)
+def test_large_and_malicious_files_are_refused_soon(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "any"
+    path.write_text(text)
+    with pytest.raises(CalibrationFileError):
+        taken(path)
+
+
+@needs_shared
+def test_the_shared_sensor_kit() -> None:
+    path = SHARED / "formats/extrinsics/autoware_sensor_kit_calibration.yaml"
+    with pytest.raises(CalibrationFileError, match=r"2 transforms, sensor_kit_base_link/camera_top/camera_link"):
+        taken(path)
+    found = taken(path, entry="sensor_kit_base_link/velodyne_left_base_link", origin=ORIGIN).siting.T_utm_sensor
+    assert found[:3, 3] == pytest.approx([ORIGIN[0] - 0.209462, ORIGIN[1] + 1.27408, 0.42718])
+    turn = Rotation.from_euler("xyz", [0.11323573304824952, -0.15690236136798336, -0.5679267064422931])
+    np.testing.assert_allclose(found[:3, :3], turn.as_matrix(), atol=1e-12)
+
+
+def test_worlds_lie_where_they_are_said_to() -> None:
+    assert (ULM.crs, FIJI.crs) == ("EPSG:32632", "EPSG:32701")
