@@ -36,11 +36,18 @@ MAX_GOOD_SIGMA = 2.0
 """The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
 
 
-BODY_REACH = 10.0
-"""What bodies can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
+IN_LINE = math.log(10.0)
+"""One other vehicle in ten drives in line with the sender's, on its way and at its speed: however exactly a track fits,
+that tells no more of which of two it is."""
 
-MOST_BODIES = 4
-"""So many hypotheses are held against the bodies at the most: of those far down there are always more."""
+HALF_LANE_M = 1.75
+"""No farther from its way is what drives in line."""
+
+OUTLINE_REACH = 10.0
+"""What outlines can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
+
+MOST_OUTLINES = 4
+"""So many hypotheses are held against the outlines at the most: of those far down there are always more."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +93,41 @@ class _Hypothesis:
     account: Account
     accounts: tuple[Account, ...]
     value: float
+    way: float
+    strayed_s: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def against_others(self) -> float:
+        """The value, but for what a track that follows the sender's vehicle could have as well."""
+        return self.value - max(0.0, self.way - IN_LINE)
 
 
-Likeness = Callable[[Track, int, PlanarMatch, float], float]
-"""Log odds that a track's body is a station's vehicle, given the motion into the world and the clock offset."""
+@dataclass(frozen=True)
+class Resemblance:
+    """Log odds that what was seen is a sender's vehicle, against a stranger that moves much like it.
+
+    Attributes
+    ----------
+    body : float
+        By its length.
+    way : float or None
+        By how exactly its outline follows the sender's way; None where no outline was seen.
+    strayed_s : tuple of (float, float)
+        Times from which to which something else was seen with it or instead of it.
+    """
+
+    body: float = 0.0
+    way: float | None = None
+    strayed_s: tuple[tuple[float, float], ...] = ()
 
 
-def no_likeness(_track: Track, _station: int, _fit: PlanarMatch, _time_offset_s: float) -> float:
-    """Know nothing of bodies."""
-    return 0.0
+Likeness = Callable[[Track, int, PlanarMatch, float], Resemblance]
+"""Whether a track is a station's vehicle, given the motion into the world and the clock offset."""
+
+
+def no_likeness(_track: Track, _station: int, _fit: PlanarMatch, _time_offset_s: float) -> Resemblance:
+    """Know nothing of outlines."""
+    return Resemblance()
 
 
 def choose_track(
@@ -138,15 +171,16 @@ def choose_track(
 
 
 def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness) -> list[_Hypothesis]:
-    """Add what bodies tell to the hypotheses that it could decide between."""
+    """Add what outlines tell to the hypotheses that it could decide between: of the way more exactly than boxes."""
     ordered = sorted(hypotheses, key=lambda one: -one.value)
     weighed = []
     for rank, one in enumerate(ordered):
-        if rank < MOST_BODIES and one.value > ordered[0].value - BODY_REACH:
+        if rank < MOST_OUTLINES and one.value > ordered[0].value - OUTLINE_REACH:
             fit = PlanarMatch(float(one.motion.yaw_rad), one.motion.shift)
-            body = likeness(_on_vehicle(scene, one), one.account.station, fit, float(one.motion.offset_s))
-            log.debug("station %d: motion %.1f, body %.1f (log odds)", one.account.station, one.value, body)
-            one = replace(one, value=one.value + body)
+            alike = likeness(_on_vehicle(scene, one), one.account.station, fit, float(one.motion.offset_s))
+            log.debug("station %d: %.1f by boxes, by outlines %s (log odds)", one.account.station, one.value, alike)
+            way = one.way if alike.way is None else alike.way
+            one = replace(one, value=one.value + alike.body + way - one.way, way=way, strayed_s=alike.strayed_s)
         weighed.append(one)
     return weighed
 
@@ -156,7 +190,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     if best.account.path_m < scene.settings.min_path_m:
         raise TrackError(_too_short(best.account, scene.settings))
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
-    claims = [(best.value - one.value, one.account) for one in rivals]
+    claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
     mine = set(best.account.tracks)
     claims += [
@@ -169,14 +203,12 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     if second is not None and margin < scene.settings.least_log_odds:
         needed = math.exp(scene.settings.least_log_odds)
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {needed:.0f} to 1")
-    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
+    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance. That
+    # it was never seen is as improbable as `SILENT`, but a result must hold even if it is as likely as not.
     objects = 1 + len(candidates - mine)
-    seen = best.value + SILENT - math.log(objects)
-    if seen < scene.settings.least_log_odds:
-        chance = _by_chance(scene, best.account, objects, seen)
-        raise MatchError(f"{chance}; needed are {math.exp(scene.settings.least_log_odds):.0f} to 1")
-    # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
-    even, doubt = seen - SILENT, ""
+    even, doubt = best.value - math.log(objects), ""
+    if even < 0.0:
+        raise MatchError(f"{_by_chance(scene, best.account, objects, even)}; needed are 1 to 1")
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = _tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:
@@ -192,6 +224,20 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         second_is="nothing else" if second is None else _named(scene, best.account, second),
         doubt=doubt,
     )
+
+
+def _margin(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> float:
+    """Return the log odds between two hypotheses that say something else.
+
+    If the other's vehicle is the sender's, the best one's may drive in line with it: on its way, at another time.
+    """
+    sender = scene.senders[other.account.station]
+    way = sender.table[sender.known, :2]
+    place = other.motion.place(scene.tracks[best.seed.track].centres)
+    off = np.array([np.linalg.norm(way - at, axis=1).min() for at in place])
+    if np.median(off) > HALF_LANE_M:
+        return best.value - other.value
+    return best.against_others - other.against_others
 
 
 def _agree(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> bool:
@@ -222,8 +268,7 @@ def _joined(scene: Scene, account: Account) -> Track:
     """Join the fragments of one drive, the longest first; what is seen beside them is another part of the vehicle."""
     first, *others = (scene.tracks[index] for index in account.tracks)
     for other in others:
-        if first.disjoint(other):
-            first = first.joined(other)
+        first = first.joined(other)
     return first
 
 
@@ -235,9 +280,8 @@ def _on_vehicle(scene: Scene, best: _Hypothesis) -> Track:
     sigma = np.hypot(scene.settings.position_sigma_m, [one.sigma_m for one in track.sightings])
     near = np.linalg.norm(off, axis=1) <= sender.reach_m + GATE * sigma
     kept = near | ~poses.known
-    if kept.all():
-        return track
-    return Track(tuple(one for one, is_near in zip(track.sightings, kept, strict=True) if is_near))
+    track = Track(tuple(one for one, is_kept in zip(track.sightings, kept, strict=True) if is_kept))
+    return track.without(best.strayed_s)
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:
@@ -276,7 +320,7 @@ def _judge(scene: Scene, seed: Seed) -> _Hypothesis | None:
         if claimed.isdisjoint(account.tracks):
             value += max(account.value + account.coincidence, -SILENT)
             claimed |= set(account.tracks)
-    return _Hypothesis(seed, motion, own, (own, *others), value)
+    return _Hypothesis(seed, motion, own, (own, *others), value, own.way)
 
 
 def _named(scene: Scene, best: Account, second: Account) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association import choose_track
+from laci_stereo.core.association import Resemblance, choose_track
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import CamError, MatchError, TrackError
@@ -89,7 +89,7 @@ def locate(
     """
     settings = settings or Settings()
 
-    def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> float:
+    def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
         return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
 
     choice = choose_track(seen.tracks, vehicles, settings.match, likeness)

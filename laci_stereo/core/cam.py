@@ -274,20 +274,22 @@ def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
         )
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
     drive = np.cumsum(np.diff(stamps_s, prepend=0.0) > MAX_GAP_S)[sure]
-    parts = [_without_reversing(yaw[sure][drive == number]) for number in np.unique(drive)]
+    parts = [
+        _without_reversing(yaw[sure][drive == number], speed[sure][drive == number]) for number in np.unique(drive)
+    ]
     filled: FloatArray = np.interp(stamps_s, stamps_s[sure], np.unwrap(np.concatenate(parts)))
     return filled
 
 
-def _without_reversing(yaw: FloatArray) -> FloatArray:
+def _without_reversing(yaw: FloatArray, speed_mps: FloatArray) -> FloatArray:
     """Turn the directions of motion while reversing round, shape (n,), of messages without a gap.
 
     From one message to the next no body turns by more than a right angle, so a direction that does has been reversed;
-    forwards is the way most messages go.
+    and nobody drives faster backwards than forwards.
     """
     body = np.unwrap(yaw, period=np.pi)
     forwards = np.cos(yaw - body) > 0.0
-    return body if 2 * np.count_nonzero(forwards) >= len(yaw) else body + np.pi
+    return body if speed_mps[forwards].max(initial=0.0) >= speed_mps[~forwards].max(initial=0.0) else body + np.pi
 
 
 def _speed(xy: FloatArray, stamps_ns: IntArray) -> FloatArray:

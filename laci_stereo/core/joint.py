@@ -120,9 +120,30 @@ def fit_jointly(
     return _fit(problem, problem.solve(best), centre)
 
 
+@dataclass(frozen=True)
+class RoughFit:
+    """What a drive's points tell of what its messages say.
+
+    Attributes
+    ----------
+    corrections : tuple of Correction
+    knots_s : ndarray, shape (k,)
+    information : ndarray, shape (2 k, 2 k)
+        Of the errors of the positions at the knots, first of all x, then of all y, whatever was expected of these. A
+        motion as a whole is left open.
+    pull : ndarray, shape (2 k,)
+        The information times the errors that are found.
+    """
+
+    corrections: tuple[Correction, ...]
+    knots_s: FloatArray
+    information: FloatArray
+    pull: FloatArray
+
+
 def fit_roughly(
     drive: Evidence, start: PlanarMatch, time_offset_s: float = 0.0, settings: JointSettings | None = None
-) -> JointFit:
+) -> RoughFit:
     """Estimate the same of one drive from some of its points and few starts, in a tenth of the time.
 
     Parameters and errors are those of `fit_jointly`.
@@ -131,8 +152,16 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings or JointSettings())
-    best = problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)]))
-    return _fit(problem, problem.solve(best), centre)
+    solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
+    (model,), (own,) = problem.models, problem.own
+    at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
+    after = np.linalg.inv(solved.covariance[at, at])
+    return RoughFit(
+        corrections=model.corrections(solved.x[own], solved.covariance[own, own]),
+        knots_s=model.knots_s,
+        information=after - np.linalg.inv(prior),
+        pull=after @ solved.x[at],
+    )
 
 
 def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:

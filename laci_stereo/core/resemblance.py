@@ -1,4 +1,4 @@
-"""Whether the body that was seen is the one that the messages describe: as long, and there in time."""
+"""Whether what was seen is the vehicle that the messages describe: as long, and on its way in its time."""
 
 from __future__ import annotations
 
@@ -7,25 +7,44 @@ from dataclasses import replace
 
 import numpy as np
 
+from laci_stereo.core.association import Resemblance
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_model import Correction
+from laci_stereo.core.drive_model import FINEST_M, Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
-from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.joint import fit_roughly
+from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
+from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.track_likelihood import MANOEUVRES, OTHER_TIME_S, SPEED_SPREAD, USUAL_MPS2
 from laci_stereo.core.tracking import Track
 
 STRANGER_LENGTH_M = 0.6
 """Standard deviation of how the lengths of two cars differ: they are 4.4 +- 0.4 m. Widths differ by a tenth only, which
 is what a camera's distances err by together, so they tell nothing."""
 
-STRANGER_CLOCK_S = 0.5
-"""A stranger passes at any time; what was searched is less than that, or that is what is unknown."""
-
 MISTAKEN = 0.02
 """One sender in fifty tells something wrong, by as much as strangers differ."""
+
+FREE_M = 2.0
+"""Standard deviation of where a stranger is about the way of the sender that it was brought together with."""
+
+FREE_DEG = 5.0
+"""Standard deviation of the heading that is told, against the body: a stranger's body follows its way as well, so that
+only what is far from any is told by it."""
+
+FREE_S = 4.0
+"""Four knots of a stranger's way lie in so much time: one a second shows how it brakes and bends."""
+
+EXACT_M = (0.1, 0.3)
+"""Positions may be as exact as they are told, or as these standard deviations during a passage, whatever is told."""
+
+STRAYED, MOST_STRAYED = 0.1, 1 / 3
+"""Probability that a second of a track shows something else that stands or moves beside the vehicle, and the largest
+share of such seconds in a track that can be told from one of something else."""
+
+SHIFT_S = 0.05
+"""Step at which a drive is tried at other times: at 10 m/s half a metre, within which what fits changes little."""
 
 _GRID = np.linspace(-6.0, 6.0, 241)
 
@@ -33,13 +52,12 @@ _GRID = np.linspace(-6.0, 6.0, 241)
 def resemblance(
     track: Track, vehicle: VehicleTrack, start: PlanarMatch, time_offset_s: float, height_m: float,
     settings: JointSettings | None = None,
-) -> float:  # fmt: skip
-    """Return the log odds that a track's body is the vehicle's, against that of a stranger which moves like it.
+) -> Resemblance:  # fmt: skip
+    """Return the log odds that a track is the vehicle's, against that of a stranger which moves like it.
 
-    The outline is registered with a length as free as strangers'. How likely what is
+    The outline is registered with a length as free as strangers', on a way as free as theirs. How likely what is
     found is if the messages tell the truth, over how likely if not, is the ratio of both priors, averaged over what
-    the points leave open (the Savage-Dickey ratio of densities, for a prior of any form). That a clock agrees speaks
-    for nobody: it was set so that the tracks fit.
+    the points leave open (the Savage-Dickey ratio of densities, for a prior of any form).
 
     Parameters
     ----------
@@ -51,28 +69,109 @@ def resemblance(
     height_m : float
         Of the sensor above the ground.
     settings : JointSettings
-
-    Returns
-    -------
-    float
-        0 where nothing of an outline was seen.
     """
+    settings = settings or JointSettings()
     length_m, width_m = vehicle.guessed_m
     stranger = replace(vehicle, guessed_m=(math.hypot(length_m, STRANGER_LENGTH_M), width_m))
-    drive = evidence_of(track, stranger, height_m)
+    drive = evidence_of(track, replace(stranger, position_sigma_m=FREE_M), height_m)
     if not len(drive.points):
-        return 0.0
+        return Resemblance()
+    free = replace(settings, bias_time_s=FREE_S, heading_sigma_deg=FREE_DEG)
     try:
-        fit = fit_roughly(drive, start, time_offset_s, settings)
+        way, strayed_s = _way(fit_roughly(drive, start, time_offset_s, free), vehicle, time_offset_s, settings)
+        alone = track.without(strayed_s)
+        if 2 * len(alone.sightings) < len(track.sightings):  # then what is left is no more likely the vehicle
+            alone, strayed_s = track, ()
+        fit = fit_roughly(evidence_of(alone, stranger, height_m), start, time_offset_s, settings)
     except MatchError:
-        return 0.0
-    found = {correction.what: correction for correction in fit.corrections[0]}
-    return _odds(found["length"], STRANGER_LENGTH_M) + min(0.0, _odds(_wide_clock(found["clock"]), STRANGER_CLOCK_S))
+        return Resemblance()
+    (length,) = (correction for correction in fit.corrections if correction.what == "length")
+    return Resemblance(_odds(length, STRANGER_LENGTH_M), way, strayed_s)
 
 
-def _wide_clock(clock: Correction) -> Correction:
-    """Return the clock's correction as if strangers' had been allowed: where it is far off, the data ruled."""
-    return replace(clock, sigma=math.hypot(clock.sigma, STRANGER_CLOCK_S))
+Times = tuple[tuple[float, float], ...]
+
+
+def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: JointSettings) -> tuple[float, Times]:
+    """Return the log odds that the way is the sender's, and from when to when something else was seen.
+
+    A stranger's differs in speed, and it brakes and bends elsewhere. Or it makes the sender's manoeuvre, but has its
+    speed by chance, and its time: it fits as well at as many other times as the drive shifted to these does.
+    """
+    stamps_s = fit.knots_s + time_offset_s
+    xy, _, known = vehicle.at(np.clip(stamps_s, *vehicle.stamps_s[[0, -1]]))
+    if not known.all():
+        xy = np.column_stack([np.interp(stamps_s, vehicle.stamps_s, vehicle.xy[:, axis]) for axis in (0, 1)])
+    told_m = vehicle.position_sigma_m
+    told_m = max(told_m, FINEST_M) if np.isfinite(told_m) else settings.position_sigma_m
+    apart_s = fit.knots_s - fit.knots_s.mean()
+    drift = np.exp(-np.abs(apart_s[:, None] - apart_s) / settings.bias_time_s)
+    span_s = max(float(np.ptp(apart_s)), 1e-3)
+    speed_mps = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum()) / span_s
+    other = (SPEED_SPREAD * speed_mps) ** 2 * np.outer(apart_s, apart_s)
+    other += USUAL_MPS2**2 / 4 * np.outer(apart_s**2, apart_s**2)
+    owns = [max(exact, told_m) ** 2 * drift for exact in (told_m, *EXACT_M)]
+    senders = [_most_likely(fit, own) for own in owns]
+    sender = np.logaddexp.reduce([value for value, _ in senders])
+    stranger = np.logaddexp.reduce([_most_likely(fit, own + other)[0] for own in owns])
+    best = int(np.argmax([value for value, _ in senders]))
+    alike = _alike(fit, xy, vehicle, time_offset_s, owns[best], settings)
+    different = np.logaddexp(math.log1p(-MISTAKEN) + sender - stranger, math.log(MISTAKEN))
+    half_s = float(fit.knots_s[1] - fit.knots_s[0]) / 2
+    strayed = fit.knots_s[senders[best][1]]
+    return float(min(different, alike)), tuple((float(at - half_s), float(at + half_s)) for at in strayed)
+
+
+def _most_likely(fit: RoughFit, prior: FloatArray) -> tuple[float, BoolArray]:
+    """Return the log probability of what was found, and about which knots something else was seen, shape (k,)."""
+    strayed = np.zeros(len(fit.knots_s))
+    best = _log_evidence(fit, prior)
+    for _ in range(round(MOST_STRAYED * len(strayed))):
+        tried = [strayed + one for one in np.diag(np.where(strayed == 0.0, FREE_M**2, 0.0)) if one.any()]
+        values = [_log_evidence(fit, prior + np.diag(one)) for one in tried]
+        index = int(np.argmax(values))
+        if values[index] + math.log(STRAYED) <= best:
+            break
+        best, strayed = values[index] + math.log(STRAYED), tried[index]
+    return best, strayed > 0.0
+
+
+def _log_evidence(fit: RoughFit, prior: FloatArray) -> float:
+    """Return the log probability of what was found, where the errors have a covariance of ``prior`` on each axis."""
+    values, vectors = np.linalg.eigh(prior)
+    root = np.kron(np.eye(2), vectors * np.sqrt(np.maximum(values, 0.0)))
+    inner = np.eye(len(root)) + root.T @ fit.information @ root
+    pull = root.T @ fit.pull
+    return float(pull @ np.linalg.solve(inner, pull) - np.linalg.slogdet(inner)[1]) / 2
+
+
+def _alike(
+    fit: RoughFit, xy: FloatArray, vehicle: VehicleTrack, time_offset_s: float, own: FloatArray, settings: JointSettings
+) -> float:
+    """Return minus the log probability that a stranger makes the sender's manoeuvre with its speed and in its time."""
+    prior = np.linalg.inv(np.kron(np.eye(2), own))
+    weight = fit.information - fit.information @ np.linalg.solve(prior + fit.information, fit.information)
+    found = np.linalg.lstsq(fit.information, fit.pull)[0]
+    way = (xy - xy.mean(axis=0)).T.ravel()
+    speed = SPEED_SPREAD * math.sqrt(max(float(way @ weight @ way), 0.0))
+    steps = round(OTHER_TIME_S / SHIFT_S)
+    fits = 0.0
+    for shift_s in SHIFT_S * np.arange(-steps, steps + 1):
+        moved, _, known = vehicle.at(fit.knots_s + time_offset_s + shift_s)
+        if known.all():
+            off = found + (_onto(moved, xy) - xy).T.ravel()
+            fits += math.exp(-max(float(off @ weight @ off - found @ weight @ found), 0.0) / 2)
+    often_s = SHIFT_S * fits + math.sqrt(2 * math.pi) * settings.clock_sigma_s
+    often = min(1.0, often_s / max(float(np.ptp(fit.knots_s)), SHIFT_S))
+    return math.log(MANOEUVRES) + math.log(max(1.0, speed)) - math.log(often)
+
+
+def _onto(xy: FloatArray, other: FloatArray) -> FloatArray:
+    """Move positions, shape (k, 2), rigidly onto others, by least squares."""
+    a, b = (one - one.mean(axis=0) for one in (xy, other))
+    turn = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
+    moved: FloatArray = rotate_xy(turn, a) + other.mean(axis=0)
+    return moved
 
 
 def _odds(correction: Correction, differs: float) -> float:

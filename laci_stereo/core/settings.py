@@ -195,7 +195,7 @@ class MatchSettings:
     min_frames : int
         Frames in which the vehicle must be seen and its position be known.
     min_path_m : float
-        The vehicle must move by this much while it is seen: over less, others that move fit about as often.
+        The vehicle must move by this much while it is seen, a car's length: what stands wanders by less.
     min_explained : float
         Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
         where the tracks happen to cross.
@@ -217,7 +217,7 @@ class MatchSettings:
 
     min_vector_m: float = 10.0
     min_frames: int = 10
-    min_path_m: float = 10.0
+    min_path_m: float = 5.0
     min_explained: float = 0.5
     clear_log_odds: float = math.log(100.0)
     least_log_odds: float = math.log(3.0)

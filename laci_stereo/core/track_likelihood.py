@@ -67,6 +67,8 @@ class Account:
         The median of what remains, in sigma.
     value : float
         Log likelihood, over that of all tracks being strangers'.
+    way : float
+        What of it the way tells, as far as boxes show it.
     path_m : float
         How far its vehicle drives from its first to its last sighting.
     coincidence : float
@@ -78,6 +80,7 @@ class Account:
     explained: float
     typical: float
     value: float
+    way: float
     path_m: float
     coincidence: float
 
@@ -103,7 +106,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
     weight = path_shares(of_mine, knots.stamp_s[mine], settings)
     stretches = float(weight.sum())
     if stretches == 0.0:
-        return Account(sender.station, (), 0.0, math.inf, -missed, 0.0, 0.0)
+        return Account(sender.station, (), 0.0, math.inf, -missed, 0.0, 0.0, 0.0)
     q = (remains[mine] / sigma[mine]) ** 2
     odd = float(weight @ cost(_odd(knots[mine], of_mine, motion, sender)))
     sigma_m = float(np.sqrt(np.average(sigma[mine] ** 2, weights=weight)))
@@ -116,6 +119,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
         explained=float(explained[fitting].sum()),
         typical=math.sqrt(_median(q, weight)),
         value=evidence - odd - missed,
+        way=evidence,
         path_m=float(np.ptp(of_mine.path_m)),
         coincidence=max(0.0, -math.log(2 * math.pi * sigma_m**2 * scene.density)),
     )

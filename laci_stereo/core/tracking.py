@@ -63,19 +63,24 @@ class Track:
         """Count the sightings that are left out, by reason."""
         return Counter(sighting.flaw for sighting in self.sightings if sighting.flaw is not None)
 
-    def disjoint(self, other: Track) -> bool:
-        """Tell whether no frame holds both."""
-        mine = {sighting.frame_s for sighting in self.sightings}
-        return not any(sighting.frame_s in mine for sighting in other.sightings)
-
     def shares(self, other: Track) -> bool:
         """Tell whether a sighting is part of both."""
         mine = {id(sighting) for sighting in self.sightings}
         return any(id(sighting) in mine for sighting in other.sightings)
 
+    def without(self, times_s: Iterable[tuple[float, float]]) -> Track:
+        """Return the track without what was seen from one time to another."""
+        stamps_s = np.array([sighting.stamp_s for sighting in self.sightings])
+        kept = np.ones(len(stamps_s), dtype=bool)
+        for begin_s, end_s in times_s:
+            kept &= (stamps_s < begin_s) | (stamps_s >= end_s)
+        return Track(tuple(sighting for sighting, is_kept in zip(self.sightings, kept, strict=True) if is_kept))
+
     def joined(self, other: Track) -> Track:
-        """Return two disjoint tracks as one."""
-        return Track(tuple(sorted(self.sightings + other.sightings, key=lambda sighting: sighting.stamp_s)))
+        """Return two tracks as one; in frames that hold both, the first one's sighting."""
+        mine = {sighting.frame_s for sighting in self.sightings}
+        new = tuple(sighting for sighting in other.sightings if sighting.frame_s not in mine)
+        return Track(tuple(sorted(self.sightings + new, key=lambda sighting: sighting.stamp_s)))
 
 
 def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | None = None) -> list[Track]:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from laci_stereo.core.association import Resemblance
+from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import rotate_xy
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.resemblance import resemblance
@@ -34,10 +36,14 @@ def seen() -> Track:
     return Track(tuple(sightings))
 
 
-def odds(length_m: float, clock_s: float = 0.0, start: PlanarMatch = TRUTH) -> float:
-    vehicle = DRIVE.vehicle
-    told = replace(vehicle, length_m=length_m, stamps_s=vehicle.stamps_s + clock_s)
-    return resemblance(seen(), told, start, 0.0, HEIGHT_M)
+def odds(length_m: float) -> float:
+    return resemblance(seen(), replace(DRIVE.vehicle, length_m=length_m), TRUTH, 0.0, HEIGHT_M).body
+
+
+def way(track: Track, told: VehicleTrack = DRIVE.vehicle, start: PlanarMatch = TRUTH) -> Resemblance:
+    found = resemblance(track, told, start, 0.0, HEIGHT_M)
+    assert found.way is not None
+    return found
 
 
 def test_a_body_of_the_length_that_was_told_speaks_for_its_sender() -> None:
@@ -54,15 +60,54 @@ def test_the_start_need_not_be_exact() -> None:
     middle = DRIVE.middles.mean(axis=0)
     yaw = TRUTH.yaw_rad + np.radians(3.0)
     start = PlanarMatch(yaw, TRUTH(middle[None])[0] + np.array([0.5, -0.4]) - rotate_xy(yaw, middle))
-    assert odds(SIZE[0], start=start) == pytest.approx(odds(SIZE[0]), abs=0.2)
+    found = way(seen(), start=start)
+    assert found.body > 0.0
+    assert found.way > np.log(1000.0)
 
 
 def test_a_clock_that_contradicts_speaks_against_it() -> None:
     # The turn tells time: a third of a second is beyond what clocks that agree to 10 ms can be.
-    assert odds(SIZE[0], clock_s=0.3) < odds(SIZE[0]) - 2.0
+    vehicle = DRIVE.vehicle
+    assert way(seen(), replace(vehicle, stamps_s=vehicle.stamps_s + 0.3)).way < -2.0
 
 
 def test_what_shows_no_body_tells_nothing() -> None:
     bare = Track(tuple(replace(one, points=np.zeros((0, 3)), sigma_along_m=np.zeros(0), sigma_across_m=np.zeros(0))
                        for one in seen().sightings))  # fmt: skip
-    assert resemblance(bare, DRIVE.vehicle, TRUTH, 0.0, HEIGHT_M) == 0.0
+    assert resemblance(bare, DRIVE.vehicle, TRUTH, 0.0, HEIGHT_M) == Resemblance(0.0, None)
+
+
+def test_an_outline_that_follows_the_way_to_centimetres_is_hardly_a_strangers() -> None:
+    # Within 0.3 m, as boxes show it, one stranger in some ten would do the same.
+    assert way(seen()).way > np.log(1000.0)
+
+
+@pytest.mark.parametrize("faster", [0.9, 1.1])
+def test_another_speed_speaks_against_it(faster: float) -> None:
+    vehicle = DRIVE.vehicle
+    middle = vehicle.xy.mean(axis=0)
+    told = replace(vehicle, xy=middle + faster * (vehicle.xy - middle))
+    assert way(seen(), told).way < -2.0
+
+
+def test_braking_elsewhere_speaks_against_it() -> None:
+    vehicle = DRIVE.vehicle
+    # By 1 m/s^2, which bends the path by 1 m from the middle of the drive to its ends some 3 s away.
+    late_s = vehicle.stamps_s - DRIVE.stamps_s.mean()
+    ahead = np.column_stack([np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad)])
+    told = replace(vehicle, xy=vehicle.xy + ahead * (late_s**2 / 2)[:, None])
+    assert way(seen(), told).way < -2.0
+
+
+def test_a_second_of_something_else_is_found_and_does_not_speak_against_it() -> None:
+    track = seen()
+    last_s = track.sightings[-1].stamp_s
+    strayed = Track(tuple(
+        replace(one, points=one.points + np.array([2.0, 1.0, 0.0])) if one.stamp_s > last_s - 0.8 else one
+        for one in track.sightings
+    ))  # fmt: skip
+    assert way(track).strayed_s == ()
+    found = way(strayed)
+    assert found.way > np.log(100.0)
+    assert found.strayed_s[0][0] < last_s - 0.3 < last_s < found.strayed_s[-1][1]
+    assert sum(end_s - begin_s for begin_s, end_s in found.strayed_s) < 2.5

@@ -184,6 +184,17 @@ def test_only_sightings_without_a_flaw_are_usable() -> None:
 def test_joining() -> None:
     whole = driven(DRIVE, 10.0)
     even, odd = Track(whole.sightings[::2]), Track(whole.sightings[1::2])
-    assert even.disjoint(odd)
     assert even.joined(odd) == odd.joined(even) == whole
-    assert not even.disjoint(whole)
+    beside = Track(tuple(replace(one, middle=one.middle + 1.0) for one in whole.sightings))
+    assert even.joined(beside) == Track(tuple(
+        mine if index % 2 == 0 else other
+        for index, (mine, other) in enumerate(zip(whole.sightings, beside.sightings, strict=True))
+    ))  # fmt: skip
+
+
+def test_what_was_seen_at_some_times_is_left_out() -> None:
+    whole = driven(DRIVE, 10.0)
+    stamps = [one.stamp_s for one in whole.sightings]
+    begin_s, end_s = stamps[2], stamps[5]
+    assert whole.without(((begin_s, end_s),)) == Track(whole.sightings[:2] + whole.sightings[5:])
+    assert whole.without(()) == whole
