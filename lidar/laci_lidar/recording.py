@@ -34,6 +34,10 @@ GAP_PERIODS = 1.5
 
 MAX_READERS = 4
 
+_UNTIMED = (
+    "the scans do not tell when each point was taken, so all count as taken at the stamp; if the scanner turns, that "
+    "is wrong by up to a turn's time, which looks like an offset between the clocks: --sweep tells how it turns"
+)
 _ASSUMED = (
     "too few neighbouring points are on the ground for an estimate of the noise of ranges, which is taken as "
     f"{100 * USUAL_SIGMA_M:.0f} cm; --range-sigma tells another one"
@@ -48,10 +52,13 @@ class Scanner:
     ----------
     view : View
     noise : Noise
+    timed : bool
+        Its scans tell when each point was taken.
     """
 
     view: View
     noise: Noise
+    timed: bool
 
 
 class LidarRecording:
@@ -104,7 +111,8 @@ class LidarRecording:
 
     def remarks(self) -> tuple[str, ...]:
         """Say what was assumed of the scanner, where something was."""
-        return tuple(filter(None, (self.scanner.noise.assumed,)))
+        untimed = "" if self.scanner.timed or self.settings.sweep is not None else _UNTIMED
+        return tuple(filter(None, (self.scanner.noise.assumed, untimed)))
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -131,10 +139,13 @@ class LidarRecording:
         indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
         sampled = indices[np.unique(np.linspace(0, len(indices) - 1, NOISE_SCANS).round().astype(np.int64))]
         kept: list[FloatArray] = []
+        timed = False
 
         def clouds() -> Iterator[FloatArray]:
+            nonlocal timed
             for index, scan in zip(indices, self._quiet.read(indices.tolist(), self._threads), strict=True):
                 if scan is not None:
+                    timed = timed or scan.offset_s is not None
                     points = scan.points[self._far_enough(scan.points)]
                     if index in sampled:
                         kept.append(points)
@@ -144,7 +155,7 @@ class LidarRecording:
         if not any(len(points) for points in kept):
             nearest = f"{self.settings.min_range_m:g} m"
             raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
-        scanner = Scanner(view, self._noise(kept))
+        scanner = Scanner(view, self._noise(kept), timed)
         if scanner.noise.assumed:
             log.warning("%s", scanner.noise.assumed)
         log.info(

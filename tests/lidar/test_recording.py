@@ -78,9 +78,16 @@ def test_a_scanner_that_sees_too_little_ground_gets_the_usual_noise_and_says_so(
     few = [Scan(road(sigma_m=0.01, step_deg=0.8, seed=seed)[::40], None, None) for seed in range(2)]
     recording = LidarRecording(listed(few))
     assert recording.scanner.noise.range_sigma_m == 0.03
-    (remark,) = recording.remarks()
-    assert "3 cm; --range-sigma" in remark
-    assert LidarRecording(listed(few), EXACT).remarks() == ()
+    assert "3 cm; --range-sigma" in recording.remarks()[0]
+    assert not any("--range-sigma" in remark for remark in LidarRecording(listed(few), EXACT).remarks())
+
+
+def test_scans_without_times_of_points_are_taken_at_their_stamp_and_it_says_so():
+    (remark,) = LidarRecording(listed(scans(2, offset=False)), EXACT).remarks()
+    assert "--sweep tells how it turns" in remark
+    assert LidarRecording(listed(scans(2)), EXACT).remarks() == ()
+    told = replace(EXACT, sweep=Sweep("start", "ccw", 10.0))
+    assert LidarRecording(listed(scans(2, offset=False)), told).remarks() == ()
 
 
 def test_without_times_of_points_there_are_none_unless_the_sweep_is_told():
