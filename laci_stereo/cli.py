@@ -13,15 +13,19 @@ from laci_stereo.asked import (
     deliver,
     interval,
     log_to_stderr,
+    map_crs_option,
     matching,
     parse_background,
 )
 from laci_stereo.cam_command import cam as cam_command
 from laci_stereo.check_command import check as check_command
+from laci_stereo.check_command import stereo_option
 from laci_stereo.combine import CombineOptions
 from laci_stereo.combine import combine as combine_runs
 from laci_stereo.compare_command import compare_command
 from laci_stereo.core.errors import SettingError
+from laci_stereo.export_command import export as export_command
+from laci_stereo.import_command import import_command
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
 from laci_stereo.job import Job
@@ -30,7 +34,9 @@ from laci_stereo.mask_command import mask as mask_command
 from laci_stereo.mask_command import mask_options
 from laci_stereo.match import BoxOrigin, MatchOptions, MatchTask
 from laci_stereo.match import prepare as prepare_match
+from laci_stereo.monitor_command import monitor as monitor_command
 from laci_stereo.program import run_command
+from laci_stereo.rig_command import rig as rig_command
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.settings import StereoSettings
 
@@ -49,7 +55,7 @@ def cli() -> None:
 @click.argument("left", type=PATH)
 @click.argument("right", type=PATH)
 @click.argument("cam", type=PATH)
-@click.option("--stereo", type=PATH, help="Stereo calibration [default: stereo.yaml, .yml or .json beside LEFT].")
+@stereo_option
 @click.option("--rectified", is_flag=True, help="The images are rectified already.")
 @click.option(
     "--background",
@@ -70,7 +76,7 @@ def calibrate(
     left: Path,
     right: Path,
     cam: Path,
-    stereo: Path | None,
+    stereo: tuple[Path, ...],
     rectified: bool,
     background: str | None,
     disparities: str | None,
@@ -134,7 +140,8 @@ def match(
 @click.argument("runs", nargs=-1, required=True, type=PATH, metavar="RUN...")
 @click.option("--out", type=PATH, default=Path("calibration"), show_default=True, help="Folder for the result.")
 @click.option("--overwrite", is_flag=True, help="Replace a result that is there already.")
-@click.option("--map", "lane_map", type=PATH, help="Lanelet2 or GeoJSON lane map; only drawn.")
+@click.option("--map", "lane_map", type=PATH, help="Lane map; only drawn.")
+@map_crs_option
 @click.option("--name", help="What you call the sensor [default: as in the first RUN].")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 @click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
@@ -143,6 +150,7 @@ def combine(
     out: Path,
     overwrite: bool,
     lane_map: Path | None,
+    map_crs: str | None,
     name: str | None,
     quiet: bool,
     verbose: bool,
@@ -154,14 +162,18 @@ def combine(
     """
     log_to_stderr(quiet=quiet, verbose=verbose)
     check_output(out, overwrite=overwrite)
-    result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map))
+    result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map, map_crs=map_crs))
     deliver(result, (*result.job.provenance.notes, *result.job.skipped), out, overwrite=overwrite, quiet=quiet)
 
 
 cli.add_command(cam_command)
 cli.add_command(check_command)
 cli.add_command(compare_command)
+cli.add_command(export_command)
+cli.add_command(import_command)
 cli.add_command(mask_command)
+cli.add_command(rig_command)
+cli.add_command(monitor_command)
 
 
 def parse_disparities(text: str | None) -> tuple[int, int] | None:

@@ -9,11 +9,12 @@ import click
 
 from laci_lidar.check import check_scans
 from laci_lidar.errors import ScanError
+from laci_lidar.monitor_command import monitor as monitor_command
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.asked import Asked, calibrating, parse_background
-from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, the_map
+from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.lane_map import find_lane_map
@@ -107,6 +108,7 @@ def check(
     calibration: Path,
     scans: Path,
     lane_map: Path | None,
+    map_crs: str | None,
     map_sigma: float,
     json_file: Path | None,
     picture: Path,
@@ -123,11 +125,15 @@ def check(
     check_free(picture, json_file, overwrite=overwrite)
     stored = read_calibration(calibration)
     needs_kind(stored, "lidar")
-    lines = the_map(stored, lane_map or find_lane_map(scans))
+    lines = the_map(stored, lane_map or find_lane_map(scans), map_crs)
+    say_notes(stored, lines)
     checked = check_scans(open_scans(scans, topic), placed_by(stored), lines, map_sigma)
     if checked is None:
         raise ScanError(f"{scans}: the points have no intensity; needed is one, for paint is seen by it")
     deliver(checked, map_sigma, picture, json_file)
+
+
+cli.add_command(monitor_command)
 
 
 def parse_sweep(text: str | None) -> Sweep | None:

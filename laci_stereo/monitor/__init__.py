@@ -1,0 +1,1 @@
+"""Where the objects of a long recording drive on the map, whatever the sensor."""

@@ -1,0 +1,198 @@
+"""``state.json``: how far a monitor has come, so that it goes on from there after whatever ended it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from laci_stereo.core.box import Box
+from laci_stereo.core.errors import OutputError
+from laci_stereo.core.frames import IntArray
+from laci_stereo.core.settings import TrackSettings
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking import _Moving
+from laci_stereo.io.output import write_file
+from laci_stereo.monitor.linking import Kept, Linker, Live
+from laci_stereo.monitor.tally import StripTally, Tally
+
+SCHEMA = "laci-monitor-state/1"
+
+
+@dataclass
+class State:
+    """All that a monitor goes on from.
+
+    Attributes
+    ----------
+    identity : mapping of str to str
+        What it was made of: calibration, map, recording and settings, by name.
+    frames : int
+        Frames that are done.
+    stamps_sha256 : str
+        Of their times.
+    epoch_ns : int
+        Time of the first frame.
+    last_ns : int
+        Time of the last one that is done.
+    table_bytes : int
+        Length of ``objects.csv``.
+    objects : int
+        Passages that are in it.
+    unusable : int
+        Frames that could not be read.
+    linker : Linker
+    tally : Tally
+    """
+
+    identity: Mapping[str, str]
+    frames: int = 0
+    stamps_sha256: str = ""
+    epoch_ns: int = 0
+    last_ns: int = 0
+    table_bytes: int = 0
+    objects: int = 0
+    unusable: int = 0
+    linker: Linker = field(default_factory=Linker)
+    tally: Tally = field(default_factory=Tally)
+
+
+def sha256_of(stamps_ns: IntArray) -> str:
+    """Return the hash of some frames' times."""
+    return hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype="<i8").tobytes()).hexdigest()
+
+
+def write_state(path: Path, state: State) -> None:
+    """Write a checkpoint as a whole, or leave the one before.
+
+    Raises
+    ------
+    OutputError
+    """
+    document = {
+        "schema": SCHEMA,
+        **{name: value for name, value in vars(state).items() if name not in ("linker", "tally")},
+        "active": [_of_live(live) for live in state.linker.active],
+        "lost": [_of_live(live) for live in state.linker.lost],
+        "before_s": state.linker.before_s,
+        "tally": _of_tally(state.tally),
+    }
+    write_file(path, (json.dumps(document, allow_nan=False) + "\n").encode())
+
+
+def read_state(path: Path, settings: TrackSettings) -> State:
+    """Read a checkpoint.
+
+    Raises
+    ------
+    OutputError
+        If it is none.
+    """
+    try:
+        document = json.loads(path.read_bytes())
+        if document["schema"] != SCHEMA:
+            raise OutputError(f"{path}: schema is {document['schema']!r}; needed is {SCHEMA}, or --overwrite")
+        return _parsed(document, settings)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as problem:
+        raise OutputError(
+            f"{path} is no checkpoint of a monitor: {problem!r}; needed is one, or --overwrite"
+        ) from problem
+
+
+def check_same(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -> None:
+    """Refuse a checkpoint of something else.
+
+    Raises
+    ------
+    OutputError
+        Naming what differs.
+    """
+    for name in sorted({*found, *asked}):
+        if found.get(name) != asked.get(name):
+            raise OutputError(
+                f"{path}: {name} is {found.get(name, 'not set')} in the checkpoint; needed is "
+                f"{asked.get(name, 'not set')} as now asked for, another --out, or --overwrite to start afresh"
+            )
+
+
+def _parsed(document: Mapping[str, Any], settings: TrackSettings) -> State:
+    return State(
+        identity=dict(document["identity"]),
+        frames=int(document["frames"]),
+        stamps_sha256=str(document["stamps_sha256"]),
+        epoch_ns=int(document["epoch_ns"]),
+        last_ns=int(document["last_ns"]),
+        table_bytes=int(document["table_bytes"]),
+        objects=int(document["objects"]),
+        unusable=int(document["unusable"]),
+        linker=Linker(
+            [_live(one, settings) for one in document["active"]],
+            [_live(one, settings) for one in document["lost"]],
+            document["before_s"],
+        ),
+        tally=_tally(document["tally"]),
+    )
+
+
+def _of_tally(tally: Tally) -> dict[str, Any]:
+    cells = [[*cell, count] for cell, count in sorted(tally.cells.items())]
+    strips = {name: {**vars(one), "profile": sorted(one.profile.items())} for name, one in tally.strips.items()}
+    return {**vars(tally), "cells": cells, "strips": strips}
+
+
+def _tally(document: Mapping[str, Any]) -> Tally:
+    cells = Counter({(i, j): count for i, j, count in document["cells"]})
+    strips = {
+        name: StripTally(**{**one, "profile": Counter(dict(one["profile"]))})
+        for name, one in document["strips"].items()
+    }
+    return Tally(**{**document, "cells": cells, "strips": strips})
+
+
+def _of_live(live: Live) -> dict[str, Any]:
+    moving = live.moving
+    return {
+        "last": [_of_sighting(one) for one in moving.sightings],
+        "state": moving.state.tolist(),
+        "covariance": moving.covariance.tolist(),
+        "head": [_of_sighting(one) for one in live.head],
+        "kept": [_of_kept(one) for one in live.kept],
+    }
+
+
+def _live(document: Mapping[str, Any], settings: TrackSettings) -> Live:
+    last = [_sighting(one) for one in document["last"]]
+    moving = _Moving(last[0], settings)
+    moving.sightings = last
+    moving.state, moving.covariance = np.array(document["state"]), np.array(document["covariance"])
+    return Live(moving, [_sighting(one) for one in document["head"]], [_kept(one) for one in document["kept"]])
+
+
+def _of_kept(one: Kept) -> list[Any]:
+    outline = base64.b64encode(one.outline.tobytes()).decode()
+    return [one.frame, one.stamp_s, one.middle.tolist(), one.whole, outline, one.top_m, one.sigma_m]
+
+
+def _kept(values: Sequence[Any]) -> Kept:
+    frame, stamp_s, middle, whole, outline, top_m, sigma_m = values
+    points = np.frombuffer(base64.b64decode(outline), dtype=np.int16).reshape(-1, 2)
+    return Kept(frame, stamp_s, np.array(middle), whole, points, top_m, sigma_m)
+
+
+def _of_sighting(one: Sighting) -> list[float]:
+    return [one.stamp_s, one.frame_s, *one.middle.tolist(), one.count]
+
+
+def _sighting(values: list[float]) -> Sighting:
+    """Return what the linking needs of a sighting."""
+    stamp_s, frame_s, x, y, count = values
+    nothing, middle = np.zeros(0), np.array([x, y])
+    box = Box(middle, 0.0, 0.0, 0.0)
+    return Sighting(stamp_s, frame_s, np.zeros((0, 3)), nothing, nothing, int(count), middle, box, None)

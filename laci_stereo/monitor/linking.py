@@ -1,0 +1,275 @@
+"""Linking sightings into tracks as they come: the core's filter and assignment, in flat memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.settings import Settings, TrackSettings
+from laci_stereo.core.sighting import Sighting, dense
+from laci_stereo.core.tracking import FILTERED, _assign, _backwards, _blind_s, _Moving, _strain
+
+REMEMBERED = 5
+"""Sightings at the end of a track whose sizes the assignment looks at."""
+
+STANDS_M = 0.1
+"""What has moved by less since its outline was kept, or by less than its noise, stands: that outline will do."""
+
+BODY_M = (3.0, 1.8)
+"""Parts of a car are so near to each other along its way and across it: cars behind each other are farther apart even
+where they queue, 4 m and a gap of 1 m, and those beside each other by the width of a lane, 2.75 m and more."""
+
+COMMON_FRAMES = 5
+NEARBY = 3
+"""So many frames before and after one tell which way it goes there."""
+
+NEARLY_ALL = 0.9
+"""Of the frames in which both are seen, at least as many."""
+
+UNIT_M = 1e-3
+"""Outlines are kept in millimetres, far below any sensor's noise, in whole numbers that a file holds exactly."""
+
+REACH = np.iinfo(np.int16).max
+TOP_SHARE = 0.95
+"""Of the points' heights: the highest of some hundred is noise."""
+
+Outline: TypeAlias = npt.NDArray[np.int16]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is kept of a sighting.
+
+    Attributes
+    ----------
+    frame : int
+    stamp_s : float
+    middle : ndarray, shape (2,)
+        Level frame.
+    whole : bool
+        Whether its outline can be trusted.
+    outline : ndarray of int16, shape (n, 2)
+        Some of its points on the ground plan, relative to the middle, in `UNIT_M`; none where it is not whole, or where
+        the object stands as it did when its outline was last kept.
+    top_m : float
+        Height of its highest points; 0 without an outline.
+    sigma_m : float
+        Typical noise of its points along the line of sight.
+    """
+
+    frame: int
+    stamp_s: float
+    middle: FloatArray
+    whole: bool
+    outline: Outline
+    top_m: float
+    sigma_m: float
+
+
+@dataclass
+class Live:
+    """A track that grows.
+
+    Attributes
+    ----------
+    moving : _Moving
+        Its last sightings and its filter.
+    head : list of Sighting
+        Its first sightings, without points.
+    kept : list of Kept
+    """
+
+    moving: _Moving
+    head: list[Sighting]
+    kept: list[Kept]
+
+    @property
+    def first_s(self) -> float:
+        """When it was first seen."""
+        return self.head[0].stamp_s
+
+    @property
+    def last_s(self) -> float:
+        """When it was last seen."""
+        return self.moving.last.stamp_s
+
+
+@dataclass
+class Linker:
+    """Tracks in progress.
+
+    Attributes
+    ----------
+    active : list of Live
+        In sight, or lost for a moment.
+    lost : list of Live
+        Out of sight for longer; what begins now may turn out to be their continuation.
+    before_s : float or None
+        The last frame with sightings.
+    """
+
+    active: list[Live] = field(default_factory=list)
+    lost: list[Live] = field(default_factory=list)
+    before_s: float | None = None
+
+    def add(
+        self, frame: int, now_s: float, sightings: Sequence[Sighting], settings: Settings, longest_s: float
+    ) -> list[Live]:
+        """Take a frame's sightings up, and return the tracks that are over.
+
+        Parameters
+        ----------
+        frame : int
+        now_s : float
+            Of the frame.
+        sightings : sequence of Sighting
+        settings : Settings
+        longest_s : float
+            A track that lasts longer is cut.
+        """
+        limits = settings.track
+        interval_s = 0.0 if self.before_s is None else now_s - self.before_s
+        self._retire(now_s, min(max(_blind_s(limits), 2.5 * interval_s), limits.max_lost_s), limits)
+        if sightings:
+            self._link(frame, sightings, settings)
+            self.before_s = now_s
+        too_long = [live for live in self.active if live.last_s - live.first_s > longest_s]
+        self.active = [live for live in self.active if live.last_s - live.first_s <= longest_s]
+        return self._alone(self._over(now_s, limits) + too_long)
+
+    def rest(self, settings: TrackSettings) -> list[Live]:
+        """Return all tracks, as if the recording ended here."""
+        self._retire(np.inf, 0.0, settings)
+        over, self.lost = sorted(self.lost, key=lambda live: live.last_s), []
+        return self._alone(over)
+
+    def _retire(self, now_s: float, patience_s: float, settings: TrackSettings) -> None:
+        """Set the tracks aside that are out of sight for longer than one can tell who appears."""
+        out = [live for live in self.active if now_s - live.last_s > patience_s]
+        self.active = [live for live in self.active if now_s - live.last_s <= patience_s]
+        for live in out:
+            if len(live.head) < FILTERED:
+                self._join(live, settings)
+        self.lost += out
+
+    def _link(self, frame: int, sightings: Sequence[Sighting], settings: Settings) -> None:
+        taken = _assign([live.moving for live in self.active], sightings, settings.track)
+        for index, sighting in enumerate(sightings):
+            bare = _bare(sighting)
+            if index not in taken:
+                moving = _Moving(bare, settings.track)
+                self.active.append(Live(moving, [bare], [_kept(frame, sighting, None, settings)]))
+                continue
+            live = self.active[taken[index]]
+            live.moving.add(bare, settings.track)
+            live.moving.sightings = live.moving.sightings[-REMEMBERED:]
+            live.kept.append(_kept(frame, sighting, live, settings))
+            if len(live.head) < FILTERED:
+                live.head.append(bare)
+                if len(live.head) == FILTERED:
+                    self._join(live, settings.track)
+
+    def _join(self, live: Live, settings: TrackSettings) -> None:
+        """Put a track behind one that was lost before, where the velocities agree with the way in between."""
+        part = _Moving(live.head[0], settings)
+        part.sightings = list(live.head)
+        begin = _backwards(part, settings)
+        strains = [np.inf]
+        for one in self.lost:
+            gap_s = live.first_s - one.last_s
+            near = 0.0 < gap_s <= settings.max_lost_s
+            strains.append(_strain(one.moving, begin, gap_s, settings) if near else np.inf)
+        best = int(np.argmin(strains))
+        if strains[best] < 1.0:
+            before = self.lost.pop(best - 1)
+            live.head, live.kept = (before.head + live.head)[:FILTERED], before.kept + live.kept
+
+    def _over(self, now_s: float, settings: TrackSettings) -> list[Live]:
+        """Return the lost tracks that nothing can continue any more."""
+        undecided_s = [live.first_s for live in self.active if len(live.head) < FILTERED]
+        since_s = min([now_s, *undecided_s]) - settings.max_lost_s
+        over = [live for live in self.lost if live.last_s < since_s]
+        self.lost = [live for live in self.lost if live.last_s >= since_s]
+        return sorted(over, key=lambda live: live.last_s)
+
+    def _alone(self, over: list[Live]) -> list[Live]:
+        """Return the tracks that are objects of their own; parts of a body go to the track of another part of it.
+
+        The beams of a sparse scanner may leave a gap between a car's side and its roof.
+        """
+        alone = []
+        for number, live in enumerate(over):
+            others = [*self.active, *self.lost, *over[number + 1 :]]
+            body = next((other for other in others if _one_body(live.kept, other.kept)), None)
+            if body is None:
+                alone.append(live)
+            else:
+                body.head = min(body.head, live.head, key=lambda head: head[0].stamp_s)
+                body.kept = _merged(body.kept, live.kept)
+        return alone
+
+
+def _one_body(one: Sequence[Kept], other: Sequence[Kept]) -> bool:
+    """Tell whether two tracks move together within a car's body."""
+    if one[-1].frame < other[0].frame or other[-1].frame < one[0].frame:
+        return False
+    there = {kept.frame: kept.middle for kept in other}
+    pairs = [(kept.middle, there[kept.frame]) for kept in one if kept.frame in there]
+    if len(pairs) < COMMON_FRAMES:
+        return False
+    mine, theirs = (np.array(side) for side in zip(*pairs, strict=True))
+    if np.linalg.norm(mine[-1] - mine[0]) < BODY_M[0]:
+        return False
+    place = np.arange(len(mine))
+    way = mine[np.minimum(place + NEARBY, len(mine) - 1)] - mine[np.maximum(place - NEARBY, 0)]
+    apart = np.abs(rotate_xy(-np.arctan2(way[:, 1], way[:, 0]), mine - theirs))
+    return bool((apart < BODY_M).all(axis=1).mean() >= NEARLY_ALL)
+
+
+def _merged(one: Sequence[Kept], other: Sequence[Kept]) -> list[Kept]:
+    """Put the parts of one body together, frame by frame."""
+    merged = {kept.frame: kept for kept in other}
+    for kept in one:
+        part = merged.get(kept.frame)
+        merged[kept.frame] = kept if part is None else _together(kept, part)
+    return [merged[frame] for frame in sorted(merged)]
+
+
+def _together(one: Kept, other: Kept) -> Kept:
+    if not (len(one.outline) and len(other.outline)):
+        return one if len(one.outline) or not len(other.outline) else other
+    moved = other.outline + np.rint((other.middle - one.middle) / UNIT_M).astype(np.int16)
+    return replace(one, outline=np.concatenate([one.outline, moved]), top_m=max(one.top_m, other.top_m))
+
+
+def _bare(sighting: Sighting) -> Sighting:
+    """Return a sighting without its points."""
+    nothing = np.zeros(0)
+    return replace(sighting, points=np.zeros((0, 3)), sigma_along_m=nothing, sigma_across_m=nothing, late_s=None)
+
+
+def _kept(frame: int, sighting: Sighting, live: Live | None, settings: Settings) -> Kept:
+    whole = sighting.flaw is None
+    if not whole or (live is not None and _stands(sighting, live)):
+        nothing = np.zeros((0, 2), dtype=np.int16)
+        return Kept(frame, sighting.stamp_s, sighting.middle, whole, nothing, 0.0, sighting.sigma_m)
+    points = sighting.points.copy()
+    if sighting.late_s is not None and live is not None:  # to where they were at the stamp
+        points[:, :2] -= sighting.late_s[:, None] * live.moving.state[1]
+    points = points[dense(points[:, :2], settings.vehicle)]
+    beside = np.rint((points[:, :2] - sighting.middle) / UNIT_M).clip(-REACH, REACH)
+    top_m = float(np.quantile(points[:, 2], TOP_SHARE))
+    outline = beside.astype(np.int16)
+    return Kept(frame, sighting.stamp_s, sighting.middle, whole, outline, top_m, sighting.sigma_m)
+
+
+def _stands(sighting: Sighting, live: Live) -> bool:
+    outlined = next((one for one in reversed(live.kept) if len(one.outline)), None)
+    if outlined is None:
+        return False
+    return float(np.linalg.norm(sighting.middle - outlined.middle)) < max(STANDS_M, sighting.sigma_m)

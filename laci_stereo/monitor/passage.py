@@ -1,0 +1,254 @@
+"""From a track to a passage: which way an object drove, how large it is, and where its centre was.
+
+The middle of what is visible is not the centre: a sensor sees one or two sides. So a passage's length and width are
+taken from the frames that show them, and in every frame the rectangle of that size is laid against the sides that the
+sensor sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.settings import TrackSettings
+from laci_stereo.core.tracking import GATE
+from laci_stereo.monitor.linking import UNIT_M, Kept
+from laci_stereo.monitor.settings import MonitorSettings
+
+WINDOW_S = 1.0
+"""So long does a vehicle's acceleration last, ahead and back."""
+
+SLOW_M = 0.5
+"""Over less way within the window its direction is that of before: middles scatter by some centimetres."""
+
+CHORD_M = 1.0
+"""The way is a line through centres that are so far apart: noise is less, so that who waits gets nowhere, and in a bend
+with a radius of 10 m the line is 1 cm off."""
+
+ROUNDS = 2
+"""Middles tell the direction first, then the centres that follow from it."""
+
+OUTER_SHARE = 0.02
+"""Points that are left out at either end of an outline: strays that the density did not tell."""
+
+SIDE_M = 0.2
+"""Points of one upright side are within this, see `BoxSettings.line_tolerance_m`, or two deviations of their noise."""
+
+OUTER_SIDES = 2.0
+"""The side is looked for within so many such widths of the outermost points."""
+
+CAR_WIDTH_M, TRUCK_WIDTH_M = 1.8, 2.5
+"""The far side is seldom seen, so the usual widths are taken: nine of ten passenger cars are within 0.15 m of theirs,
+and lorries and buses are 2.5 to 2.55 m wide (directive 96/53/EC). Half of what one differs by shifts its centre."""
+
+WIDEST_CAR_M = (CAR_WIDTH_M + TRUCK_WIDTH_M) / 2
+
+NARROW_M = 1.0
+"""What shows its front or rear and is narrower is a two-wheeler, and as wide as it looks."""
+
+CAR_LENGTH_M = 3.0
+"""Nothing as long has two wheels."""
+
+LENGTH_SHARE = 0.75
+"""Of the lengths in the frames that show it: beams and pixels end before a body does, seldom behind."""
+
+FACING = float(np.sin(np.radians(20.0)))
+"""A side that is seen at a flatter angle than this is no firm hold: its points are few and blend with the next side."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """An object on its way through the view; frames in which its outline was whole, in the order of time.
+
+    Attributes
+    ----------
+    frames : ndarray of int64, shape (n,)
+    stamps_s : ndarray, shape (n,)
+    centres : ndarray, shape (n, 2)
+        World, metres.
+    yaw_rad : ndarray, shape (n,)
+        Of its front.
+    speed_mps : ndarray, shape (n,)
+    length_m, width_m, height_m : float
+    """
+
+    frames: IntArray
+    stamps_s: FloatArray
+    centres: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    length_m: float
+    width_m: float
+    height_m: float
+
+    def spaced(self, step_m: float) -> tuple[FloatArray, FloatArray]:
+        """Return positions, shape (m, 2), each so far behind the last along the way, and the yaw there, shape (m,)."""
+        corners = [0]
+        for i, centre in enumerate(self.centres):
+            if np.linalg.norm(centre - self.centres[corners[-1]]) >= CHORD_M:
+                corners.append(i)
+        xy, yaw_rad = self.centres[corners], np.unwrap(self.yaw_rad)[corners]
+        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+        places = np.arange(step_m / 2, along[-1], step_m)
+        return np.column_stack([np.interp(places, along, axis) for axis in xy.T]), np.interp(places, along, yaw_rad)
+
+
+def passage_of(
+    kept: Sequence[Kept], origin: FloatArray, limits: TrackSettings, settings: MonitorSettings
+) -> Passage | None:
+    """Make a passage of a track.
+
+    Parameters
+    ----------
+    kept : sequence of Kept
+        Level frame, its axes parallel to the world's.
+    origin : ndarray, shape (2,)
+        Of the level frame, in the world: the place below the sensor.
+    limits : TrackSettings
+    settings : MonitorSettings
+
+    Returns
+    -------
+    Passage or None
+        None for what is seen too seldom, or does not get anywhere.
+    """
+    outlined = [one for one in kept if len(one.outline)]
+    if len(outlined) < settings.min_frames:
+        return None
+    middles = np.array([one.middle for one in outlined])
+    if np.linalg.norm(np.ptp(middles, axis=0)) < settings.min_path_m:
+        return None
+    stamps_s = np.array([one.stamp_s for one in outlined])
+    centres, yaw_rad = middles, np.zeros(0)
+    for _ in range(ROUNDS):
+        yaw_rad = _headings(stamps_s, centres, limits)
+        seen = [_Seen.of(one, yaw) for one, yaw in zip(outlined, yaw_rad, strict=True)]
+        length_m = _shown_m(seen, 0, LENGTH_SHARE)
+        width_m = _width_m(_shown_m(seen, 1, 0.5), length_m)
+        centres = np.array([one.centre(length_m, width_m) for one in seen])
+    if np.linalg.norm(np.ptp(centres, axis=0)) < settings.min_path_m:
+        return None
+    height_m = float(np.median([one.top_m for one in outlined]))
+    rows = [one for one in kept if one.whole and stamps_s[0] <= one.stamp_s <= stamps_s[-1]]
+    at_s = np.array([one.stamp_s for one in rows])
+    xy = np.column_stack([np.interp(at_s, stamps_s, centres[:, axis]) for axis in (0, 1)])
+    yaw = np.interp(at_s, stamps_s, np.unwrap(yaw_rad))
+    frames = np.array([one.frame for one in rows], dtype=np.int64)
+    return Passage(frames, at_s, xy + origin, yaw, _speeds(at_s, xy), length_m, width_m, height_m)
+
+
+def _headings(stamps_s: FloatArray, xy: FloatArray, limits: TrackSettings) -> FloatArray:
+    """Return the direction of travel, shape (n,): of a path with constant acceleration about each time.
+
+    Where it hardly moves it points as it did before; a track that begins so, as it does when it moves.
+    """
+    yaw = np.full(len(xy), np.nan)
+    priors = np.diag(np.array([np.inf, limits.max_speed_mps / GATE, limits.max_acceleration_mps2 / GATE]) ** -2)
+    variance = (limits.jitter_m / 2) ** 2
+    for i, stamp_s in enumerate(stamps_s):
+        near = np.abs(stamps_s - stamp_s) <= WINDOW_S
+        late_s = stamps_s[near] - stamp_s
+        powers = np.column_stack([np.ones_like(late_s), late_s, late_s**2 / 2])
+        if near.sum() < 2 or np.linalg.norm(np.ptp(xy[near], axis=0)) < SLOW_M:
+            continue
+        _, velocity, _ = np.linalg.solve(powers.T @ powers / variance + priors, powers.T @ xy[near] / variance)
+        yaw[i] = np.arctan2(velocity[1], velocity[0])
+    known = np.flatnonzero(np.isfinite(yaw))
+    if not len(known):
+        way = xy[-1] - xy[0]
+        return np.full(len(xy), np.arctan2(way[1], way[0]))
+    held = np.maximum(np.searchsorted(known, np.arange(len(xy)), side="right") - 1, 0)
+    filled: FloatArray = yaw[known[held]]
+    return filled
+
+
+def _speeds(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return how fast it moves, shape (n,): by the way within half a second ahead and back."""
+    before = np.searchsorted(stamps_s, stamps_s - WINDOW_S / 2, side="left")
+    after = np.searchsorted(stamps_s, stamps_s + WINDOW_S / 2, side="right") - 1
+    way = np.linalg.norm(xy[after] - xy[before], axis=1)
+    speed: FloatArray = way / np.maximum(stamps_s[after] - stamps_s[before], 1e-9)
+    return speed
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """An outline in the object's own axes: along its way and to the left.
+
+    Attributes
+    ----------
+    middle : ndarray, shape (2,)
+        Level frame.
+    yaw_rad : float
+    low, high : ndarray, shape (2,)
+        Its ends on both axes, from the middle.
+    sensor : ndarray, shape (2,)
+        Direction to the sensor, a unit vector.
+    near : ndarray, shape (2,)
+        Where the side is that faces the sensor, on both axes.
+    blur_m : ndarray, shape (2,)
+        By how much noise widens what is seen, on both axes: one standard deviation at either end.
+    """
+
+    middle: FloatArray
+    yaw_rad: float
+    low: FloatArray
+    high: FloatArray
+    sensor: FloatArray
+    near: FloatArray
+    blur_m: FloatArray
+
+    @classmethod
+    def of(cls, kept: Kept, yaw_rad: float) -> _Seen:
+        points = rotate_xy(-yaw_rad, kept.outline.astype(np.float64) * UNIT_M)
+        to_sensor = rotate_xy(-yaw_rad, -kept.middle)
+        low, high = points.min(axis=0), points.max(axis=0)
+        sensor = to_sensor / max(float(np.linalg.norm(to_sensor)), 1e-9)
+        signs = np.where(sensor < 0.0, -1.0, 1.0)
+        side_m = max(SIDE_M, 2 * kept.sigma_m)
+        near = [signs[axis] * _side(points[:, axis] * signs[axis], side_m) for axis in (0, 1)]
+        return cls(kept.middle, yaw_rad, low, high, sensor, np.array(near), 2 * kept.sigma_m * np.abs(sensor))
+
+    def centre(self, length_m: float, width_m: float) -> FloatArray:
+        """Return the centre, shape (2,), level: half a body behind the side that faces the sensor."""
+        behind = self.near - np.sign(self.sensor) * np.array([length_m, width_m]) / 2
+        both = (self.low + self.high) / 2
+        firm = np.abs(self.sensor) > FACING
+        return self.middle + rotate_xy(self.yaw_rad, np.where(firm, behind, both))
+
+
+def _side(towards: FloatArray, side_m: float) -> float:
+    """Return where the side is that faces the sensor: where most points are, near the outermost of them.
+
+    Parameters
+    ----------
+    towards : ndarray, shape (n,)
+        Coordinates of the points on the axis that points to the sensor.
+    side_m : float
+        Points of a side are within this.
+    """
+    ordered = np.sort(towards)
+    outer = ordered[ordered >= np.quantile(ordered, 1 - OUTER_SHARE) - OUTER_SIDES * side_m]
+    counts = np.searchsorted(outer, outer + side_m, side="right") - np.arange(len(outer))
+    start = int(counts.argmax())
+    return float(np.median(outer[start : start + counts[start]]))
+
+
+def _shown_m(seen: Sequence[_Seen], axis: int, share: float) -> float:
+    """Return the extent along the way (axis 0) or across it (1): a quantile over the frames that show a side across it.
+
+    Where none does, what is seen of it at most in all but a tenth of the frames.
+    """
+    extents = np.array([one.high[axis] - one.low[axis] - one.blur_m[axis] for one in seen])
+    shown: BoolArray = np.abs([one.sensor[1 - axis] for one in seen]) > FACING
+    return float(np.quantile(extents[shown], share)) if shown.any() else float(np.quantile(extents, 0.9))
+
+
+def _width_m(shown_m: float, length_m: float) -> float:
+    """Return how wide an object is, by how wide and how long it looks."""
+    if shown_m < NARROW_M and length_m < CAR_LENGTH_M:
+        return shown_m
+    return CAR_WIDTH_M if shown_m < WIDEST_CAR_M else TRUCK_WIDTH_M

@@ -1,0 +1,157 @@
+"""A stereo camera as a monitor sees it."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.errors import ImageError
+from laci_stereo.core.frames import IntArray
+from laci_stereo.io.images import ImageFolder, StereoPair, pair_images, read_image
+from laci_stereo.io.stereo_calibration import StereoRig, read_stereo_calibration
+from laci_stereo.mask.stage import VehicleMask
+from laci_stereo.monitor.frames import Arrivals
+from laci_stereo.stereo.reader import GreyReader
+from laci_stereo.stereo.recording import StereoRecording
+from laci_stereo.stereo.settings import StereoSettings
+
+log = logging.getLogger(__name__)
+
+
+class StereoFrames:
+    """The pairs of two folders (implements `Frames`).
+
+    Parameters
+    ----------
+    left, right : Path
+    stereo : tuple of Path
+        The files of the stereo calibration.
+    settings : StereoSettings
+    mask : VehicleMask or None
+    follow : bool
+        Whether the folders may grow: then files that are still being written wait, and so do empty folders.
+    """
+
+    kind = "stereo"
+
+    def __init__(
+        self,
+        left: Path,
+        right: Path,
+        stereo: tuple[Path, ...],
+        settings: StereoSettings,
+        mask: VehicleMask | None = None,
+        *,
+        follow: bool = False,
+    ) -> None:
+        self._left, self._right, self._stereo = left, right, stereo
+        self._settings, self._mask = settings, mask
+        self._pairs: list[StereoPair] = []
+        self._arrivals = Arrivals() if follow else None
+
+    @property
+    def uri(self) -> str:
+        """The folder of left images."""
+        return str(self._left)
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """Times of the pairs."""
+        return np.array([pair.stamp_ns for pair in self._pairs], dtype=np.int64)
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """The first image, the stereo calibration and how images are matched."""
+        settings = {name: str(value) for name, value in asdict(self._settings).items() if name != "workers"}
+        return {
+            "first image": hashlib.sha256(self._pairs[0].left.read_bytes()).hexdigest(),
+            "stereo calibration": hashlib.sha256(b"".join(file.read_bytes() for file in self._stereo)).hexdigest(),
+            **{f"stereo.{name}": value for name, value in settings.items()},
+        }
+
+    def refresh(self, whole: int) -> None:
+        """List the pairs that came since.
+
+        Raises
+        ------
+        ImageError
+            If the folders hold none, and are not to be followed.
+        """
+        if self._arrivals is None and self._pairs:
+            return
+        last_ns = self._pairs[-1].stamp_ns if self._pairs else -1
+        try:
+            listed = pair_images(ImageFolder.open(self._left), ImageFolder.open(self._right)).pairs
+        except ImageError as problem:
+            if self._arrivals is None or not self._left.is_dir() or not self._right.is_dir():
+                raise
+            log.info("waiting: %s", problem)
+            return
+        new = [pair for pair in listed if pair.stamp_ns > last_ns]
+        if self._arrivals is not None:
+            known = max(whole - len(self._pairs), 0)
+            waiting = [(pair.left, pair.right) for pair in new[known:]]
+            new = new[: known + self._arrivals.whole(waiting, time.monotonic())]
+        self._pairs += new
+
+    def learn(self, frames: range) -> StereoScene:
+        """Learn the look of the scene and its road."""
+        recording = StereoRecording(
+            self._pairs,
+            self._rig,
+            self._settings,
+            background=self._pairs[frames.start : frames.stop],
+            mask=self._mask,
+        )
+        return StereoScene(recording)
+
+    @cached_property
+    def _rig(self) -> StereoRig:
+        problem: ImageError | None = None
+        for pair in self._pairs:
+            try:
+                height, width = read_image(pair.left).shape[:2]
+            except ImageError as error:
+                problem = problem or error
+            else:
+                return read_stereo_calibration(self._stereo, (width, height), self._left)
+        assert problem is not None  # there is at least one pair
+        raise problem
+
+
+class _Patient(GreyReader):
+    """A reader that leaves it to the monitor how many images may be unusable."""
+
+    def check(self, attempted: int) -> None:
+        """Accept any number."""
+
+
+@dataclass
+class StereoScene:
+    """The scene at rest as a stretch of a stereo recording shows it (implements `Scene`)."""
+
+    recording: StereoRecording
+    unusable: int = 0
+
+    def survey(self) -> Iterator[PointCloud]:
+        """Yield whole frames, those in which least moves."""
+        return self.recording.survey()
+
+    def section(self, frames: range) -> Iterator[PointCloud]:
+        """Yield what differs from this scene in some pairs."""
+        self.recording.whole_region()  # the copy shares what is learnt by now
+        part = copy.copy(self.recording)
+        part.pairs = self.recording.pairs[frames.start : frames.stop]
+        part.reader = _Patient(part.rig)
+        part.reader.eight_bit = self.recording.reader.eight_bit
+        yield from part
+        self.unusable = len(part.skipped)

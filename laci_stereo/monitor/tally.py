@@ -1,0 +1,127 @@
+"""What is counted of passages: where on the map, where across each lane, and which way. It does not grow with time."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray, wrap
+from laci_stereo.monitor.lanes import Located, Strip
+from laci_stereo.monitor.passage import Passage
+from laci_stereo.monitor.settings import MonitorSettings
+
+
+@dataclass
+class StripTally:
+    """What drove in a strip.
+
+    Attributes
+    ----------
+    along, against : int
+        Passages by their direction; where both are right, only the first counts.
+    offset_sum_m, offset_square_m2 : float
+        Over the passages along: of each one's median offset to the left of the line, and of its square.
+    profile : Counter of int
+        Positions by the bin across the strip.
+    """
+
+    along: int = 0
+    against: int = 0
+    offset_sum_m: float = 0.0
+    offset_square_m2: float = 0.0
+    profile: Counter[int] = field(default_factory=Counter)
+
+    @property
+    def offset_m(self) -> float | None:
+        """The mean of the passages' offsets; None without one."""
+        return self.offset_sum_m / self.along if self.along else None
+
+    @property
+    def error_m(self) -> float | None:
+        """The standard error of that mean, from how the passages differ; None for less than two."""
+        if self.along < 2 or self.offset_m is None:
+            return None
+        variance = (self.offset_square_m2 - self.along * self.offset_m**2) / (self.along - 1)
+        return math.sqrt(max(variance, 0.0) / self.along)
+
+
+@dataclass
+class Tally:
+    """All that is counted.
+
+    Attributes
+    ----------
+    passages, strays : int
+        Objects, and those of them that drove along no strip.
+    positions, off_road : int
+        One in each step of their way; and those in no lane.
+    cells : Counter of tuple of int
+        Positions by the cell of the map.
+    strips : dict of str to StripTally
+    """
+
+    passages: int = 0
+    strays: int = 0
+    positions: int = 0
+    off_road: int = 0
+    cells: Counter[tuple[int, int]] = field(default_factory=Counter)
+    strips: dict[str, StripTally] = field(default_factory=dict)
+
+    def count(self, passage: Passage, strips: Sequence[Strip], settings: MonitorSettings) -> str:
+        """Count a passage, and return the strip that it drove along most, or nothing."""
+        xy, yaw_rad = passage.spaced(settings.step_m)
+        located = [strip.locate(xy) for strip in strips]
+        in_any = np.logical_or.reduce([np.zeros(len(xy), dtype=bool), *(place.inside for place in located)])
+        self.passages += 1
+        self.positions += len(xy)
+        self.off_road += int((~in_any).sum())
+        self.cells.update(tuple(cell) for cell in np.floor(xy / settings.cell_m).astype(int).tolist())
+        driven = _driven(located, strips, yaw_rad, settings)
+        for number, mine in driven:
+            strip, place = strips[number], located[number]
+            self._drove(strip, place, mine, yaw_rad, settings)
+        self.strays += not driven
+        return strips[driven[0][0]].id if driven else ""
+
+    def _drove(
+        self, strip: Strip, place: Located, mine: BoolArray, yaw_rad: FloatArray, settings: MonitorSettings
+    ) -> None:
+        tally = self.strips.setdefault(strip.id, StripTally())
+        if strip.one_way and np.cos(yaw_rad[mine] - place.yaw_rad[mine]).mean() < 0.0:
+            tally.against += 1
+            return
+        offset_m = float(np.median(place.offset_m[mine]))
+        tally.along += 1
+        tally.offset_sum_m += offset_m
+        tally.offset_square_m2 += offset_m**2
+        tally.profile.update(np.floor(place.offset_m[mine] / settings.profile_bin_m).astype(int).tolist())
+
+
+def _driven(
+    located: Sequence[Located], strips: Sequence[Strip], yaw_rad: FloatArray, settings: MonitorSettings
+) -> list[tuple[int, BoolArray]]:
+    """Return the strips that a passage drove along, and with which of its positions, the most of them first.
+
+    Each position counts for one strip: where strips lie upon one another, as in a crossing, for the one that the
+    passage follows longer and nearer to its line.
+    """
+    fits = []
+    for place, strip in zip(located, strips, strict=True):
+        turned = np.abs(wrap(yaw_rad - place.yaw_rad))
+        aligned = np.minimum(turned, np.pi - turned) < np.radians(settings.aligned_deg)
+        reach_m = float(max(strip.high_m.max(), -strip.low_m.min()))
+        fits.append(np.where(place.inside & aligned, 1.0 - np.abs(place.offset_m) / (2 * reach_m), 0.0))
+    fit = np.array(fits).reshape(len(strips), len(yaw_rad))
+    found: list[tuple[int, BoolArray]] = []
+    while len(fit):
+        best = int(fit.sum(axis=1).argmax())
+        mine: BoolArray = fit[best] > 0.0
+        if mine.sum() * settings.step_m < settings.min_in_lane_m:
+            return found
+        found.append((best, mine))
+        fit[:, mine] = 0.0
+    return found

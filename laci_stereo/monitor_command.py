@@ -1,0 +1,292 @@
+"""``laci-stereo monitor``: where the objects of a long recording drive on the map."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from fnmatch import fnmatch
+from functools import wraps
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import click
+import cv2
+
+from laci_stereo.asked import PATH, log_to_stderr, map_crs_option
+from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
+from laci_stereo.core.errors import ImageError, OutputError, SettingError
+from laci_stereo.core.settings import Settings
+from laci_stereo.io.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.lanelets import read_lanelets
+from laci_stereo.io.output import write_file
+from laci_stereo.io.stereo_calibration import calibration_files
+from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.mask.network import MaskOptions, Provider
+from laci_stereo.mask.stage import VehicleMask
+from laci_stereo.mask_command import mask_options
+from laci_stereo.monitor.frames import Frames
+from laci_stereo.monitor.lanes import strips_of
+from laci_stereo.monitor.objects import Labelled, write_openlabel
+from laci_stereo.monitor.picture import draw_histogram
+from laci_stereo.monitor.report import document_of, findings, summary_of
+from laci_stereo.monitor.run import STATE_FILE, TABLE_FILE, Monitor, Plan
+from laci_stereo.monitor.settings import MonitorSettings
+from laci_stereo.monitor.stereo import StereoFrames
+from laci_stereo.stereo.settings import StereoSettings
+
+PICTURE_FILE, FIGURES_FILE, LABELS_FILE = "histogram.png", "monitor.json", "objects.json"
+FILES = (STATE_FILE, TABLE_FILE, PICTURE_FILE, FIGURES_FILE, LABELS_FILE)
+
+INTERRUPTED = 130
+
+POLL_S = 1.0
+POLL_SHARE = 0.1
+"""Of the time, at most, a growing folder is listed: with many files that takes longer than the pause."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch:
+    """What every monitor is asked, whatever the sensor."""
+
+    calibration: Path
+    lane_map: Path | None
+    map_crs: str | None
+    out: Path
+    overwrite: bool
+    follow: bool
+    idle: float | None
+    workers: int
+    quiet: bool
+    verbose: bool
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A recording to go through.
+
+    Attributes
+    ----------
+    frames : Frames
+    beside : Path
+        The folder beside which a map may lie.
+    files : mapping of str to Path
+        What else it is read with, by name.
+    """
+
+    frames: Frames
+    beside: Path
+    files: dict[str, Path]
+
+
+_ASKED = (
+    click.argument("calibration", type=PATH),
+    click.option("--map", "lane_map", type=PATH, help="Lane map [default: map.osm or the like beside the recording]."),
+    map_crs_option,
+    click.option("--out", type=PATH, default=Path("monitor"), show_default=True, help="Folder for what is found."),
+    click.option("--overwrite", is_flag=True, help="Start afresh where a monitor has been before."),
+    click.option("--follow", is_flag=True, help="Go on with files that come, until interrupted."),
+    click.option(
+        "--idle", type=click.FloatRange(min=0.0), metavar="S", help="With --follow, end after S seconds without a file."
+    ),
+    click.option(
+        "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
+    ),
+    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
+    click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
+)
+
+
+def monitoring(kind: str) -> Callable[[Callable[..., Watched]], Callable[..., None]]:
+    """Make a command of a function that opens a recording: add the options, go through it, and say what was found."""
+
+    def decorate(command: Callable[..., Watched]) -> Callable[..., None]:
+        @wraps(command)
+        def run(**given: Any) -> None:
+            asked = Watch(**{field.name: given.pop(field.name) for field in fields(Watch)})
+            log_to_stderr(quiet=asked.quiet, verbose=asked.verbose)
+            if asked.idle is not None and not asked.follow:
+                raise SettingError(f"--idle is {asked.idle:g} s; needed is --follow with it")
+            stored = read_calibration(asked.calibration)
+            needs_kind(stored, kind)
+            watch(command(asked, stored, **given), stored, asked)
+
+        for option in reversed(_ASKED):
+            run = option(run)
+        return run
+
+    return decorate
+
+
+@click.command()
+@monitoring("stereo")
+@click.argument("left", type=PATH)
+@click.argument("right", type=PATH)
+@stereo_option
+@click.option("--rectified", is_flag=True, help="The images are rectified already.")
+@click.option("--vehicle-mask", type=PATH, metavar="MODEL.onnx", help="As in calibrate; see docs/vehicle_mask.md.")
+@mask_options
+def monitor(
+    asked: Watch,
+    stored: StoredCalibration,
+    left: Path,
+    right: Path,
+    stereo: tuple[Path, ...],
+    rectified: bool,
+    vehicle_mask: Path | None,
+    contract: Path | None,
+    provider: Provider,
+) -> Watched:
+    """Count where the objects of a long stereo recording drive on the map.
+
+    CALIBRATION is a result folder or its calibration.json, LEFT and RIGHT are folders of images as in calibrate. What
+    was interrupted goes on where it was when the same command is given again.
+
+    Exit codes: 0 done; 2 the input cannot be read or makes no sense; 130 interrupted.
+    """
+    if contract is not None and vehicle_mask is None:
+        raise SettingError(f"--mask-contract is {contract} without a mask; needed is --vehicle-mask MODEL.onnx")
+    mask, files = None, {}
+    if vehicle_mask is not None:
+        mask = VehicleMask.load(MaskOptions(vehicle_mask, contract, provider, asked.workers))
+        files = {"vehicle mask": vehicle_mask}
+    settings = StereoSettings(rectified=rectified or stored.rectified, workers=asked.workers)
+    rig_files = calibration_files(stereo, left)
+    return Watched(StereoFrames(left, right, rig_files, settings, mask, follow=asked.follow), left, files)
+
+
+def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
+    """Go through a recording, from where an earlier run was, and write what was found.
+
+    Raises
+    ------
+    LaciError
+    """
+    map_file = asked.lane_map or find_lane_map(watched.beside)
+    lane_map = the_map(stored, map_file, asked.map_crs)
+    assert map_file is not None
+    files = {"calibration": stored.path, "map": map_file, **watched.files}
+    plan = plan_of(stored, lane_map, map_file, files, asked.map_crs)
+    if not asked.follow:  # else nothing may be there yet
+        watched.frames.refresh(0)
+    _make_folder(asked.out, overwrite=asked.overwrite)
+    monitor = Monitor(watched.frames, plan, asked.out)
+    try:
+        monitor.refresh()
+        monitor.check()
+        if monitor.state.frames and not asked.quiet:
+            click.echo(f"note: goes on after frame {monitor.state.frames}", err=True)
+        _go_through(monitor, asked)
+    except KeyboardInterrupt:
+        if not asked.follow:
+            done = monitor.back().frames
+            click.echo(f"interrupted; {done} frames are done, and the same command goes on from there", err=True)
+            sys.exit(INTERRUPTED)
+        if not monitor.back().frames:  # what is there tells something, if less than a whole stretch would
+            monitor.step(ended=True)
+    _deliver(monitor, watched, stored, lane_map, asked)
+
+
+def plan_of(
+    stored: StoredCalibration, lane_map: LaneMap, map_file: Path, files: dict[str, Path], map_crs: str | None
+) -> Plan:
+    """Put together what frames are held against.
+
+    Raises
+    ------
+    MapError
+    """
+    settings, core = MonitorSettings(), Settings()
+    identity = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    stages = {name: asdict(getattr(core, name)) for name in ("background", "cluster", "box", "vehicle", "track")}
+    for stage, values in {"monitor": asdict(settings), **stages}.items():
+        identity |= {f"{stage}.{name}": str(value) for name, value in values.items()}
+    strips = strips_of(lane_map, read_lanelets(map_file, lane_map), settings.boundary_reach_m)
+    identity |= {"version": version("laci-stereo"), "map crs": str(map_crs)}
+    return Plan(stored.world, stored.T_world_sensor, strips, identity, core, settings)
+
+
+def _go_through(monitor: Monitor, asked: Watch) -> None:
+    waits_since = time.monotonic()
+    while asked.follow:
+        start = time.monotonic()
+        if _looked(monitor):
+            waits_since = time.monotonic()
+        listing_s = time.monotonic() - start
+        while monitor.step(ended=False):
+            _show(monitor, asked)
+            waits_since = time.monotonic()
+        if asked.idle is not None and time.monotonic() - waits_since >= asked.idle:
+            break
+        time.sleep(max(POLL_S, listing_s / POLL_SHARE))
+    while monitor.step(ended=True):
+        _show(monitor, asked)
+
+
+def _looked(monitor: Monitor) -> bool:
+    """Look for new frames, and tell whether there are some."""
+    known = len(monitor.frames.stamps_ns)
+    monitor.refresh()
+    return len(monitor.frames.stamps_ns) > known
+
+
+def _show(monitor: Monitor, asked: Watch) -> None:
+    """Say on a terminal how far it has come."""
+    if sys.stderr.isatty() and not asked.quiet:
+        state = monitor.state
+        known = len(monitor.frames.stamps_ns)
+        end = "" if state.frames < known else "\n"
+        click.echo(f"\r{state.frames} of {known} frames, {state.tally.passages} passages{end}", nl=False, err=True)
+
+
+def _make_folder(out: Path, *, overwrite: bool) -> None:
+    """Make the folder, or clear it of an earlier monitor where that was asked for.
+
+    Raises
+    ------
+    OutputError
+        If there is something else.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        inside = sorted(out.iterdir())
+        left_behind = [path for path in inside if any(fnmatch(path.name, f".{name}.*") for name in FILES)]
+        foreign = [path for path in inside if path.name not in FILES and path not in left_behind]
+        if foreign:
+            raise OutputError(f"{out}: holds {foreign[0].name}, which is no part of a monitor; needed is another --out")
+        for path in inside if overwrite else left_behind:
+            path.unlink()
+    except OSError as problem:
+        raise OutputError(f"{out}: cannot be written ({problem.strerror}); needed is a folder to write to") from problem
+
+
+def _deliver(monitor: Monitor, watched: Watched, stored: StoredCalibration, lane_map: LaneMap, asked: Watch) -> None:
+    """Write the outputs and print the summary."""
+    state, plan = monitor.finish(), monitor.plan
+    if not state.frames:
+        raise ImageError(f"{watched.frames.uri}: 0 frames are whole; needed is at least one to say anything")
+    found = findings(plan, placed_by(stored), state)
+    picture = draw_histogram(plan, state, found, lane_map)
+    write_file(asked.out / PICTURE_FILE, cv2.imencode(".png", picture)[1].tobytes())
+    _write_labels(asked.out, monitor, Labelled(stored.name, stored.kind, watched.frames.uri, plan.world))
+    document = document_of(plan, state, found, watched.frames.uri)
+    write_file(asked.out / FIGURES_FILE, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    if not asked.quiet:
+        click.echo(summary_of(plan, state, found))
+        click.echo(f"{'Written':<11}{asked.out}: {', '.join(sorted(path.name for path in asked.out.iterdir()))}")
+
+
+def _write_labels(out: Path, monitor: Monitor, labelled: Labelled) -> None:
+    """Write OpenLABEL as a whole, or leave what stood there."""
+    path = out / LABELS_FILE
+    temporary = out / f".{path.name}.new"
+    try:
+        with temporary.open("w", encoding="utf-8") as stream:
+            write_openlabel(stream, out / TABLE_FILE, monitor.longest_frames, labelled)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,28 @@
+"""``laci-lidar monitor``: where the objects of a long LiDAR recording drive on the map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from laci_lidar.monitor import LidarFrames, stored_settings
+from laci_stereo.asked import PATH
+from laci_stereo.io.stored_calibration import StoredCalibration
+from laci_stereo.monitor_command import Watch, Watched, monitoring
+
+
+@click.command()
+@monitoring("lidar")
+@click.argument("scans", type=PATH)
+@click.option("--topic", help="Topic with the point clouds, where a bag has several.")
+def monitor(asked: Watch, stored: StoredCalibration, scans: Path, topic: str | None) -> Watched:
+    """Count where the objects of a long LiDAR recording drive on the map.
+
+    CALIBRATION is a result folder or its calibration.json, SCANS a recording as in calibrate; it is read as the
+    calibration's was. What was interrupted goes on where it was when the same command is given again.
+
+    Exit codes: 0 done; 2 the input cannot be read or makes no sense; 130 interrupted.
+    """
+    settings = stored_settings(stored.path, asked.workers)
+    return Watched(LidarFrames(scans, topic, settings, follow=asked.follow), scans, {})
