@@ -156,11 +156,14 @@ def fit_roughly(
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
     after = np.linalg.inv(solved.covariance[at, at])
+    # Where residuals scatter by more than the model has it, less than nothing would be left.
+    values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
+    told = vectors[:, values > 0.0]
     return RoughFit(
         corrections=model.corrections(solved.x[own], solved.covariance[own, own]),
         knots_s=model.knots_s,
-        information=after - np.linalg.inv(prior),
-        pull=after @ solved.x[at],
+        information=(vectors * np.maximum(values, 0.0)) @ vectors.T,
+        pull=told @ (told.T @ (after @ solved.x[at])),
     )
 
 

@@ -103,8 +103,8 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
         The one with most sightings first.
     """
     settings = settings or TrackSettings()
-    finished: list[_Moving] = []
-    active: list[_Moving] = []
+    finished: list[Moving] = []
+    active: list[Moving] = []
     interval_s, before_s = 0.0, None
     for sightings in _that_move([frame for frame in frames if frame], settings):
         if not sightings:
@@ -113,15 +113,15 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
         interval_s = now_s - before_s if before_s is not None else 0.0
         before_s = now_s
         # At least one missing frame is bridged, however seldom they come.
-        limit_s = min(max(_blind_s(settings), 2.5 * interval_s), settings.max_lost_s)
+        limit_s = min(max(blind_s(settings), 2.5 * interval_s), settings.max_lost_s)
         finished += [track for track in active if now_s - track.last.frame_s > limit_s]
         active = [track for track in active if now_s - track.last.frame_s <= limit_s]
-        taken = _assign(active, sightings, settings)
+        taken = assign(active, sightings, settings)
         for index, sighting in enumerate(sightings):
             if index in taken:
                 active[taken[index]].add(sighting, settings)
             else:
-                active.append(_Moving(sighting, settings))
+                active.append(Moving(sighting, settings))
     tracks = _stitched(finished + active, settings)
     return sorted(tracks, key=lambda track: len(track.sightings), reverse=True)
 
@@ -153,7 +153,7 @@ def _stand(number: IntArray, xy: FloatArray, count: int, share: float) -> BoolAr
     return standing
 
 
-def _blind_s(settings: TrackSettings) -> float:
+def blind_s(settings: TrackSettings) -> float:
     """Return after what time out of sight a track's place is as vague as what is visible of a vehicle jumps."""
     return float((3 * settings.jitter_m**2 / _agility(settings)) ** (1 / 3))
 
@@ -168,7 +168,7 @@ def _noise(settings: TrackSettings) -> float:
     return (settings.jitter_m / 2) ** 2
 
 
-class _Moving:
+class Moving:
     """A track that grows: its sightings, and where it is and how fast, with the covariance of each axis."""
 
     def __init__(self, first: Sighting, settings: TrackSettings) -> None:
@@ -178,6 +178,7 @@ class _Moving:
 
     @property
     def last(self) -> Sighting:
+        """The newest sighting."""
         return self.sightings[-1]
 
     def ahead(self, stamp_s: float, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
@@ -196,7 +197,7 @@ class _Moving:
         self.sightings.append(sighting)
 
 
-def _assign(tracks: Sequence[_Moving], sightings: Sequence[Sighting], settings: TrackSettings) -> dict[int, int]:
+def assign(tracks: Sequence[Moving], sightings: Sequence[Sighting], settings: TrackSettings) -> dict[int, int]:
     """Return the track of each sighting that has one."""
     if not tracks:
         return {}
@@ -224,21 +225,21 @@ def _pairs(cost: FloatArray) -> dict[int, int]:
     return {int(c): int(r) for r, c in zip(rows, columns, strict=True) if cost[r, c] < UNLINKED}
 
 
-def _stitched(parts: Sequence[_Moving], settings: TrackSettings) -> list[Track]:
+def _stitched(parts: Sequence[Moving], settings: TrackSettings) -> list[Track]:
     """Close the gaps between what ends and what begins, over all pairs at once."""
-    first = [_backwards(part, settings) for part in parts]
+    first = [backwards(part, settings) for part in parts]
     begins_s = np.array([part.last.stamp_s for part in first])
     ends_s = np.array([part.last.stamp_s for part in parts])
     gap_s = begins_s - ends_s[:, None]
     strains = {
-        (int(i), int(j)): strain
+        (int(i), int(j)): found
         for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s))
-        if (strain := _strain(parts[i], first[j], float(gap_s[i, j]), settings)) < 1.0
+        if (found := strain(parts[i], first[j], float(gap_s[i, j]), settings)) < 1.0
     }
     rows, columns = (sorted({pair[axis] for pair in strains}) for axis in (0, 1))
     cost = np.full((len(rows), len(columns)), UNLINKED)
-    for (i, j), strain in strains.items():
-        cost[rows.index(i), columns.index(j)] = strain
+    for (i, j), found in strains.items():
+        cost[rows.index(i), columns.index(j)] = found
     after_of = {rows[before]: columns[after] for after, before in _pairs(cost).items()}
     tracks = []
     for index in range(len(parts)):
@@ -252,11 +253,11 @@ def _stitched(parts: Sequence[_Moving], settings: TrackSettings) -> list[Track]:
     return tracks
 
 
-def _backwards(part: _Moving, settings: TrackSettings) -> _Moving:
+def backwards(part: Moving, settings: TrackSettings) -> Moving:
     """Filter a track's beginning against time, so that its last sighting is the first one."""
     few = part.sightings[:FILTERED][::-1]
     turned = [replace(one, stamp_s=-one.stamp_s) for one in few]
-    moving = _Moving(turned[0], settings)
+    moving = Moving(turned[0], settings)
     for one in turned[1:]:
         moving.add(one, settings)
     moving.state[1] = -moving.state[1]
@@ -264,7 +265,7 @@ def _backwards(part: _Moving, settings: TrackSettings) -> _Moving:
     return moving
 
 
-def _strain(before: _Moving, after: _Moving, gap_s: float, settings: TrackSettings) -> float:
+def strain(before: Moving, after: Moving, gap_s: float, settings: TrackSettings) -> float:
     """Return the cost of a gap, in gates: of the way at the mean velocity, and of the change of velocity."""
     agility = _agility(settings)
     way = after.state[0] - before.state[0] - gap_s * (before.state[1] + after.state[1]) / 2
@@ -273,7 +274,7 @@ def _strain(before: _Moving, after: _Moving, gap_s: float, settings: TrackSettin
     # What a random walk of the velocity adds between two known ends, and between two unknown ones.
     way_sigma = np.sqrt(positions + speeds * gap_s**2 / 4 + agility * gap_s**3 / 12 + _noise(settings))
     change = np.linalg.norm(after.state[1] - before.state[1]) / np.sqrt(speeds + agility * gap_s)
-    strain = max(float(np.linalg.norm(way) / way_sigma), float(change)) / GATE
+    found = max(float(np.linalg.norm(way) / way_sigma), float(change)) / GATE
     # One or two sightings tell no velocity, and could be anyone's.
     vague = np.sqrt(speeds) > settings.max_speed_mps / (2 * GATE)
-    return np.inf if vague else strain
+    return np.inf if vague else found

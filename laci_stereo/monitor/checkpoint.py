@@ -18,7 +18,7 @@ from laci_stereo.core.errors import OutputError
 from laci_stereo.core.frames import IntArray
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.sighting import Sighting
-from laci_stereo.core.tracking import _Moving
+from laci_stereo.core.tracking import Moving
 from laci_stereo.io.output import write_file
 from laci_stereo.monitor.linking import Kept, Linker, Live
 from laci_stereo.monitor.tally import StripTally, Tally
@@ -169,7 +169,7 @@ def _of_live(live: Live) -> dict[str, Any]:
 
 def _live(document: Mapping[str, Any], settings: TrackSettings) -> Live:
     last = [_sighting(one) for one in document["last"]]
-    moving = _Moving(last[0], settings)
+    moving = Moving(last[0], settings)
     moving.sightings = last
     moving.state, moving.covariance = np.array(document["state"]), np.array(document["covariance"])
     return Live(moving, [_sighting(one) for one in document["head"]], [_kept(one) for one in document["kept"]])

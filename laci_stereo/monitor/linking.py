@@ -12,7 +12,7 @@ import numpy.typing as npt
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import Settings, TrackSettings
 from laci_stereo.core.sighting import Sighting, dense
-from laci_stereo.core.tracking import FILTERED, _assign, _backwards, _blind_s, _Moving, _strain
+from laci_stereo.core.tracking import FILTERED, Moving, assign, backwards, blind_s, strain
 
 REMEMBERED = 5
 """Sightings at the end of a track whose sizes the assignment looks at."""
@@ -77,14 +77,14 @@ class Live:
 
     Attributes
     ----------
-    moving : _Moving
+    moving : Moving
         Its last sightings and its filter.
     head : list of Sighting
         Its first sightings, without points.
     kept : list of Kept
     """
 
-    moving: _Moving
+    moving: Moving
     head: list[Sighting]
     kept: list[Kept]
 
@@ -134,7 +134,7 @@ class Linker:
         """
         limits = settings.track
         interval_s = 0.0 if self.before_s is None else now_s - self.before_s
-        self._retire(now_s, min(max(_blind_s(limits), 2.5 * interval_s), limits.max_lost_s), limits)
+        self._retire(now_s, min(max(blind_s(limits), 2.5 * interval_s), limits.max_lost_s), limits)
         if sightings:
             self._link(frame, sightings, settings)
             self.before_s = now_s
@@ -158,11 +158,11 @@ class Linker:
         self.lost += out
 
     def _link(self, frame: int, sightings: Sequence[Sighting], settings: Settings) -> None:
-        taken = _assign([live.moving for live in self.active], sightings, settings.track)
+        taken = assign([live.moving for live in self.active], sightings, settings.track)
         for index, sighting in enumerate(sightings):
             bare = _bare(sighting)
             if index not in taken:
-                moving = _Moving(bare, settings.track)
+                moving = Moving(bare, settings.track)
                 self.active.append(Live(moving, [bare], [_kept(frame, sighting, None, settings)]))
                 continue
             live = self.active[taken[index]]
@@ -176,14 +176,14 @@ class Linker:
 
     def _join(self, live: Live, settings: TrackSettings) -> None:
         """Put a track behind one that was lost before, where the velocities agree with the way in between."""
-        part = _Moving(live.head[0], settings)
+        part = Moving(live.head[0], settings)
         part.sightings = list(live.head)
-        begin = _backwards(part, settings)
+        begin = backwards(part, settings)
         strains = [np.inf]
         for one in self.lost:
             gap_s = live.first_s - one.last_s
             near = 0.0 < gap_s <= settings.max_lost_s
-            strains.append(_strain(one.moving, begin, gap_s, settings) if near else np.inf)
+            strains.append(strain(one.moving, begin, gap_s, settings) if near else np.inf)
         best = int(np.argmin(strains))
         if strains[best] < 1.0:
             before = self.lost.pop(best - 1)
