@@ -28,6 +28,9 @@ TAIL = 4.0
 """So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
 that err together must not pull the messages with them."""
 
+KNOTS_PER_TIME = 4
+"""Knots of an error's course in the time over which it decays."""
+
 FINEST_M = 0.01
 """No position is better than that: its last digit in the message is a centimetre."""
 
@@ -175,7 +178,7 @@ class DriveModel:
         self.size = (drive.vehicle.length_m, drive.vehicle.width_m)
         self.highest_m = outline.highest_of(self.size[1])
         first, last = drive.stamps_s[[0, -1]] if len(drive) else (0.0, 0.0)
-        knots = max(2, int(np.ceil((last - first) / (settings.bias_time_s / 4))) + 1)
+        knots = max(2, int(np.ceil((last - first) * KNOTS_PER_TIME / settings.bias_time_s)) + 1)
         self.knots_s = np.linspace(first, max(last, first + 1e-3), knots)
         self.hat = np.maximum(
             0.0, 1.0 - np.abs(drive.stamps_s[:, None] - self.knots_s) / (self.knots_s[1] - self.knots_s[0])

@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.association import Resemblance
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_model import FINEST_M, Correction
+from laci_stereo.core.drive_model import FINEST_M, KNOTS_PER_TIME, Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
@@ -33,8 +33,8 @@ FREE_DEG = 5.0
 """Standard deviation of the heading that is told, against the body: a stranger's body follows its way as well, so that
 only what is far from any is told by it."""
 
-FREE_S = 4.0
-"""Four knots of a stranger's way lie in so much time: one a second shows how it brakes and bends."""
+FREE_S, MOST_KNOTS = 1.0, 16
+"""A stranger's way has one knot a second, which shows how it brakes and bends, but no more than so many."""
 
 EXACT_M = (0.1, 0.3)
 """Positions may be as exact as they are told, or as these standard deviations during a passage, whatever is told."""
@@ -76,7 +76,8 @@ def resemblance(
     drive = evidence_of(track, replace(stranger, position_sigma_m=FREE_M), height_m)
     if not len(drive.points):
         return Resemblance()
-    free = replace(settings, bias_time_s=FREE_S, heading_sigma_deg=FREE_DEG)
+    step_s = max(FREE_S, float(np.ptp(drive.stamps_s)) / MOST_KNOTS)
+    free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, heading_sigma_deg=FREE_DEG)
     try:
         way, strayed_s = _way(fit_roughly(drive, start, time_offset_s, free), vehicle, time_offset_s, settings)
         alone = track.without(strayed_s)
