@@ -279,9 +279,7 @@ def _on_vehicle(scene: Scene, best: _Hypothesis) -> Track:
     off = best.motion.place(np.array([one.middle for one in track.sightings])) - poses.xy
     sigma = np.hypot(scene.settings.position_sigma_m, [one.sigma_m for one in track.sightings])
     near = np.linalg.norm(off, axis=1) <= sender.reach_m + GATE * sigma
-    kept = near | ~poses.known
-    track = Track(tuple(one for one, is_kept in zip(track.sightings, kept, strict=True) if is_kept))
-    return track.without(best.strayed_s)
+    return track.where(near | ~poses.known).without(best.strayed_s)
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

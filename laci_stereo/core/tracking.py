@@ -74,12 +74,20 @@ class Track:
         kept = np.ones(len(stamps_s), dtype=bool)
         for begin_s, end_s in times_s:
             kept &= (stamps_s < begin_s) | (stamps_s >= end_s)
+        return self.where(kept)
+
+    def where(self, kept: BoolArray) -> Track:
+        """Return the track with some of its sightings only."""
+        if kept.all():
+            return self
         return Track(tuple(sighting for sighting, is_kept in zip(self.sightings, kept, strict=True) if is_kept))
 
     def joined(self, other: Track) -> Track:
         """Return two tracks as one; in frames that hold both, the first one's sighting."""
         mine = {sighting.frame_s for sighting in self.sightings}
         new = tuple(sighting for sighting in other.sightings if sighting.frame_s not in mine)
+        if not new:
+            return self
         return Track(tuple(sorted(self.sightings + new, key=lambda sighting: sighting.stamp_s)))
 
 

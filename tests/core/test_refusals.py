@@ -78,7 +78,7 @@ def test_unless_it_is_of_another_length() -> None:
 
 
 def test_a_drive_that_is_seen_from_ahead_only() -> None:
-    towards = scene(Drive((60.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(), last_s=4.0)
+    towards = scene(Drive((60.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(), last_s=3.8)
     with pytest.raises(MatchError, match=r"the vehicle's outline is seen in \d frames .* needed are 10"):
         calibrate(towards.recording, towards.messages)
 
