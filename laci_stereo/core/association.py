@@ -200,15 +200,15 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     ]
     margin, second = min(claims, key=lambda claim: claim[0], default=(math.inf, None))
     track = _on_vehicle(scene, best)
-    if second is not None and margin < scene.settings.least_log_odds:
-        needed = math.exp(scene.settings.least_log_odds)
-        raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {needed:.0f} to 1")
+    least = scene.settings.least_log_odds
+    if second is not None and margin < least:
+        raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
     # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance. That
     # it was never seen is as improbable as `SILENT`, but a result must hold even if it is as likely as not.
     objects = 1 + len(candidates - mine)
     even, doubt = best.value - math.log(objects), ""
-    if even < 0.0:
-        raise MatchError(f"{_by_chance(scene, best.account, objects, even)}; needed are 1 to 1")
+    if even < least:
+        raise MatchError(f"{_by_chance(scene, best.account, objects, even)}; needed are {math.exp(least):.0f} to 1")
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = _tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:

@@ -185,7 +185,8 @@ def test_the_motion_and_the_clock_are_recovered(offset_s: float) -> None:
 def test_a_clock_that_is_known_is_not_moved_to_fit() -> None:
     told = vehicle()
     late = replace(told, stamps_s=told.stamps_s + 0.3)
-    assert abs(choose_track([seen()], {42: late}).time_offset_s) <= 0.03
+    whatever = MatchSettings(least_log_odds=-math.inf)  # boxes alone leave room for chance here
+    assert abs(choose_track([seen()], {42: late}, whatever).time_offset_s) <= 0.03
 
 
 def test_near_sides_alone_do_not_move_the_motion() -> None:
