@@ -32,13 +32,16 @@ SILENT = -math.log(0.05)
 
 So likely it is, too, that none of the tracks is the sender's."""
 
+LEAST_SEEN = math.log(10.0)
+"""Of the matches that are just taken, all with a warning, one in ten is a stranger that fits by chance."""
+
 MAX_GOOD_SIGMA = 2.0
 """The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
 
 
 IN_LINE = math.log(10.0)
-"""One other vehicle in ten drives in line with the sender's, on its way and at its speed: however exactly a track fits,
-that tells no more of which of two it is."""
+"""One other vehicle in ten drives in line with the sender's, on its way and at its speed. By how much more exactly a
+track fits than boxes show then tells no more of which of two it is."""
 
 HALF_LANE_M = 1.75
 """No farther from its way is what drives in line."""
@@ -99,7 +102,7 @@ class _Hypothesis:
     @property
     def against_others(self) -> float:
         """The value, but for what a track that follows the sender's vehicle could have as well."""
-        return self.value - max(0.0, self.way - IN_LINE)
+        return self.value - max(0.0, self.way - max(self.account.way, IN_LINE))
 
 
 @dataclass(frozen=True)
@@ -203,12 +206,14 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
-    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance. That
-    # it was never seen is as improbable as `SILENT`, but a result must hold even if it is as likely as not.
+    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - mine)
-    even, doubt = best.value - math.log(objects), ""
-    if even < least:
-        raise MatchError(f"{_by_chance(scene, best.account, objects, even)}; needed are {math.exp(least):.0f} to 1")
+    seen = best.value + SILENT - math.log(objects)
+    if seen < LEAST_SEEN:
+        chance = _by_chance(scene, best.account, objects, seen)
+        raise MatchError(f"{chance}; needed are {math.exp(LEAST_SEEN):.0f} to 1")
+    # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
+    even, doubt = seen - SILENT, ""
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = _tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:
