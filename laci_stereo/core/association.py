@@ -180,12 +180,23 @@ def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness
     for rank, one in enumerate(ordered):
         if rank < MOST_OUTLINES and one.value > ordered[0].value - OUTLINE_REACH:
             fit = PlanarMatch(float(one.motion.yaw_rad), one.motion.shift)
-            alike = likeness(_on_vehicle(scene, one), one.account.station, fit, float(one.motion.offset_s))
+            track = _on_vehicle(scene, one)
+            alike = likeness(track, one.account.station, fit, float(one.motion.offset_s))
             log.debug("station %d: %.1f by boxes, by outlines %s (log odds)", one.account.station, one.value, alike)
-            way = one.way if alike.way is None else alike.way
+            way = one.way if alike.way is None else min(alike.way, _of_pieces(scene, one.account, track, alike.way))
             one = replace(one, value=one.value + alike.body + way - one.way, way=way, strayed_s=alike.strayed_s)
         weighed.append(one)
     return weighed
+
+
+def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> float:
+    """Return the most that a way can tell whose track is joined of pieces.
+
+    Each further piece may be something else that is where the vehicle must be, as improbable as that is.
+    """
+    first = scene.tracks[account.tracks[0]]
+    share = min(1.0, len(first.sightings) / max(1, len(track.sightings)))
+    return max(way, 0.0) * share + (len(account.tracks) - 1) * account.coincidence
 
 
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
