@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.core.association import Choice, choose_track
+from laci_stereo.core.association import Choice, Resemblance, choose_track
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -332,6 +332,49 @@ def test_a_drive_of_its_own_leaves_no_doubt() -> None:
     choice = choose_track([seen(slows), seen(STEADY, seed=1)], {42: vehicle(slows)})
     assert choice.doubt == ""
     assert misplaced_m(choice) < 0.5
+
+
+def exactly(*_: object) -> Resemblance:
+    """An outline that follows the way as only one stranger in 3000 does."""
+    return Resemblance(0.0, 8.0)
+
+
+def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
+    brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
+    assert "by chance" in choose_track([brief], {42: vehicle()}).doubt
+    assert choose_track([brief], {42: vehicle()}, likeness=exactly).doubt == ""
+
+
+def test_an_outline_on_another_way_speaks_against_it() -> None:
+    brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
+    with pytest.raises(MatchError, match="by chance"):
+        choose_track([brief], {42: vehicle()}, likeness=lambda *_: Resemblance(0.0, -4.0))
+
+
+def test_pieces_among_clutter_tell_no_more_than_that_something_is_there() -> None:
+    brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
+    pieces = [Track(brief.sightings[start : start + 10]) for start in (0, 10)]
+    around = brief.centres.mean(axis=0)
+    standing = [
+        track(STAMPS[:20], np.tile(around + np.array([x, y]), (20, 1)))
+        for x in np.arange(-8.0, 8.5, 0.7)
+        for y in np.arange(-8.0, 8.5, 0.7)
+    ]
+    assert choose_track([brief, *standing], {42: vehicle()}, likeness=exactly).doubt == ""
+    assert "by chance" in choose_track([*pieces, *standing], {42: vehicle()}, likeness=exactly).doubt
+
+
+def test_however_exactly_a_follower_fits_it_is_a_tie() -> None:
+    drive, behind = seen(STEADY), seen(shifted(STEADY, -20.0, 0.0), seed=1)
+    with pytest.raises(MatchError, match="fit equally well"):
+        choose_track([drive, behind], {42: vehicle(STEADY)}, likeness=exactly)
+
+    # What is seen a little worse is no less the sender's.
+    def better(one: Track, *_: object) -> Resemblance:
+        return Resemblance(0.0, 12.0 if one is drive else 8.0)
+
+    with pytest.raises(MatchError, match="fit equally well"):
+        choose_track([drive, behind], {42: vehicle(STEADY)}, likeness=better)
 
 
 # live traffic
