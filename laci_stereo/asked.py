@@ -69,6 +69,14 @@ class Asked:
 
 PATH = click.Path(path_type=Path)
 
+
+def a_number(_context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
+    """Refuse what no range refuses: NaN is neither below nor above its ends."""
+    if value is not None and math.isnan(value):
+        raise click.BadParameter(f"{value} is not a number; needed is one", param=parameter)
+    return value
+
+
 map_crs_option = click.option(
     "--map-crs",
     metavar="CRS[@E,N]",
@@ -157,7 +165,7 @@ def _carry_out(job: Task, asked: Asked) -> None:
         for note in job.provenance.notes:
             click.echo(f"note: {note}", err=True)
     result = job.run(lambda source: source if asked.quiet else WithProgress(source))
-    deliver(result, job.skipped, asked.out, overwrite=asked.overwrite, quiet=asked.quiet)
+    deliver(result, (*job.remarks(), *job.skipped), asked.out, overwrite=asked.overwrite, quiet=asked.quiet)
 
 
 def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool, quiet: bool) -> None:

@@ -10,10 +10,9 @@ import click
 import cv2
 
 from laci_stereo.core.cam import CamLog
-from laci_stereo.core.errors import OutputError
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
-from laci_stereo.io.output import write_file
+from laci_stereo.io.output import check_files, check_png, write_file
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
 
@@ -34,8 +33,10 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
     LOG is CSV, a packet capture (pcap, pcapng), a ROS or MCAP bag, lines of hexadecimal CAMs, V2AIX's JSON, NMEA or
     GPX; its content tells which.
     """
-    if out is not None and out.exists() and not overwrite:
-        raise OutputError(f"{out}: exists already; needed is another --out, or --overwrite to replace it")
+    if out is not None:
+        check_files([out], overwrite=overwrite)
+        if form is None:
+            check_png(out)
     recording = read_cam_log(log)
     if form is None:
         click.echo(summarise_log(recording, str(log)))

@@ -10,16 +10,16 @@ import click
 import cv2
 import numpy as np
 
-from laci_stereo.asked import map_crs_option
+from laci_stereo.asked import a_number, map_crs_option
 from laci_stereo.check.describe import check_document, describe_check
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.verdict import TOO_FAR_M, TOO_FAR_RAD
-from laci_stereo.core.errors import CalibrationFileError, MapError, OutputError
-from laci_stereo.io.images import ImageFolder, read_image
-from laci_stereo.io.lane_map import LaneMap, find_lane_map, read_lane_map
-from laci_stereo.io.output import write_file
+from laci_stereo.core.errors import CalibrationFileError, MapError
+from laci_stereo.io.images import ImageFolder, first_size
+from laci_stereo.io.lane_map import MAP_FILES, LaneMap, find_lane_map, read_lane_map
+from laci_stereo.io.output import check_files, check_png, write_file
 from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
 from laci_stereo.stereo.reader import GreyReader
@@ -46,6 +46,7 @@ def map_options(command: click.decorators.FC) -> click.decorators.FC:
         click.option(
             "--map-sigma",
             type=click.FloatRange(min=0.0, max=10.0),
+            callback=a_number,
             default=MAP_SIGMA_M,
             show_default=True,
             metavar="M",
@@ -72,6 +73,7 @@ stereo_option = click.option(
 @click.argument("left", type=_PATH)
 @map_options
 @stereo_option
+@click.option("--rectified", is_flag=True, help="The images are rectified already [default: as the calibration's].")
 def check(
     calibration: Path,
     left: Path,
@@ -82,10 +84,11 @@ def check(
     picture: Path,
     overwrite: bool,
     stereo: tuple[Path, ...],
+    rectified: bool,
 ) -> None:
     """Check a stereo camera's calibration against a lane map.
 
-    CALIBRATION is a result folder or its calibration.json, LEFT a folder of raw left images, of any day. The lines'
+    CALIBRATION is a result folder or its calibration.json, LEFT a folder of left images, of any day. The lines'
     paint is looked for in the median of some images.
 
     Exit codes: 0 pass or cannot tell; 1 fail; 2 the input cannot be read or makes no sense.
@@ -94,9 +97,8 @@ def check(
     stored = read_calibration(calibration)
     needs_kind(stored, "stereo")
     folder = ImageFolder.open(left)
-    height, width = read_image(folder.files[0]).shape[:2]
-    rig = read_stereo_calibration(calibration_files(stereo, left), (width, height), left)
-    rig = already_rectified(rig) if stored.rectified else rig
+    rig = read_stereo_calibration(calibration_files(stereo, left), first_size(folder.files), left)
+    rig = already_rectified(rig) if rectified or stored.rectified else rig
     lines = the_map(stored, lane_map or find_lane_map(left), map_crs)
     say_notes(stored, lines)
     checked = check_images(folder.files, GreyReader(rig), rig.left, placed_by(stored), lines, map_sigma)
@@ -110,11 +112,8 @@ def check_free(picture: Path, json_file: Path | None, *, overwrite: bool) -> Non
     ------
     OutputError
     """
-    for path in filter(None, (picture, json_file)):
-        if path.exists() and not overwrite:
-            raise OutputError(f"{path}: exists already; needed is another name, or --overwrite to replace it")
-    if picture.suffix.lower() != ".png":
-        raise OutputError(f"{picture}: the picture's name ends in {picture.suffix or 'nothing'}; needed is .png")
+    check_files([path for path in (picture, json_file) if path is not None], overwrite=overwrite)
+    check_png(picture)
 
 
 def needs_kind(stored: StoredCalibration, kind: str) -> None:
@@ -136,7 +135,7 @@ def the_map(stored: StoredCalibration, path: Path | None, crs: str | None = None
     MapError
     """
     if path is None:
-        raise MapError("no map.osm or map.geojson lies beside the data; needed is --map FILE")
+        raise MapError(f"none of {', '.join(MAP_FILES)} lies beside the data; needed is --map FILE")
     return read_lane_map(path, stored.world, crs)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from laci_stereo.core.settings import Settings
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.evidence_file import Kept, read_evidence
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
-from laci_stereo.io.output import EVIDENCE_FILE
+from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE
 from laci_stereo.job import Result, sha256
 from laci_stereo.report.page import Photographs
 
@@ -34,7 +35,6 @@ class CombineOptions:
     lane_map : Path or None
     map_crs : str or None
         The map's coordinate system where its file does not state it; see `read_lane_map`.
-        Lanelet2 or GeoJSON; it is only drawn.
     core : Settings
     """
 
@@ -112,7 +112,7 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
         kind=kept[0].kind,
         frame=kept[0].frame,
         inputs={str(path): sha256(path) for path in files},
-        config=_config(combined, options),
+        config={**_read_as(paths[0]), **_config(combined, options)},
         notes=(*map(str, combined.shares), *(lane_map.notes if lane_map is not None else ())),
         T_sensor_rectified=kept[0].T_sensor_rectified,
     )
@@ -123,17 +123,36 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
 
 def _evidence_of(run: Path) -> Path:
     """Return the evidence file of a result."""
-    if not run.is_dir():
+    if not run.exists():
+        raise EvidenceError(f"{run} does not exist; needed is a result folder")
+    folder = run.parent if run.name == RESULT_FILE else run
+    if not folder.is_dir():
         return run
-    if not (run / EVIDENCE_FILE).exists():
-        raise EvidenceError(f"{run}: holds no {EVIDENCE_FILE}; needed is a result that keeps its evidence")
-    return run / EVIDENCE_FILE
+    if not (folder / EVIDENCE_FILE).exists():
+        raise EvidenceError(f"{run}: no {EVIDENCE_FILE} is with it; needed is a result that keeps its evidence")
+    return folder / EVIDENCE_FILE
+
+
+def _read_as(evidence: Path) -> dict[str, object]:
+    """Return how a result's frames were read, where it says so: what checks and monitors read others by."""
+    result = evidence.with_name(RESULT_FILE)
+    if not result.is_file():
+        return {}
+    try:
+        config = json.loads(result.read_bytes())["config"]
+        return {name: config[name] for name in ("stereo", "lidar") if name in config}
+    except (ValueError, KeyError, TypeError, RecursionError) as problem:
+        raise EvidenceError(f"{result} does not say how frames were read; needed is a {RESULT_FILE}") from problem
 
 
 def _check_kind(runs: Sequence[Path | str], kept: Sequence[Kept]) -> None:
     for run, one in zip(runs, kept, strict=True):
         if one.kind != kept[0].kind:
             raise EvidenceError(f"{run}: the sensor's kind is {one.kind}; needed is {kept[0].kind} as in {runs[0]}")
+        if one.frame != kept[0].frame:
+            raise EvidenceError(
+                f"{run}: the sensor's frame is {one.frame!r}; needed is {kept[0].frame!r} as in {runs[0]}"
+            )
 
 
 def _named(run: str, kept: Kept) -> Iterator[Passage]:

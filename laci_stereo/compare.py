@@ -253,8 +253,12 @@ def chance(comparison: Comparison) -> str:
         return "one of them was imported and claims nothing, so only by how much they differ can be said"
     return (
         f"chi-square {comparison.chi_square:.1f} of 6; results that are as good as they claim are so far apart in "
-        f"{100 * comparison.probability:.2g} % of cases, and contradict below {100 * CONTRADICTION_RATE:g} %"
+        f"{_percent(comparison.probability)} of cases, and contradict below {100 * CONTRADICTION_RATE:g} %"
     )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
 def to_csv(comparisons: Sequence[Comparison]) -> str:

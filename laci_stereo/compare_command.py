@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from laci_stereo.compare import SHARED, Comparison, chance, compare, to_csv, to_table
-from laci_stereo.core.errors import OutputError
-from laci_stereo.io.output import write_file
+from laci_stereo.io.output import check_files, write_file
 from laci_stereo.report.page.compare import Pair, Row, write_compare_page
 
 CONTRADICTED = 1
@@ -34,9 +33,8 @@ def compare_command(
     Exit codes: 0 they agree within what they claim, or one was imported and claims nothing; 1 some contradict each
     other; 2 the input cannot be read or makes no sense.
     """
-    for path in filter(None, (csv_file, page_file)):
-        if path.exists() and not overwrite:
-            raise OutputError(f"{path}: exists already; needed is another name, or --overwrite to replace it")
+    files = [path for path in (csv_file, page_file) if path is not None]
+    check_files(files, overwrite=overwrite)
     comparisons = compare(results, renamed=renamed)
     click.echo("\n\n".join(map(to_table, comparisons)))
     click.echo(f"\n{SHARED}")
@@ -44,6 +42,8 @@ def compare_command(
         write_file(csv_file, to_csv(comparisons).encode())
     if page_file is not None:
         write_file(page_file, write_compare_page([_pair(each) for each in comparisons], SHARED).encode())
+    if files:
+        click.echo(f"{'Written':<11}{', '.join(map(str, files))}")
     if any(each.outcome == "contradict" for each in comparisons):
         sys.exit(CONTRADICTED)
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.core.errors import OutputError, SettingError
+from laci_stereo.core.errors import SettingError
 from laci_stereo.io.exports import FORMATS, ExportedFile, export_as
-from laci_stereo.io.output import write_file
+from laci_stereo.io.output import check_files, make_folder, write_file
 from laci_stereo.io.siting import site
 from laci_stereo.io.stored_calibration import read_calibration
 
@@ -37,9 +37,9 @@ def export(calibration: Path | None, form: str | None, out: Path | None, overwri
         click.echo(_only(files).text, nl=False)
         return
     paths = [out] if len(files) == 1 and not out.is_dir() else [out / file.name for file in files]
-    _check_free(paths, overwrite=overwrite)
     if len(files) > 1:
-        _make(out)
+        make_folder(out)
+    check_files(paths, overwrite=overwrite)
     for path, file in zip(paths, files, strict=True):
         write_file(path, file.text.encode())
     click.echo(f"{'Written':<11}{', '.join(map(str, paths))}", err=True)
@@ -51,16 +51,3 @@ def _only(files: tuple[ExportedFile, ...]) -> ExportedFile:
             f"there are {len(files)} files, {', '.join(each.name for each in files)}; needed is --out DIR"
         )
     return files[0]
-
-
-def _check_free(paths: list[Path], *, overwrite: bool) -> None:
-    for path in paths:
-        if path.exists() and not overwrite:
-            raise OutputError(f"{path}: exists already; needed is another --out, or --overwrite to replace it")
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made ({error.strerror}); needed is a folder") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,14 +12,15 @@ import click
 import cv2
 import numpy as np
 
-from laci_stereo.core.errors import ImageError, SettingError
+from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import ImageFolder, read_image
-from laci_stereo.io.output import write_file
+from laci_stereo.io.output import check_files, make_folder, write_file
 from laci_stereo.mask.detect import NetworkFinder, Vehicle
 from laci_stereo.mask.network import PROVIDERS, MaskOptions, Network, Provider
 from laci_stereo.mask.picture import Cell, Crop
 from laci_stereo.mask.stage import outlines
+from laci_stereo.program import INTERRUPTED
 from laci_stereo.stereo.reader import EightBit
 
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
@@ -78,22 +80,26 @@ def mask(
     """
     files = ImageFolder.open(left).files[::every]
     targets = {path: out / f"{path.stem}.jpg" for path in files}
-    there = [target for target in targets.values() if target.exists()]
-    if there and not overwrite:
-        raise SettingError(f"{there[0]}: exists already; needed is another --out, or --overwrite to replace it")
     network = Network(MaskOptions(model, contract, provider))
+    make_folder(out)
+    check_files(targets.values(), overwrite=overwrite)
     if network.assumed:
         click.echo(f"note: {network.assumed}", err=True)
-    out.mkdir(parents=True, exist_ok=True)
     click.echo(f"{'image':<28}{'ms':>6}  {'vehicles':>8}  class, score, left top right bottom")
     looks = 0
     found = 0
     seconds: list[float] = []
-    for look in looked_at(NetworkFinder(network, (Cell(0, 0, *network.size),)), files):
-        write_file(targets[look.path], cv2.imencode(".jpg", drawn(look))[1].tobytes())
-        click.echo(row(look))
-        looks, found = looks + 1, found + bool(look.vehicles)
-        seconds.append(look.seconds)
+    try:
+        for look in looked_at(NetworkFinder(network, (Cell(0, 0, *network.size),)), files):
+            write_file(targets[look.path], cv2.imencode(".jpg", drawn(look))[1].tobytes())
+            click.echo(row(look))
+            looks, found = looks + 1, found + bool(look.vehicles)
+            seconds.append(look.seconds)
+    except KeyboardInterrupt:
+        if not looks:
+            raise
+        click.echo(f"interrupted; {looks} of {len(files)} pictures are in {out}", err=True)
+        sys.exit(INTERRUPTED)
     if not looks:
         raise ImageError(f"{left}: none of {len(files)} images can be read")
     click.echo(f"Vehicles in {found} of {looks} images; {1000 * float(np.median(seconds)):.0f} ms each (median)")

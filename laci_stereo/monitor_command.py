@@ -17,15 +17,16 @@ from typing import Any
 import click
 import cv2
 
-from laci_stereo.asked import PATH, log_to_stderr, map_crs_option
+from laci_stereo.asked import PATH, a_number, log_to_stderr, map_crs_option
 from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
-from laci_stereo.core.errors import ImageError, OutputError, SettingError
+from laci_stereo.core.errors import ImageError, LaciError, OutputError, SettingError
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.io.lanelets import read_lanelets
 from laci_stereo.io.output import write_file
 from laci_stereo.io.stereo_calibration import calibration_files
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import MaskOptions, Provider
 from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.mask_command import mask_options
@@ -37,12 +38,11 @@ from laci_stereo.monitor.report import document_of, findings, summary_of
 from laci_stereo.monitor.run import STATE_FILE, TABLE_FILE, Monitor, Plan
 from laci_stereo.monitor.settings import MonitorSettings
 from laci_stereo.monitor.stereo import StereoFrames
+from laci_stereo.program import INTERRUPTED
 from laci_stereo.stereo.settings import StereoSettings
 
 PICTURE_FILE, FIGURES_FILE, LABELS_FILE = "histogram.png", "monitor.json", "objects.json"
 FILES = (STATE_FILE, TABLE_FILE, PICTURE_FILE, FIGURES_FILE, LABELS_FILE)
-
-INTERRUPTED = 130
 
 POLL_S = 1.0
 POLL_SHARE = 0.1
@@ -91,7 +91,11 @@ _ASKED = (
     click.option("--overwrite", is_flag=True, help="Start afresh where a monitor has been before."),
     click.option("--follow", is_flag=True, help="Go on with files that come, until interrupted."),
     click.option(
-        "--idle", type=click.FloatRange(min=0.0), metavar="S", help="With --follow, end after S seconds without a file."
+        "--idle",
+        type=click.FloatRange(min=0.0),
+        callback=a_number,
+        metavar="S",
+        help="With --follow, end after S seconds without a file.",
     ),
     click.option(
         "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
@@ -153,7 +157,8 @@ def monitor(
     mask, files = None, {}
     if vehicle_mask is not None:
         mask = VehicleMask.load(MaskOptions(vehicle_mask, contract, provider, asked.workers))
-        files = {"vehicle mask": vehicle_mask}
+        read_by = contract or contract_beside(vehicle_mask)
+        files = {"vehicle mask": vehicle_mask} | ({} if read_by is None else {"mask contract": read_by})
     settings = StereoSettings(rectified=rectified or stored.rectified, workers=asked.workers)
     rig_files = calibration_files(stereo, left)
     return Watched(StereoFrames(left, right, rig_files, settings, mask, follow=asked.follow), left, files)
@@ -173,6 +178,7 @@ def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
     plan = plan_of(stored, lane_map, map_file, files, asked.map_crs)
     if not asked.follow:  # else nothing may be there yet
         watched.frames.refresh(0)
+    there = asked.out.exists()
     _make_folder(asked.out, overwrite=asked.overwrite)
     monitor = Monitor(watched.frames, plan, asked.out)
     try:
@@ -181,9 +187,15 @@ def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
         if monitor.state.frames and not asked.quiet:
             click.echo(f"note: goes on after frame {monitor.state.frames}", err=True)
         _go_through(monitor, asked)
+    except LaciError:
+        _clear_up(asked.out, folder_too=not there)
+        raise
     except KeyboardInterrupt:
         if not asked.follow:
             done = monitor.back().frames
+            if not done:
+                _clear_up(asked.out, folder_too=not there)
+                raise
             click.echo(f"interrupted; {done} frames are done, and the same command goes on from there", err=True)
             sys.exit(INTERRUPTED)
         if not monitor.back().frames:  # what is there tells something, if less than a whole stretch would
@@ -262,6 +274,15 @@ def _make_folder(out: Path, *, overwrite: bool) -> None:
             path.unlink()
     except OSError as problem:
         raise OutputError(f"{out}: cannot be written ({problem.strerror}); needed is a folder to write to") from problem
+
+
+def _clear_up(out: Path, *, folder_too: bool) -> None:
+    """Leave nothing of a monitor that ended before its first checkpoint."""
+    if (out / STATE_FILE).exists():
+        return
+    (out / TABLE_FILE).unlink(missing_ok=True)
+    if folder_too:
+        out.rmdir()
 
 
 def _deliver(monitor: Monitor, watched: Watched, stored: StoredCalibration, lane_map: LaneMap, asked: Watch) -> None:

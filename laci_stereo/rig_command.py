@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -13,10 +12,10 @@ import cv2
 from laci_stereo.check.rig_describe import describe_rig, rig_document
 from laci_stereo.check.rig_images import check_rig, match_images
 from laci_stereo.check.rig_picture import draw_rig
-from laci_stereo.core.errors import ImageError, OutputError
-from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, pair_images, read_image
-from laci_stereo.io.output import write_file
-from laci_stereo.io.stereo_calibration import ForImages, Size, calibration_files, read_rig
+from laci_stereo.core.errors import ImageError
+from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images
+from laci_stereo.io.output import check_files, check_png, write_file
+from laci_stereo.io.stereo_calibration import ForImages, calibration_files, read_rig
 from laci_stereo.io.timed_files import names_in
 from laci_stereo.stereo.rectify import already_rectified
 
@@ -51,36 +50,23 @@ def rig(
 
     Exit codes: 0 it fits, perhaps with a warning; 1 it does not; 2 something cannot be read or makes no sense.
     """
-    for path in filter(None, (picture, json_file)):
-        if path.exists() and not overwrite:
-            raise OutputError(f"{path}: exists already; needed is another name, or --overwrite to replace it")
+    outputs = [path for path in (picture, json_file) if path is not None]
+    check_files(outputs, overwrite=overwrite)
+    if picture is not None:
+        check_png(picture)
     files = calibration_files(calibration, left)
     pairs = _pairs(left, right)
-    found = read_rig(files, ForImages(_size(pairs), left))
+    found = read_rig(files, ForImages(first_size(pair.left for pair in pairs), left))
     check = check_rig(already_rectified(found) if rectified else found, match_images(pairs))
     click.echo(describe_rig(files, check))
     if picture is not None:
         write_file(picture, cv2.imencode(".png", draw_rig(check))[1].tobytes())
     if json_file is not None:
         write_file(json_file, (json.dumps(rig_document(files, check), indent=2, allow_nan=False) + "\n").encode())
-    written = [str(path) for path in (picture, json_file) if path is not None]
-    if written:
-        click.echo(f"{'Written':<11}{', '.join(written)}")
+    if outputs:
+        click.echo(f"{'Written':<11}{', '.join(map(str, outputs))}")
     if check.outcome == "fail":
         sys.exit(DOES_NOT_FIT)
-
-
-def _size(pairs: Sequence[StereoPair]) -> Size:
-    """Return the width and height of the first left image that can be read."""
-    problems = []
-    for pair in pairs:
-        try:
-            height, width = read_image(pair.left).shape[:2]
-        except ImageError as problem:
-            problems.append(problem)
-        else:
-            return width, height
-    raise problems[0]
 
 
 def _pairs(left: Path, right: Path) -> tuple[StereoPair, ...]:

@@ -26,7 +26,10 @@ from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
 
-STEREO_FRAME = "raw left camera: origin in the lens, x right, y down, z forward"
+RAW_FRAME, RECTIFIED_FRAME = (
+    f"{which} left camera: origin in the lens, x right, y down, z forward" for which in ("raw", "rectified")
+)
+"""Of results from raw images, and from images that were rectified already, which lie a turn apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +97,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         provenance=Provenance(
             name=recording.name,
             kind=recording.kind,
-            frame=STEREO_FRAME,
+            frame=RECTIFIED_FRAME if options.camera.rectified else RAW_FRAME,
             inputs={
                 str(left): len(pairs),
                 str(right): len(pairs),

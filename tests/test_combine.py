@@ -17,6 +17,7 @@ from laci_stereo.combine import CombineOptions, combine
 from laci_stereo.core.errors import EvidenceError
 from laci_stereo.core.passage import Passage
 from laci_stereo.io.calibration_file import schema
+from laci_stereo.io.evidence_file import read_evidence, write_evidence
 from laci_stereo.match import match
 from tests.cli_support import refusal, run, snapshot
 from tests.detections import cam_rows, detection_rows, traffic
@@ -116,13 +117,34 @@ def test_what_cannot_be_combined_is_refused(site: Site) -> None:
     site.refused(UNUSABLE, [runs[0], "radar"], "radar: the sensor's kind is detections; needed is lidar as in run0")
 
 
+def test_frames_that_differ_are_not_combined(site: Site) -> None:
+    runs = [site.lay(0), site.lay(1)]
+    evidence = site.root / "run1" / "evidence.npz"
+    kept = read_evidence(evidence)
+    write_evidence(evidence, replace(kept, frame="turned"))
+    site.refused(UNUSABLE, runs, "run1: the sensor's frame is 'turned'; needed is 'as in the scans' as in run0")
+
+
+def test_how_frames_were_read_is_kept(site: Site) -> None:
+    """Checks and monitors read others by it."""
+    runs = [site.lay(0), site.lay(2)]
+    path = site.root / "run0" / "calibration.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document["config"]["lidar"] = {"accumulate": 3}
+    path.write_text(json.dumps(document))
+    assert run(site.arguments([f"{one}/calibration.json" for one in runs]), site.root).code == 0
+    made = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    assert made["config"]["lidar"] == {"accumulate": 3}
+    assert made["config"]["method"] == "joint"
+
+
 def test_damaged_evidence_is_refused(site: Site) -> None:
     runs = [site.lay(0), site.lay(1)]
     path = site.root / "run1" / "evidence.npz"
     path.write_bytes(path.read_bytes()[:-100])
     site.refused(UNUSABLE, runs, "run1/evidence.npz is damaged or no evidence file")
     path.unlink()
-    site.refused(UNUSABLE, runs, "run1: holds no evidence.npz")
+    site.refused(UNUSABLE, runs, "run1: no evidence.npz is with it")
 
 
 def test_no_result_is_no_command(site: Site) -> None:

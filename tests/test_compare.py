@@ -145,6 +145,11 @@ def test_far_result_contradicts(tmp_path: Path) -> None:
     assert "CONTRADICT" in ended.output
 
 
+def test_shares_are_percentages_that_people_read(tmp_path: Path) -> None:
+    paths = written(tmp_path, "a", original()), written(tmp_path, "b", original())
+    assert "so far apart in 100 % of cases" in run(*paths).output
+
+
 def test_command_writes_table_and_page(tmp_path: Path) -> None:
     near = moved(np.array([0.0, 0.0, 1e-4, 0.01, 0.0, 0.0]))
     paths = [written(tmp_path, name, each) for name, each in (("a", original()), ("b", near), ("c", original()))]
@@ -156,6 +161,7 @@ def test_command_writes_table_and_page(tmp_path: Path) -> None:
     assert float(rows[0]["d_objects_m"]) == pytest.approx(0.01, abs=1e-5)
     assert float(rows[1]["d_objects_m"]) == pytest.approx(0.0, abs=1e-6)
     assert "upper bound" in ended.output
+    assert f"Written    {table}, {page}" in ended.output
     html = page.read_text()
     assert html.count("They agree") == 3
     assert "//" not in html.split("</style>")[1]

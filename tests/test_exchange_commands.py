@@ -43,7 +43,7 @@ def test_exported_to_a_file_or_to_standard_output_it_is_the_same(result: Path, t
     said = invoke("export", result / "calibration.json", "--to", form)
     assert said.stdout == out.read_text()
     refused = invoke("export", result, "--to", form, "--out", out)
-    assert "exists already; needed is another --out, or --overwrite" in str(refused.exception)
+    assert "exists already; needed is another name, or --overwrite" in str(refused.exception)
     assert invoke("export", result, "--to", form, "--out", out, "--overwrite").exception is None
 
 

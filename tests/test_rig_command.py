@@ -19,6 +19,7 @@ from laci_stereo.io.rig import StereoRig
 from laci_stereo.rig_command import rig as rig_command
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.rectify import rectify
+from laci_stereo.stereo.settings import StereoSettings
 from tests.cli_support import DEMONSTRATION, refusal, run
 from tests.io.rig_writers import opencv_entries, ros, write_storage
 from tests.stereo.render import Box, expose
@@ -248,6 +249,22 @@ def test_the_command_shows_what_was_understood(tmp_path: Path) -> None:
     assert "exists already" in str(invoke(*folders, "--picture", picture).exception)
 
 
+def test_one_folder_given_twice_fails(tmp_path: Path) -> None:
+    """The images of one camera are everywhere in their rows, by any calibration without a turn."""
+    left, _ = images("five")
+    check = check_rig_images(RIGS["five"], write_pairs(tmp_path, [(left, left)] * 2))
+    assert check.outcome == "fail"
+    assert "left and right are the same images" in said(check)
+
+
+def test_two_outputs_under_one_name_are_refused(tmp_path: Path) -> None:
+    pairs(tmp_path, "five")
+    out = tmp_path / "rig.png"
+    ran = invoke(tmp_path / "left", tmp_path / "right", "--picture", out, "--json", out)
+    assert "rig.png: is asked for twice" in str(ran.exception)
+    assert not out.exists()
+
+
 def test_the_command_fails_with_what_does_not_fit(tmp_path: Path) -> None:
     pairs(tmp_path, "five")
     path = write_storage(tmp_path / "old.yaml", opencv_entries(turned(RIGS["five"], "x", -0.3)))
@@ -297,3 +314,11 @@ def test_a_damaged_first_image_is_skipped(tmp_path: Path) -> None:
     ran = invoke(tmp_path / "left", tmp_path / "right")
     assert ran.exit_code == 0
     assert f"Skipped    {found[0].left} cannot be decoded" in ran.output
+
+
+@pytest.mark.parametrize(("rectified", "frame"), [(False, "raw left camera"), (True, "rectified left camera")])
+def test_a_result_says_which_images_its_frame_is_of(rectified: bool, frame: str) -> None:
+    """Results of both lie a turn apart, so none may be compared or combined with the other kind."""
+    folders = [DEMONSTRATION / name for name in ("left", "right", "cam.csv")]
+    job = prepare(*folders, Options(camera=StereoSettings(rectified=rectified)))
+    assert job.provenance.frame.startswith(frame)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from laci_stereo.check.rig_matches import Compared, PairMatches, Partners, match_pair, read_compared
 from laci_stereo.check.rig_parallax import FEWEST_IN_CELL, lag, measure
 from laci_stereo.check.rig_points import in_common, rectified
@@ -87,6 +89,7 @@ def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
     height, width = matched.first.left.shape
     size = (width, height)
     used, findings = _sized(rig, size)
+    findings = (*findings, *_one_camera(matched.first))
     if used is None:
         return RigCheck(rig, size, None, findings, matched.first, matched.skipped)
     fit = fit_of(used, matches)
@@ -94,7 +97,7 @@ def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
     if outcome_of(against) == "fail":
         swapped = tuple(_swapped(used, matches))
         against = (*swapped, *against) if swapped else (*against, *_flat(used, matches))
-    elif findings:
+    elif used is not rig:
         findings = tuple(Finding("fail", f"{finding.text}; scaled to them it fits") for finding in findings)
     return RigCheck(used, size, fit, (*findings, *against), matched.first, matched.skipped)
 
@@ -152,6 +155,12 @@ def _sized(rig: StereoRig, size: Size) -> tuple[StereoRig | None, tuple[Finding,
     if abs(rig.left.size[1] * factor - size[1]) > 1:
         return None, (Finding("fail", f"{said}: another camera's, or cropped"),)
     return scaled(rig, factor), (Finding("fail", f"{said}: were they scaled by {factor:g}?"),)
+
+
+def _one_camera(first: Compared) -> Iterator[Finding]:
+    """Say that left and right are one image, which fits every calibration: noise makes those of two cameras differ."""
+    if np.array_equal(first.left, first.right):
+        yield Finding("fail", "left and right are the same images; needed are those of two cameras")
 
 
 def scaled(rig: StereoRig, factor: float) -> StereoRig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -138,6 +139,26 @@ def read_image(path: Path) -> Image:
     if image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{path} has pixels of type {image.dtype}; needed are 8 or 16 bit integers")
     return _without_alpha(image)
+
+
+def first_size(files: Iterable[Path]) -> tuple[int, int]:
+    """Return the width and height of the first image that can be read.
+
+    Raises
+    ------
+    ImageError
+        The first image's, if none can be.
+    """
+    problem: ImageError | None = None
+    for path in files:
+        try:
+            height, width = read_image(path).shape[:2]
+        except ImageError as error:
+            problem = problem or error
+        else:
+            return width, height
+    assert problem is not None  # a folder of images holds at least one
+    raise problem
 
 
 def _without_alpha(image: npt.NDArray[np.generic]) -> Image:

@@ -18,11 +18,21 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, Flo
 from laci_stereo.core.result import viewing_angles
 from laci_stereo.core.world import World
 from laci_stereo.io.calibration_file import Document, validate
+from laci_stereo.io.file_content import read_content
+from laci_stereo.io.output import RESULT_FILE
 from laci_stereo.io.siting import Siting, Statement, rigid_in_grid
+from laci_stereo.io.text_file import quoted, shortened
 from laci_stereo.io.written_pose import WrittenPose, read_pose
 
 HIGHEST_M = 100.0
 """Above the ground: the tallest masts along roads are half of it, so more is another unit, or an altitude."""
+
+MOST_UP_DEG = 45.0
+"""Of a camera's line of sight: farther up, no lens that opens to 90 deg sees the ground. One that is tilted down by 0
+to 35 deg would look 55 to 90 deg up if its axes were x forward, z up."""
+
+FARTHEST_CENTRE_M = 1000.0
+"""From the sensor, which sees no farther; between both, the grid's scale makes 0.4 m of that."""
 
 DAIR_WORLD, DAIR_CAMERA = "virtuallidar_to_world.json", "virtuallidar_to_camera.json"
 
@@ -93,15 +103,17 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
         If something that the file does not say was not said either.
     """
     pose, told = _read(path, options)
-    kind = _said("--kind stereo or lidar", options.kind, told.kind if told else None, path)
+    kind = _said("the sensor's kind", "--kind stereo or lidar", options.kind, told.kind if told else None, path)
     if kind not in _KIND_AXES:
-        raise CalibrationFileError(f"{path}: the sensor's kind is {kind!r}; needed is {', '.join(_KIND_AXES)}")
-    crs = _utm_zone(_said("--crs EPSG:326..", options.crs, told.world.crs if told else None, path))
+        raise CalibrationFileError(f"{path}: the sensor's kind is {quoted(kind)}; needed is {', '.join(_KIND_AXES)}")
+    crs = _utm_zone(_said("its UTM zone", "--crs EPSG:326..", options.crs, told.world.crs if told else None, path))
     if told is not None and pose.from_map is None:  # the other exports of ours say it by a name
         pose = replace(pose, from_map=False)
     T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
     T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, told)
     _check_place(path, T_utm_sensor)
+    if kind == "stereo":
+        _check_sight(path, T_utm_sensor)
     world = _world(crs, T_utm_sensor, told)
     world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale)
     siting = Siting(
@@ -117,18 +129,33 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
 
 def _read(path: Path, options: ImportOptions) -> tuple[WrittenPose, Statement | None]:
     if not path.is_dir():
+        _check_foreign(path, path)
         return read_pose(path, options.entry, options.form)
+    if not (path / DAIR_WORLD).exists():
+        _check_foreign(path, path / RESULT_FILE)
     world, told = read_pose(path / DAIR_WORLD, options.entry, options.form)
     camera, _ = read_pose(path / DAIR_CAMERA, options.entry, options.form)
     T = world.T @ invert(camera.T)
     return WrittenPose(f"{DAIR_WORLD} after the inverse of {DAIR_CAMERA}", T, from_map=False), told
 
 
-def _said(option: str, asked: str | None, told: str | None, path: Path) -> str:
+def _check_foreign(path: Path, file: Path) -> None:
+    """Refuse a result of our own, which needs no import."""
+    if file.is_file() and b'"schema": "laci-calibration/' in read_content(file, CalibrationFileError)[:1000]:
+        raise CalibrationFileError(
+            f"{path} is a result already; needed is a file of another tool: check, compare and export take a result as "
+            "it is"
+        )
+
+
+def _said(what: str, option: str, asked: str | None, told: str | None, path: Path) -> str:
     if asked is None and told is None:
-        raise SettingError(f"{path} does not say it; needed is {option}")
+        raise SettingError(f"{path} does not say {what}; needed is {option}")
     if asked is not None and told is not None and asked != told:
-        raise SettingError(f"{path} says {told}, the option {asked}; needed is {option} as the file has it, or without")
+        raise SettingError(
+            f"{path} says that {what} is {shortened(told)}, the option {asked}; needed is {option} as the file has it, "
+            "or without"
+        )
     return asked or told or ""
 
 
@@ -139,7 +166,7 @@ def _utm_zone(crs: str) -> str:
         parsed = None
     code = None if parsed is None or parsed.utm_zone is None else parsed.to_epsg()
     if code is None or code // 100 not in (326, 327):
-        raise SettingError(f"coordinate system {crs!r} is no UTM zone of WGS84; needed is one such as EPSG:32632")
+        raise SettingError(f"coordinate system {quoted(crs)} is no UTM zone of WGS84; needed is one such as EPSG:32632")
     return f"EPSG:{code}"
 
 
@@ -213,6 +240,16 @@ def _check_place(path: Path, T_utm_sensor: FloatArray) -> None:
         )
 
 
+def _check_sight(path: Path, T_utm_sensor: FloatArray) -> None:
+    """Refuse a camera's pose in another frame than its optical one."""
+    up_deg = -viewing_angles(T_utm_sensor, OPENCV_AXES).down_deg
+    if up_deg > MOST_UP_DEG:
+        raise CalibrationFileError(
+            f"{path}: the camera would look {up_deg:.0f} deg up; needed is the pose of its optical frame, x right, "
+            "y down, z forward (of DAIR-V2X's cameras, the folder with both files)"
+        )
+
+
 def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None) -> World:
     if told is not None and told.world.crs == crs:
         return told.world
@@ -229,6 +266,12 @@ def _centre(
     if asked is None and told is not None:
         return told.centre_world
     utm = T_utm_sensor[:2, 3] if asked is None else np.array(asked)
+    away_m = float(np.linalg.norm(utm - T_utm_sensor[:2, 3]))
+    if away_m > FARTHEST_CENTRE_M:
+        raise SettingError(
+            f"--centre is {utm[0]:.10g},{utm[1]:.10g}, {away_m:.0f} m from the sensor; needed are UTM coordinates "
+            f"within {FARTHEST_CENTRE_M:.0f} m of it"
+        )
     return np.append(world.from_utm(utm[None])[0], 0.0)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from laci_stereo.core.errors import MapError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.map_lines import GEODETIC, DrawnLine, DrawnMap
-from laci_stereo.io.table import Column, Table, merged, read_table
+from laci_stereo.io.table import TIMESTAMP, Column, Table, merged, read_table
 from laci_stereo.io.text_file import listed
 
 ID = Column("id", ("lineid", "line", "wayid", "way", "polyline", "polylineid", "featureid", "feature", "fid", "name"))
@@ -22,6 +22,7 @@ Y = Column(
 LATITUDE = Column("latitude", ("lat", "latdeg", "latitudedeg", "latwgs84", "wgs84lat"))
 LONGITUDE = Column("longitude", ("lon", "lng", "long", "londeg", "longitudedeg", "lonwgs84", "wgs84lon"))
 KIND = Column("type", ("kind", "layer", "linetype"))
+HEADING = Column("heading", ())
 SUBTYPE = Column("subtype", ("style", "linestyle"))
 
 
@@ -31,9 +32,14 @@ def read_csv_map(path: Path) -> DrawnMap:
     Raises
     ------
     MapError
-        If it cannot be read, or lacks a column.
+        If it cannot be read, lacks a column, or is the log of a drive.
     """
     table = read_table(path, (), MapError, "point")
+    if TIMESTAMP.find(table.header) is not None and HEADING.find(table.header) is not None:
+        raise MapError(
+            f"{path} has the columns timestamp and heading, as a log of messages; needed is a map: id, x and y, or id, "
+            "latitude and longitude"
+        )
     pair = next(
         (pair for pair in ((LONGITUDE, LATITUDE), (X, Y)) if all(c.find(table.header) is not None for c in pair)), None
     )

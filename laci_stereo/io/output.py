@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
@@ -56,6 +56,51 @@ def _check_replaceable(out: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{out}: holds {foreign[0]}, which is no part of a result; needed is another --out")
     if not overwrite:
         raise OutputError(f"{out}: holds a result already; needed is another --out, or --overwrite to replace it")
+
+
+def check_files(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Find out before any work is done whether files can be written.
+
+    Raises
+    ------
+    OutputError
+        If one is there already, is a folder, has none to lie in, or has the name of another one.
+    """
+    known: set[Path] = set()
+    for path in paths:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; needed is the name of a file")
+        if path.exists() and not overwrite:
+            raise OutputError(f"{path}: exists already; needed is another name, or --overwrite to replace it")
+        if not path.absolute().parent.is_dir():
+            raise OutputError(f"{path}: its folder does not exist; needed is one that does")
+        if path.resolve() in known:
+            raise OutputError(f"{path}: is asked for twice; needed is a name for each file")
+        known.add(path.resolve())
+
+
+def check_png(picture: Path) -> None:
+    """Refuse a name that says that a picture is something else.
+
+    Raises
+    ------
+    OutputError
+    """
+    if picture.suffix.lower() != ".png":
+        raise OutputError(f"{picture}: the picture's name ends in {picture.suffix or 'nothing'}; needed is .png")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for files, where there is none.
+
+    Raises
+    ------
+    OutputError
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror}); needed is a folder") from error
 
 
 def write_file(path: Path, content: bytes) -> None:

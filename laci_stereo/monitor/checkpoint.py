@@ -117,8 +117,8 @@ def check_same(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -
     for name in sorted({*found, *asked}):
         if found.get(name) != asked.get(name):
             raise OutputError(
-                f"{path}: {name} is {found.get(name, 'not set')} in the checkpoint; needed is "
-                f"{asked.get(name, 'not set')} as now asked for, another --out, or --overwrite to start afresh"
+                f"{path}: the checkpoint's {name} is {found.get(name, 'not set')}, asked for is now "
+                f"{asked.get(name, 'not set')}; needed is the same, another --out, or --overwrite to start afresh"
             )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import IntArray
-from laci_stereo.io.images import ImageFolder, StereoPair, pair_images, read_image
+from laci_stereo.io.images import ImageFolder, StereoPair, first_size, pair_images
 from laci_stereo.io.stereo_calibration import StereoRig, read_stereo_calibration
 from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.monitor.frames import Arrivals
@@ -116,16 +116,8 @@ class StereoFrames:
 
     @cached_property
     def _rig(self) -> StereoRig:
-        problem: ImageError | None = None
-        for pair in self._pairs:
-            try:
-                height, width = read_image(pair.left).shape[:2]
-            except ImageError as error:
-                problem = problem or error
-            else:
-                return read_stereo_calibration(self._stereo, (width, height), self._left)
-        assert problem is not None  # there is at least one pair
-        raise problem
+        size = first_size(pair.left for pair in self._pairs)
+        return read_stereo_calibration(self._stereo, size, self._left)
 
 
 class _Patient(GreyReader):

@@ -198,5 +198,5 @@ def stored_settings(path: Path, workers: int) -> LidarSettings:
         )
     except (KeyError, TypeError, ValueError) as problem:
         raise CalibrationFileError(
-            f"{path}: config.lidar does not tell how scans are read ({problem!r}); needed is a result of laci-lidar"
+            f"{path}: config.lidar does not tell how scans are read; needed is a result of laci-lidar, or an import"
         ) from problem

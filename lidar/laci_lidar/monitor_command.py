@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from laci_lidar.monitor import LidarFrames, stored_settings
+from laci_lidar.settings import LidarSettings
 from laci_stereo.asked import PATH
 from laci_stereo.io.stored_calibration import StoredCalibration
 from laci_stereo.monitor_command import Watch, Watched, monitoring
@@ -20,9 +21,18 @@ def monitor(asked: Watch, stored: StoredCalibration, scans: Path, topic: str | N
     """Count where the objects of a long LiDAR recording drive on the map.
 
     CALIBRATION is a result folder or its calibration.json, SCANS a recording as in calibrate; it is read as the
-    calibration's was. What was interrupted goes on where it was when the same command is given again.
+    calibration's was, after an import with x forward and z up. What was interrupted goes on where it was when the same
+    command is given again.
 
     Exit codes: 0 done; 2 the input cannot be read or makes no sense; 130 interrupted.
     """
-    settings = stored_settings(stored.path, asked.workers)
+    if stored.claims:
+        settings = stored_settings(stored.path, asked.workers)
+    else:
+        settings = LidarSettings(workers=asked.workers)
+        click.echo(
+            f"note: {stored.path} was imported and does not say how scans are read; taken is x forward, z up, and "
+            "times only where the points have them",
+            err=True,
+        )
     return Watched(LidarFrames(scans, topic, settings, follow=asked.follow), scans, {})

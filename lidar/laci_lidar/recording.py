@@ -156,8 +156,6 @@ class LidarRecording:
             nearest = f"{self.settings.min_range_m:g} m"
             raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
         scanner = Scanner(view, self._noise(kept), timed)
-        if scanner.noise.assumed:
-            log.warning("%s", scanner.noise.assumed)
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
             np.degrees(view.width_rad),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,41 @@ def test_nothing_that_stood_before_is_lost(calibrated: Calibrated, tmp_path: Pat
     assert picture.read_text() == "mine"
     assert calibrated.check(calibrated.result, "--picture", picture, "--overwrite").code == 0
     assert cv2.imread(str(picture)) is not None
+
+
+def test_what_is_no_error_of_a_map_is_refused(calibrated: Calibrated, tmp_path: Path) -> None:
+    ran = calibrated.check(calibrated.result, "--map-sigma", "nan", "--picture", tmp_path / "check.png")
+    refusal(ran, 2, "--map-sigma", "nan is not a number")
+
+
+def test_one_bad_image_among_many_is_left_out(calibrated: Calibrated, tmp_path: Path) -> None:
+    left = Path(shutil.copytree(calibrated.site.left, tmp_path / "left"))
+    min(left.iterdir()).write_bytes(b"no image")
+    beside = ("--map", calibrated.site.root / "map.osm", "--stereo", calibrated.site.stereo)
+    ran = run(
+        list(map(str, ("check", calibrated.result, left, *beside, "--picture", tmp_path / "check.png"))), tmp_path
+    )
+    assert ran.code == 0, ran
+    assert "PASS" in ran.out
+
+
+def test_rectified_images_are_not_rectified_again(calibrated: Calibrated, tmp_path: Path) -> None:
+    """By a calibration with a distortion that they do not have any more."""
+    text = calibrated.site.stereo.read_text()
+    storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    entries = {name: storage.getNode(name).mat() for name in ("K1", "D1", "K2", "D2", "R", "T")}
+    entries["D1"] = np.array([[-0.3, 0.1, 0.0, 0.0, 0.0]])
+    size = [int(storage.getNode(name).real()) for name in ("image_width", "image_height")]
+    out = cv2.FileStorage(str(tmp_path / "bent.yaml"), cv2.FILE_STORAGE_WRITE)
+    for name, matrix in entries.items():
+        out.write(name, matrix)
+    for name, value in zip(("image_width", "image_height"), size, strict=True):
+        out.write(name, value)
+    out.release()
+    options = ("--stereo", tmp_path / "bent.yaml", "--picture", tmp_path / "check.png", "--overwrite")
+    assert "PASS" not in calibrated.check(calibrated.result, *options).out
+    ran = calibrated.check(calibrated.result, "--rectified", *options)
+    assert "PASS" in ran.out, ran
 
 
 def with_kind(document: dict[str, Any]) -> None:

@@ -80,7 +80,15 @@ def test_what_cannot_be_read_or_written_is_one_line(tmp_path: Path):
     path = writers.write_pcap(tmp_path, drive())
     ran = run(["cam", str(path), "--to", "csv", "--out", str(tmp_path / "none" / "a.csv")], tmp_path)
     assert ran.code == 2
-    assert "cannot be written (No such file or directory)" in ran.err
+    assert "its folder does not exist" in ran.err
+
+
+def test_a_map_is_written_under_no_other_name_than_a_picture(tmp_path: Path):
+    path = writers.write_pcap(tmp_path, drive())
+    ran = run(["cam", str(path), "--out", str(tmp_path / "cam.csv")], tmp_path)
+    assert (ran.code, ran.out) == (2, "")
+    assert "cam.csv: the picture's name ends in .csv; needed is .png" in ran.err
+    assert list(tmp_path.iterdir()) == [path]
 
 
 numbers = st.one_of(st.just(float("nan")), st.floats(0.5, 1.5))

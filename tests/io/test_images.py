@@ -169,6 +169,23 @@ def test_an_image_that_was_cut_off_is_refused_in_one_line(
     assert capfd.readouterr().err == ""
 
 
+def test_a_jpeg_that_promises_more_pixels_than_its_bytes_can_hold_is_not_decoded(tmp_path: Path) -> None:
+    content = bytearray(encoded(SCENE, ".jpg"))
+    frame = content.index(b"\xff\xc0")
+    content[frame + 5 : frame + 9] = (17000).to_bytes(2, "big") + (30000).to_bytes(2, "big")
+    (tmp_path / "x.jpg").write_bytes(content)
+    with pytest.raises(ImageError, match=rf"promises 30000 x 17000 pixels in {len(content)} bytes"):
+        read_image(tmp_path / "x.jpg")
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_a_jpeg_of_one_colour_holds_as_many_pixels_as_any(progressive: int, tmp_path: Path) -> None:
+    """Nothing is written in less bytes than an image in which every block is the same."""
+    flags = [cv2.IMWRITE_JPEG_QUALITY, 1, cv2.IMWRITE_JPEG_PROGRESSIVE, progressive, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+    assert cv2.imwrite(str(tmp_path / "x.jpg"), np.zeros((3000, 4000), dtype=np.uint8), flags)
+    assert read_image(tmp_path / "x.jpg").shape[:2] == (3000, 4000)
+
+
 def test_a_jpeg_ends_at_its_own_end_and_not_at_that_of_its_thumbnail(tmp_path: Path) -> None:
     photo = encoded(SCENE, ".jpg")
     thumbnail = encoded(SCENE[::4, ::4], ".jpg")

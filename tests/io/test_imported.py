@@ -234,6 +234,7 @@ WRONG = {
     rows(invert(T_MAP)): "needed is --direction map-to-sensor|above the ground",
     "+proj=pipeline +step +proj=affine +s11=2": "the affine step stretches by 2 1 1",
     "+proj=pipeline +step +proj=utm +zone=32 +step +proj=affine": "other steps than one",
+    "1 " * 11 + "\u2028": "it holds 11 numbers",
     "{": "it is neither a matrix nor YAML, JSON or XML",
     "": "is empty",
 }
@@ -247,6 +248,30 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, message: str) -> None
         taken(path, origin=ORIGIN)
     assert len(str(refused.value).splitlines()) == 1
     assert "mast.txt" in str(refused.value)
+
+
+@pytest.mark.parametrize("shift", [1e400, -1e400, float("nan"), 1e300])
+def test_a_correction_beyond_measure_is_refused(tmp_path: Path, shift: float) -> None:
+    exported(tmp_path, STEREO, "dair")
+    path = tmp_path / "virtuallidar_to_world.json"
+    document = json.loads(path.read_text())
+    document["relative_error"] = {"delta_x": shift, "delta_y": 0.0}
+    path.write_text(json.dumps(document))
+    with pytest.raises(CalibrationFileError, match="needed are metres"):
+        import_pose(tmp_path, ImportOptions(kind="stereo", crs="EPSG:32632"))
+
+
+@pytest.mark.parametrize("told", ["kind", "crs"])
+def test_what_a_file_says_at_length_is_quoted_in_short(tmp_path: Path, told: str) -> None:
+    path = exported(tmp_path, STEREO, "kitti")
+    text = path.read_text()
+    word = {"kind": '"stereo"', "crs": '"EPSG:32632"'}[told]
+    assert word in text
+    path.write_text(text.replace(word, f'"{"x" * 5000}"'))
+    for options in (ImportOptions(), ImportOptions(kind="stereo", crs="EPSG:32632")):
+        with pytest.raises(InputError, match="xxx") as refused:
+            import_pose(path, options)
+        assert len(str(refused.value)) < 1000
 
 
 def test_a_transform_the_wrong_way_round_is_recognised(tmp_path: Path) -> None:
@@ -281,8 +306,8 @@ def test_millimetres_are_recognised(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"crs": None}, r"does not say it; needed is --crs EPSG:326\.\."),
-        ({"kind": None}, r"does not say it; needed is --kind stereo or lidar"),
+        ({"crs": None}, r"does not say its UTM zone; needed is --crs EPSG:326\.\."),
+        ({"kind": None}, r"does not say the sensor's kind; needed is --kind stereo or lidar"),
         ({"crs": "EPSG:4326"}, "is no UTM zone of WGS84; needed is one such as EPSG:32632"),
         ({"crs": "Ulm"}, "'Ulm' is no UTM zone"),
         ({"origin": None}, "needed are UTM coordinates in metres, --origin E,N"),
@@ -297,10 +322,46 @@ def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path, options: dict[s
 
 def test_what_file_and_option_say_must_agree(tmp_path: Path) -> None:
     path = exported(tmp_path, LIDAR, "matrix")
-    with pytest.raises(SettingError, match="says lidar, the option stereo"):
+    with pytest.raises(SettingError, match="the sensor's kind is lidar, the option stereo"):
         import_pose(path, ImportOptions(kind="stereo"))
-    with pytest.raises(SettingError, match=r"says EPSG:32632, the option EPSG:32633"):
+    with pytest.raises(SettingError, match=r"its UTM zone is EPSG:32632, the option EPSG:32633"):
         import_pose(path, ImportOptions(crs="EPSG:32633"))
+
+
+def test_a_camera_in_axes_of_a_body_is_refused(tmp_path: Path) -> None:
+    """A camera's pose as x forward, y left, z up puts its line of sight where up is."""
+    forward_left_up = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    T = SITINGS[0].T_utm_sensor
+    T[:3, :3] = T[:3, :3] @ forward_left_up.T
+    path = tmp_path / "T.txt"
+    path.write_text(rows(T))
+    with pytest.raises(CalibrationFileError, match=r"look [5-9]\d deg up; needed is the pose of its optical frame"):
+        taken(path, kind="stereo")
+
+
+def test_of_two_files_that_make_a_camera_one_is_refused(tmp_path: Path) -> None:
+    folder = exported(tmp_path, SITINGS[0], "dair")
+    with pytest.raises(CalibrationFileError, match=r"90 deg up; needed .* the folder with both files"):
+        import_pose(folder / "virtuallidar_to_world.json", ImportOptions())
+
+
+@pytest.mark.parametrize("centre", [(9.94, 48.42), (5363000.0, 569000.0)], ids=["degrees", "swapped"])
+def test_a_centre_far_from_the_sensor_is_refused(tmp_path: Path, centre: tuple[float, float]) -> None:
+    path = exported(tmp_path, LIDAR, "matrix")
+    with pytest.raises(
+        SettingError, match=r"--centre is .* m from the sensor; needed are UTM coordinates within 1000 m"
+    ):
+        import_pose(path, ImportOptions(centre=centre))
+
+
+def test_a_result_needs_no_import(tmp_path: Path) -> None:
+    imported = taken(exported(tmp_path, LIDAR, "matrix"))
+    folder = tmp_path / "result"
+    folder.mkdir()
+    (folder / "calibration.json").write_text(to_text(imported_document(imported, {}, {})))
+    for path in (folder, folder / "calibration.json"):
+        with pytest.raises(CalibrationFileError, match="is a result already; needed is a file of another tool"):
+            import_pose(path, ImportOptions())
 
 
 def test_rounded_numbers_are_brought_to_the_nearest_rotation(tmp_path: Path) -> None:

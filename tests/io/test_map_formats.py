@@ -340,6 +340,14 @@ def test_a_binary_drawing_is_read_as_well(tmp_path: Path) -> None:
     assert_same(read_lane_map(tmp_path / "map.dxf", WORLD, "EPSG:32632").lines, LINES, EXACT)
 
 
+def test_a_drawing_without_its_model_is_refused(tmp_path: Path) -> None:
+    dxf(LINES[:1], tmp_path / "map.dxf")
+    text = (tmp_path / "map.dxf").read_text()
+    assert "\nModel\n" in text
+    with pytest.raises(MapError, match="is no whole DXF drawing: KeyError 'MODEL'"):
+        read(tmp_path, text.replace("\nModel\n", "\nx\n"))
+
+
 def test_without_ezdxf_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dxf(LINES, tmp_path / "map.dxf")
     for name in [name for name in sys.modules if name.split(".")[0] == "ezdxf"]:
@@ -372,6 +380,7 @@ def test_csv_without_names_is_one_line(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("id,a,b\n1,2,3\n", "names the columns id, a, b; needed are id, x and y, or id, latitude and longitude"),
+        ("timestamp,latitude,longitude,heading\n1,48,10,90\n", "as a log of messages; needed is a map: id, x and y"),
         ("id,x,y\n", "holds a header but no rows; needed is at least one point"),
         ("id,x,y\n1,a,2\n1,b,3\n", "row 2: x is 'a'; needed is a number"),
         ("id,x,y\n1,,\n1,2,3\n", "row 2: x or y is missing"),

@@ -314,6 +314,14 @@ def test_hostile_files_are_refused_at_once(tmp_path: Path, text: str) -> None:
     assert "root:" not in line
 
 
+def test_names_as_long_as_they_like_are_said_in_short(tmp_path: Path) -> None:
+    (path,) = writers.FORMATS["kalibr"].write(tmp_path, RIGS["four"])
+    path.write_text(path.read_text().replace("T_cn_cnm1:", f"T_cn{'_' * 5000}cnm1: [1.0]\n  x:"))
+    with pytest.raises(RigError, match=r"T_cn_.*\.\.\. holds 1 numbers") as refused:
+        read_stereo_calibration(path, (400, 300))
+    assert len(str(refused.value)) < 1000
+
+
 def test_a_file_larger_than_calibrations_are_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "stereo.yaml"
     with path.open("wb") as stream:

@@ -10,15 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from laci_lidar.errors import ScanError
 from laci_lidar.monitor import LidarFrames, stored_settings
+from laci_lidar.monitor_command import monitor
 from laci_lidar.settings import LidarSettings, Sweep
 
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import Axes
+from laci_stereo.import_command import import_command
 from laci_stereo.monitor.frames import STILL_S
 from tests.lidar.support import write_folder
-from tests.monitor.support import Traffic, drive, gone_through, one_by_one, plan
+from tests.monitor.support import WORLD, Traffic, drive, gone_through, one_by_one, plan
 
 SETTINGS = LidarSettings(range_sigma_m=0.02, angle_sigma_rad=5e-4)
 
@@ -96,3 +99,20 @@ def test_settings_are_those_of_the_calibration(tmp_path: Path) -> None:
     path.write_text(json.dumps({"config": {}}))
     with pytest.raises(CalibrationFileError, match=r"calibration\.json: config\.lidar"):
         stored_settings(path, workers=0)
+
+
+def test_an_imported_calibration_is_monitored_as_scans_are_by_default(
+    scans: Path, truth: Traffic, tmp_path: Path
+) -> None:
+    (tmp_path / "T.txt").write_text("\n".join(" ".join(map(repr, map(float, row))) for row in truth.T_world_sensor))
+    (tmp_path / "map.csv").write_text("id,x,y\na,570022,5364040\na,570022,5363960\n")
+    origin, zone = ",".join(map(str, WORLD.origin_utm)), ("--kind", "lidar", "--crs", WORLD.crs)
+    taken = CliRunner().invoke(
+        import_command, [str(tmp_path / "T.txt"), *zone, "--origin", origin, "--out", str(tmp_path / "imported")]
+    )
+    assert taken.exit_code == 0, taken.exception
+    asked = (tmp_path / "imported", scans, "--map", tmp_path / "map.csv", "--out", tmp_path / "out")
+    ran = CliRunner().invoke(monitor, list(map(str, asked)))
+    assert ran.exit_code == 0, ran.exception
+    assert "was imported and does not say how scans are read; taken is x forward, z up" in ran.stderr
+    assert json.loads((tmp_path / "out" / "monitor.json").read_text())["passages"] == 2

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import signal
+import time
 from pathlib import Path
 
 import cv2
@@ -13,7 +15,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from laci_stereo.mask.contract import read_contract
-from tests.cli_support import Ran, refusal, run
+from tests.cli_support import Ran, refusal, run, running
 from tests.mask import graphs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -91,6 +93,28 @@ def test_a_network_of_ones_own_from_looking_to_calibrating(tmp_path: Path) -> No
     assert page.count('data-layer="dropped"') == 1
 
 
+def test_interrupted_it_says_what_is_written(tmp_path: Path) -> None:
+    model = graphs.save(graphs.yolov8_raw(), tmp_path, {"kind": "yolov8_raw", "vehicle_ids": [1]})
+    images, out = tmp_path / "left", tmp_path / "look"
+    images.mkdir()
+    for number in range(3000):
+        name = f"{1700000000000000000 + number * 100000000}.png"
+        if number == 0:
+            cv2.imwrite(str(images / name), graphs.square(8, 8, 40, 40, side=64))
+        else:
+            (images / name).symlink_to(images / "1700000000000000000.png")
+    with running(["mask", str(model), str(images), "--out", str(out)], tmp_path) as process:
+        while process.poll() is None and len(list(out.glob("*.jpg"))) < 3:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    written = len([path for path in out.iterdir() if path.suffix == ".jpg"])
+    told = re.search(rf"interrupted; (\d+) of 3000 pictures are in {out}", said)
+    assert told is not None, said
+    assert int(told[1]) in (written - 1, written)  # the signal may fall between a picture and its count
+
+
 def test_pictures_are_not_replaced_unasked(tmp_path: Path) -> None:
     contract = {"kind": "yolov8_raw", "vehicle_ids": [1]}
     model = graphs.save(graphs.yolov8_raw(), tmp_path, contract)
@@ -104,3 +128,4 @@ def test_pictures_are_not_replaced_unasked(tmp_path: Path) -> None:
     assert "Vehicles in 1 of 1 images" in first.out
     refusal(laci(tmp_path, "mask", model, images, "--out", out), 2, "exists already")
     assert laci(tmp_path, "mask", model, images, "--out", out, "--overwrite").code == 0
+    refusal(laci(tmp_path, "mask", model, images, "--out", model), 2, "net.onnx: cannot be made", "needed is a folder")

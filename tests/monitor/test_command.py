@@ -15,6 +15,7 @@ import pytest
 
 from laci_stereo.monitor.frames import STILL_S, Arrivals
 from tests.cli_support import Ran, Site, refusal, run, running, snapshot, write_small_recording
+from tests.mask import graphs
 
 FILES = {"histogram.png", "monitor.json", "objects.csv", "objects.json", "state.json"}
 LAPS = 8
@@ -94,6 +95,32 @@ def test_folder_with_something_else_is_left_alone(calibrated: Calibrated, tmp_pa
     assert snapshot(tmp_path).keys() == {"mine.txt"}
 
 
+def test_what_ends_before_a_checkpoint_leaves_nothing(calibrated: Calibrated, tmp_path: Path) -> None:
+    """Left and right swapped is found out when the first frames are matched."""
+    for side, other in (("left", "right"), ("right", "left")):
+        (tmp_path / side).symlink_to(calibrated.site.root / other)
+    before = snapshot(tmp_path)
+    refusal(calibrated.monitor(tmp_path / "out", left=tmp_path / "left"), 2, "are the folders swapped")
+    assert snapshot(tmp_path) == before
+    (tmp_path / "mine").mkdir()
+    refusal(calibrated.monitor(tmp_path / "mine", left=tmp_path / "left"), 2, "are the folders swapped")
+    assert list((tmp_path / "mine").iterdir()) == []
+
+
+def test_a_pause_that_is_no_number_is_refused(calibrated: Calibrated, tmp_path: Path) -> None:
+    refusal(calibrated.monitor(tmp_path / "out", "--follow", "--idle", "nan"), 2, "--idle", "nan is not a number")
+
+
+def test_another_contract_of_the_mask_is_another_monitor(calibrated: Calibrated, tmp_path: Path) -> None:
+    model = graphs.save(graphs.yolov8_raw(), tmp_path, {"kind": "yolov8_raw", "vehicle_ids": [1]})
+    out = tmp_path / "out"
+    assert calibrated.monitor(out, "-q", "--vehicle-mask", model).code == 0
+    assert calibrated.monitor(out, "-q", "--vehicle-mask", model).code == 0
+    contract = {"kind": "yolov8_raw", "vehicle_ids": [0]}
+    model.with_suffix(".contract.json").write_text(json.dumps(contract))
+    refusal(calibrated.monitor(out, "-q", "--vehicle-mask", model), 2, "the checkpoint's mask contract is")
+
+
 def repeated(site: Site, root: Path, laps: int) -> Path:
     """Lay the recording out several times, one lap after the other."""
     for side in (site.left, site.right):
@@ -156,6 +183,20 @@ def test_signal_ends_following_with_outputs(calibrated: Calibrated, tmp_path: Pa
         _, said = process.communicate(timeout=60)
     assert process.returncode == 0, said
     assert {path.name for path in out.iterdir()} == FILES
+
+
+def test_interrupted_before_a_checkpoint_it_leaves_nothing(calibrated: Calibrated, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with running(calibrated.arguments(out), calibrated.site.root) as process:
+        for _ in range(1000):
+            if (out / "objects.csv").exists():
+                break
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "interrupted; nothing was written" in said
+    assert not out.exists()
 
 
 @pytest.mark.slow

@@ -120,14 +120,15 @@ def test_checkpoint_of_another_calibration_is_refused(whole: Monitor, tmp_path: 
     other = replace(plan(SOURCE), identity={"calibration": "b"})
     killed_at(61, tmp_path / "out")
     with pytest.raises(
-        OutputError, match=r"state\.json: calibration is a in the checkpoint; needed is b .*--overwrite"
+        OutputError,
+        match=r"state\.json: the checkpoint's calibration is a, asked for is now b; needed is .*--overwrite",
     ):
         gone_through(SOURCE, other, tmp_path / "out")
 
 
 def test_checkpoint_of_another_recording_is_refused(tmp_path: Path) -> None:
     killed_at(61, tmp_path / "out")
-    with pytest.raises(OutputError, match="first scan is first in the checkpoint; needed is second"):
+    with pytest.raises(OutputError, match="the checkpoint's first scan is first, asked for is now second"):
         gone_through(replace(SOURCE, identity_="second"), plan(SOURCE), tmp_path / "out")
     killed_at(80, tmp_path / "out")
     with pytest.raises(OutputError, match=r"75 frames are done; .* has 50 frames"):
