@@ -125,7 +125,11 @@ def _check_alike(passages: Sequence[Passage]) -> None:
     for one, other in combinations(passages, 2):
         (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
         if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
-            raise EvidenceError(f"{other.name}: is the same drive as {one.name}; needed is each drive once")
+            both_s = (min(last_ns, end_ns) - max(first_ns, begin_ns)) / 1e9
+            raise EvidenceError(
+                f"{other.name}: is the same drive as {one.name}, for station {one.station_id} drives in both at the "
+                f"same time, for {both_s:.1f} s; needed is each drive once"
+            )
 
 
 def _in_words(passage: Passage) -> str:
