@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 import lz4.frame
 
-from laci_stereo.io.text_file import quoted
+from laci_stereo.io.text_file import quoted, shortened
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -63,6 +63,11 @@ class Topic:
     ros1: bool
     definition: str = ""
     digest: str = ""
+
+    @property
+    def shown(self) -> str:
+        """Its name within a line."""
+        return shortened(self.name, 80)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, planar, rotate_xy
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.slope import Slope
+from laci_stereo.io.text_file import shortened
 
 Document: TypeAlias = dict[str, Any]
 """JSON, as the standard library reads and writes it."""
@@ -70,7 +71,7 @@ def validate(document: object) -> None:
     """
     problems = sorted(Draft202012Validator(schema()).iter_errors(document), key=lambda problem: problem.json_path)
     if problems:
-        raise CalibrationFileError(f"calibration.json: {problems[0].json_path}: {problems[0].message}")
+        raise CalibrationFileError(f"calibration.json: {problems[0].json_path}: {shortened(problems[0].message)}")
 
 
 def to_document(calibration: Calibration, provenance: Provenance, lane_check: Document | None = None) -> Document:

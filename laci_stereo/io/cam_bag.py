@@ -134,13 +134,13 @@ def _check_definition(path: Path, topic: Topic) -> None:
         found = _leaves(told, topic.type_name, {})
     except Exception as problem:  # of many kinds, and all of them say that this is no definition
         raise CamError(
-            f"{path}: the definition of {topic.type_name} on {topic.name} cannot be read: {quoted(str(problem))}; "
+            f"{path}: the definition of {topic.type_name} on {topic.shown} cannot be read: {quoted(str(problem))}; "
             "needed is that of etsi_its_messages"
         ) from problem
     if found != needed:
         i = next((i for i, pair in enumerate(zip(found, needed, strict=False)) if pair[0] != pair[1]), len(found))
         raise CamError(
-            f"{path}: the topic {topic.name} has a definition of {topic.type_name} of its own: element {i + 1} is "
+            f"{path}: the topic {topic.shown} has a definition of {topic.type_name} of its own: element {i + 1} is "
             f"{found[i] if i < len(found) else 'missing'}; needed is {needed[i]}, as in etsi_its_messages"
         )
 
@@ -189,7 +189,7 @@ def _fix_topic(path: Path, topics: Sequence[Topic]) -> Topic:
 
 
 def _read_fixes(path: Path, bag: Bag, topic: Topic) -> CamRecording:
-    notes = [f"topic read: {topic.name}"]
+    notes = [f"topic read: {topic.shown}"]
     fixes: dict[int, tuple[int, Mapping[Quantity, float]]] = {}
     problems = {}
     unlocated = 0

@@ -9,6 +9,9 @@ import zlib
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _JPEG_MARKER = re.compile(rb"\xff[\xc0-\xcf\xd8-\xfe]")
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_PIXELS_PER_BYTE = 512
+"""A block of 8 x 8 pixels takes a bit at least, as Huffman's codes have one; a header that promises more is wrong."""
 _PNM_HEADER = re.compile(
     rb"P([1-6])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:(?:\s|#[^\n]*\n)+(\d{1,6}))?\s"
 )
@@ -56,6 +59,10 @@ def _jpeg_damage(content: bytes) -> str | None:
         if match.end() + 2 > len(content):
             break
         (length,) = struct.unpack_from(">H", content, match.end())
+        if marker in _JPEG_FRAMES and match.end() + 7 <= len(content):
+            height, width = struct.unpack_from(">HH", content, match.end() + 3)
+            if width * height > _JPEG_PIXELS_PER_BYTE * len(content):
+                return f"promises {width} x {height} pixels in {len(content)} bytes (a JPEG)"
         at = match.end() + length
     return f"{_CUT_OFF} after {len(content)} bytes (a JPEG without its end)"
 

@@ -39,13 +39,12 @@ def read_dxf(path: Path) -> DrawnMap:
     MapError
         If ezdxf is not installed, or the file is no drawing.
     """
-    drawing = _drawing(path)
-    code = drawing.header.get("$INSUNITS", 0)
+    code, entities = _model(path)
     if code not in _METRES:
         raise MapError(f"{path}: the drawing's unit ($INSUNITS) is {quoted(str(code))}; needed is metres (6)")
     lines: list[DrawnLine] = []
     others, points = Counter[str](), 0
-    for entity in drawing.modelspace():
+    for entity in entities:
         if entity.dxftype() not in LINES:
             others[entity.dxftype()] += 1
             continue
@@ -64,15 +63,16 @@ def read_dxf(path: Path) -> DrawnMap:
     return DrawnMap(tuple(lines), tuple(notes), None)
 
 
-def _drawing(path: Path) -> Any:
-    """Open a drawing; whatever ezdxf raises over a damaged one is the drawing's fault."""
+def _model(path: Path) -> tuple[Any, list[Any]]:
+    """Return a drawing's unit and entities; whatever ezdxf raises over a damaged one is the drawing's fault."""
     try:
         from ezdxf.filemanagement import readfile
     except ImportError as missing:
         raise MapError(f"{path} is a DXF drawing; needed to read it is {EXTRA}") from missing
     logging.getLogger("ezdxf").setLevel(logging.ERROR)
     try:
-        return readfile(path)
+        drawing = readfile(path)
+        return drawing.header.get("$INSUNITS", 0), list(drawing.modelspace())
     except Exception as problem:
         raise MapError(f"{path} is no whole DXF drawing: {_one_line(problem)}; needed is one") from problem
 

@@ -12,7 +12,7 @@ from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.file_storage import Node
 from laci_stereo.io.rig import Size
-from laci_stereo.io.text_file import listed
+from laci_stereo.io.text_file import listed, shortened
 
 Shape = tuple[int, ...]
 
@@ -32,6 +32,9 @@ class Entry:
         prefixed = tuple(f"{side}_{stem}" for stem in stems)
         return Entry(f"{what} of the {side} camera", suffixed + prefixed)
 
+
+_LONGEST_NAME = 60
+"""For hyphens and spaces do not matter, and may be many."""
 
 WIDTH = Entry("image width", ("imageWidth", "width"))
 HEIGHT = Entry("image height", ("imageHeight", "height"))
@@ -53,10 +56,10 @@ class Document:
     root: Mapping[str, Node]
 
     def find(self, entry: Entry) -> tuple[str, Node] | None:
-        """Return the name under which an entry stands here, and what stands there."""
+        """Return the name under which an entry stands here, for messages, and what stands there."""
         present = {plain(name): name for name in self.root}
         found = next((present[plain(name)] for name in entry.names if plain(name) in present), None)
-        return None if found is None else (found, self.root[found])
+        return None if found is None else (shortened(found, _LONGEST_NAME), self.root[found])
 
     def has(self, *names: str) -> bool:
         """Tell whether each of these stands here."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,7 +84,10 @@ def read_calibration(result: Path) -> StoredCalibration:
         validate(document)
     except CalibrationFileError as problem:
         raise CalibrationFileError(f"{path}: {problem}") from problem
-    stored = _parsed(path, document)
+    try:
+        stored = _parsed(path, document)
+    except OverflowError as problem:  # JSON's whole numbers may be longer than any float
+        raise CalibrationFileError(f"{path} holds a number out of range: {problem}; needed are floats") from problem
     _check(stored)
     return stored
 
@@ -115,8 +119,12 @@ def _says_rectified(config: Document) -> bool:
     return isinstance(stereo, dict) and stereo.get("rectified") is True
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is beyond measure becomes infinite, which is refused
 def _check(stored: StoredCalibration) -> None:
     """Raise if what has the right shape makes no sense."""
+    grid = (*stored.world.origin_utm, stored.world.grid_scale)
+    if not all(np.isfinite(each).all() for each in (stored.T_world_sensor, stored.centre_world, stored.boxes, grid)):
+        raise CalibrationFileError(f"{stored.path} holds a number that is not finite; needed are finite ones")
     rotation = stored.T_world_sensor[:3, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not off < _FARTHEST_FROM_RIGID or np.linalg.det(rotation) < 0:
@@ -125,7 +133,8 @@ def _check(stored: StoredCalibration) -> None:
         )
     if not stored.claims:
         return
-    least = float(np.linalg.eigvalsh((stored.covariance + stored.covariance.T) / 2).min())
+    half = stored.covariance / 2
+    least = float(np.linalg.eigvalsh(half + half.T).min()) if np.isfinite(half).all() else math.nan
     if not least > -1e-12 * max(float(np.trace(stored.covariance)), 1e-12):
         raise CalibrationFileError(
             f"{stored.path}: covariance has the eigenvalue {least:.2g}; needed are none below zero"

@@ -10,6 +10,7 @@ from laci_stereo.core.errors import InputError
 from laci_stereo.io.file_content import read_content
 
 _LONGEST_QUOTE = 60
+_LONGEST_LIST = 500
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -36,11 +37,16 @@ def read_text(path: Path, error: type[InputError]) -> str:
 
 def quoted(text: str) -> str:
     """Return text as found in a file in quotes, on one line, shortened."""
+    return repr(shortened(text, _LONGEST_QUOTE))
+
+
+def shortened(text: str, most: int = 300) -> str:
+    """Return words that may hold what was found in a file on one line, shortened."""
     shown = re.sub(r"\s+", " ", text)
-    return repr(shown if len(shown) <= _LONGEST_QUOTE else shown[: _LONGEST_QUOTE - 3] + "...")
+    return shown if len(shown) <= most else shown[: most - 3] + "..."
 
 
 def listed(texts: list[str], most: int = 20) -> str:
-    """Return texts as found in a file as one line, the first few of them."""
+    """Return texts as found in a file as one line, the first few of them, shortened."""
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return ", ".join(re.sub(r"\s+", " ", text)[:_LONGEST_QUOTE] for text in texts[:most]) + more
+    return shortened(", ".join(text[:_LONGEST_QUOTE] for text in texts[:most]), _LONGEST_LIST) + more

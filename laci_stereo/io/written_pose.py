@@ -25,7 +25,7 @@ from laci_stereo.io.rigid_numbers import (
     translation_of,
 )
 from laci_stereo.io.siting import STATEMENT, Statement, find_statement
-from laci_stereo.io.text_file import listed, quoted, read_text
+from laci_stereo.io.text_file import listed, quoted, read_text, shortened
 
 _DEEPEST = 20
 _LONGEST_TEXT = 4000
@@ -89,7 +89,7 @@ def read_pose(path: Path, entry: str | None = None, kind: str | None = None) -> 
         found = _READERS[kind or _kind_of(text)](text)
         return _chosen(found, entry), find_statement(text)
     except NoTransformError as problem:
-        raise CalibrationFileError(f"{path}: {problem}") from problem
+        raise CalibrationFileError(f"{path}: {shortened(str(problem), 600)}") from problem
 
 
 def _chosen(found: Mapping[str, _Unread], entry: str | None) -> WrittenPose:
@@ -256,12 +256,12 @@ def _of_parts(
     name: str, node: Mapping[str, Node], rotation: tuple[str, list[float]], translation: list[float]
 ) -> WrittenPose:
     key, numbers = rotation
-    moved = translation_of(translation, name)
     notes: list[str] = []
     error = node.get("relative_error")
     if isinstance(error, dict):  # DAIR-V2X keeps a correction beside its translation, which is to be added
         delta = [error.get(axis) for axis in ("delta_x", "delta_y")]
-        moved[:2] += [value if isinstance(value, float) else 0.0 for value in delta]
+        shift = (*(value if isinstance(value, float) else 0.0 for value in delta), 0.0)
+        translation = [a + b for a, b in zip(translation, shift, strict=True)]
     if len(numbers) == 9:
         turned = rotation_of(np.reshape(numbers, (3, 3)), name)
     elif len(numbers) == 4:
@@ -274,7 +274,8 @@ def _of_parts(
         notes.append(f"the angles of {name} were taken as roll, pitch and yaw about fixed axes, radians")
         turned = rotation_of_angles(numbers, "xyz", name)
     # OpenCV's rvec and tvec bring points of the map into the camera.
-    return WrittenPose(name, rigid(turned, moved), from_map=True if key == "rvec" else None, notes=tuple(notes))
+    T = rigid(turned, translation_of(translation, name))
+    return WrittenPose(name, T, from_map=True if key == "rvec" else None, notes=tuple(notes))
 
 
 def _numbers(node: Node, depth: int) -> list[float] | None:
@@ -303,4 +304,4 @@ def _in_order(node: Mapping[str, Node], keys: tuple[str, ...]) -> list[float] | 
 def _from_text(text: str) -> list[float] | None:
     if len(text) > _LONGEST_TEXT or not _NUMBERS.fullmatch(text):
         return None
-    return [float(word) for word in re.split(r"[\s,;]+", text.strip(" \t\r\n,;"))]
+    return [float(word) for word in re.split(r"[\s,;]+", text) if word]

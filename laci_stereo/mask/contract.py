@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError
 
+from laci_stereo.io.text_file import listed, shortened
 from laci_stereo.mask.errors import MaskError
 
 Kind: TypeAlias = Literal[
@@ -124,9 +125,9 @@ def _in_words(problem: ValidationError) -> str:
     if problem.validator == "additionalProperties":
         assert isinstance(problem.schema, dict)
         known = problem.schema["properties"]
-        unknown = ", ".join(repr(key) for key in problem.instance if key not in known)
+        unknown = listed([repr(key) for key in problem.instance if key not in known])
         return f"{place} has the unknown keys {unknown}; known are {', '.join(known)}"
-    return f"{place}: {problem.message}"
+    return f"{place}: {shortened(problem.message)}"
 
 
 def _contract(document: dict[str, Any], path: Path) -> Contract:

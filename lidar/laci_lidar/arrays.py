@@ -18,6 +18,9 @@ KITTI = ("x", "y", "z", "intensity")
 LARGEST_RATIO = 1100
 """Deflate makes data at most 1032 times smaller."""
 
+_HEADER_AT = 12
+"""Behind magic, version and length."""
+
 _POINTS = ("points", "xyz", "points_xyz", "pointcloud", "point_cloud", "cloud", "pcd", "data", "arr_0")
 
 
@@ -98,6 +101,8 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> npt
 
 def _array(content: bytes, what: str) -> npt.NDArray[Any]:
     stream = io.BytesIO(content)
+    if b"\\" in content[_HEADER_AT : content.find(b"\n", _HEADER_AT)]:  # NumPy parses it as Python, which would warn
+        raise ScanError(f"{what} is no array: its header holds a backslash; needed is a file that NumPy wrote")
     try:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -15,7 +15,7 @@ from laci_lidar.sequence import counted
 from laci_stereo.core.frames import IntArray
 from laci_stereo.io.bag_files import Bag, open_bag
 from laci_stereo.io.bag_records import CutOffError, Message, Topic
-from laci_stereo.io.text_file import listed, quoted
+from laci_stereo.io.text_file import listed, quoted, shortened
 from laci_stereo.stereo.ahead import map_ahead
 
 EARLIEST_NS = 10**17
@@ -76,8 +76,8 @@ class BagScans:
         chosen = _choose(bag.topics(), topic, path)
         if not is_known(chosen.ros1, chosen.definition, chosen.digest):
             raise ScanError(
-                f"{path}: the topic {chosen.name} has a definition of {chosen.type_name} of its own; needed is that of "
-                "sensor_msgs/PointCloud2"
+                f"{path}: the topic {chosen.shown} has a definition of {chosen.type_name} of its own; needed is "
+                "that of sensor_msgs/PointCloud2"
             )
         return _listed(path, bag, chosen)
 
@@ -111,7 +111,7 @@ class BagScans:
     def _attempt(self, item: tuple[int, Message]) -> tuple[str, Scan | ScanError]:
         index, message = item
         name = f"scan {index}"
-        what = f"{self.path}, {self.topic.name}, {name}"
+        what = f"{self.path}, {self.topic.shown}, {name}"
         try:
             return name, scan_of(read_message(message.data, self.topic.ros1, what), what, int(self.stamps_ns[index]))
         except ScanError as problem:
@@ -127,7 +127,8 @@ def _choose(topics: Sequence[Topic], asked: str | None, path: Path) -> Topic:
             raise ScanError(f"{path} has no topic {quoted(asked)}; it has {listed(described) or 'none'}")
         if found not in clouds:
             raise ScanError(
-                f"{path}: the topic {found.name} is of type {found.type_name}; needed is sensor_msgs/PointCloud2"
+                f"{path}: the topic {found.shown} is of type {shortened(found.type_name)}; needed is "
+                "sensor_msgs/PointCloud2"
             )
         return found
     if not clouds:
@@ -150,26 +151,28 @@ def _listed(path: Path, bag: Bag, topic: Topic) -> BagScans:
                 times.append((stamp, message.recorded_ns))
             else:
                 size = len(message.data)
-                skipped[f"message {place}"] = f"{path}, {topic.name}, message {place} of {size} bytes has no time"
+                skipped[f"message {place}"] = f"{path}, {topic.shown}, message {place} of {size} bytes has no time"
                 times.append((0, 0))
     except CutOffError as problem:
         promised = bag.count(topic.name)
         lost = f", {promised - len(times)} are lost" if promised is not None and promised > len(times) else ""
-        notes.append(f"{path}: {problem}; the {len(times)} whole messages of {topic.name} are used{lost}")
+        notes.append(f"{path}: {problem}; the {len(times)} whole messages of {topic.shown} are used{lost}")
     if not times:
-        raise ScanError(f"{path}: the topic {topic.name} has 0 whole messages; needed are point clouds")
+        raise ScanError(f"{path}: the topic {topic.shown} has 0 whole messages; needed are point clouds")
     stamps, recorded = np.array(times, dtype=np.int64).T
     by_header = bool((stamps >= EARLIEST_NS).mean() > 0.5)
     if not by_header:
         stamps = recorded
-        notes.append(f"{path}: the headers of {topic.name} hold no time; the times of recording are used")
+        notes.append(f"{path}: the headers of {topic.shown} hold no time; the times of recording are used")
     places = np.flatnonzero((stamps >= EARLIEST_NS) & (stamps > np.maximum.accumulate(np.append(0, stamps[:-1]))))
     unordered = len(times) - len(skipped) - len(places)
     if unordered:
-        notes.append(f"{path}: {unordered} messages of {topic.name} are left out, whose time is not after those before")
+        notes.append(
+            f"{path}: {unordered} messages of {topic.shown} are left out, whose time is not after those before"
+        )
     if len(places) <= len(times) / 2:
         raise ScanError(
-            f"{path}: {len(places)} of {len(times)} messages of {topic.name} have a time after those before; needed "
+            f"{path}: {len(places)} of {len(times)} messages of {topic.shown} have a time after those before; needed "
             "are ascending Unix times"
         )
     return BagScans(path, topic, bag, stamps[places], recorded[places], by_header, skipped, tuple(notes))

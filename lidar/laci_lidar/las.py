@@ -17,6 +17,10 @@ LARGEST_RATIO = 1000
 """LAZ makes points about ten times smaller; a header that promises a hundred times more than that is wrong."""
 
 _VLR_SIZE, _EVLR_SIZE = 54, 60
+_ITEMS_AT = 34
+_LAYERED = 3
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of each kind of item; extra bytes have one each."""
 _DIMENSIONS = ("intensity", "gps_time")
 
 
@@ -43,7 +47,8 @@ def read_las(content: bytes, what: str) -> Columns:
     if len(las.points) != las.header.point_count:
         raise ScanError(f"{what} is cut off: {len(las.points)} of {las.header.point_count} points are there")
     names = set(las.point_format.dimension_names)
-    axes = {name: np.asarray(axis.scaled_array()) for name, axis in (("x", las.x), ("y", las.y), ("z", las.z))}
+    with np.errstate(over="ignore", invalid="ignore"):  # by a damaged scale points become infinite: no returns
+        axes = {name: np.asarray(axis.scaled_array()) for name, axis in (("x", las.x), ("y", las.y), ("z", las.z))}
     return axes | {name: np.asarray(las[name]) for name in _DIMENSIONS if name in names}
 
 
@@ -68,10 +73,38 @@ def _check_points(header: laspy.LasHeader, content: bytes, what: str) -> None:
         raise ScanError(
             f"{what} is cut off: its header promises {header.point_count} points, and {max(following, 0)} bytes follow"
         )
-    if header.are_points_compressed and following >= 8:
+    if header.are_points_compressed and following >= 16:
         table = struct.unpack_from("<q", content, start)[0]
-        if 0 <= table <= len(content) - 8 and struct.unpack_from("<I", content, table + 4)[0] > header.point_count + 1:
+        if table == -1:  # written to a stream: it stands at the end
+            table = struct.unpack_from("<q", content, len(content) - 8)[0]
+        if not start <= table <= len(content) - 8:
+            raise ScanError(f"{what} is damaged: its chunk table is at byte {table} of {len(content)}")
+        if struct.unpack_from("<I", content, table + 4)[0] > header.point_count + 1:
             raise ScanError(f"{what} is damaged: it has more chunks than its {header.point_count} points")
+        _check_layers(header, content, table, what)
+
+
+def _check_layers(header: laspy.LasHeader, content: bytes, table: int, what: str) -> None:
+    """Hold the sizes that chunks state of their layers against the file: the decompressor takes memory for them.
+
+    From LAS 1.4 on a chunk is a whole point, the number of its points, the size of each layer, and the layers (LASzip,
+    "layered chunked").
+    """
+    for record in header.vlrs.get("LasZipVlr"):
+        (compressor,) = struct.unpack_from("<H", record.record_data)
+        kinds = [kind for kind, *_ in struct.iter_unpack("<HHH", record.record_data[_ITEMS_AT:])]
+        if compressor != _LAYERED:
+            continue
+        layers = struct.Struct(f"<{sum(_LAYERS.get(kind, header.point_format.num_extra_bytes) for kind in kinds)}I")
+        at = header.offset_to_point_data + 8
+        while at < table:
+            sizes_at = at + header.point_format.size + 4
+            after = sizes_at + layers.size
+            if after <= table:
+                after += sum(layers.unpack_from(content, sizes_at))
+            if after > table:
+                raise ScanError(f"{what} is damaged: a chunk at byte {at} ends at {after}; needed is {table} at most")
+            at = after
 
 
 def _check_local(header: laspy.LasHeader, what: str) -> None:

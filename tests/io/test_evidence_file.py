@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import tracemalloc
 import zipfile
 from dataclasses import fields, replace
 from functools import cache
@@ -190,6 +191,9 @@ def test_every_array_is_needed_in_its_kind_and_shape(tmp_path: Path, name: str) 
         ("points", (0, 0), np.nan, "points holds 1 numbers that are not finite"),
         ("world", 2, 0.0, "grid scale"),
         ("axes", (0, 0), 2.0, "axes"),
+        ("axes", (0, 0), 1e200, "axes"),
+        ("ground_plane", 0, 1e200, "normal"),
+        ("ground_covariance", (3, 3), -1e308, "covariance"),
         ("ground_plane", 0, 2.0, "normal"),
         ("ground_plane", 3, -1.0, "height"),
         ("ground_covariance", (0, 1), 1.0, "covariance"),
@@ -216,6 +220,30 @@ def test_values_that_make_no_sense_are_named(tmp_path: Path, name: str, index: A
 def test_texts_and_numbers_of_drives_that_make_no_sense_are_refused(tmp_path: Path, name: str, value: object) -> None:
     np.savez(tmp_path / "evidence.npz", **{**arrays(), name: np.array(value)})
     refused(tmp_path / "evidence.npz")
+
+
+@pytest.mark.parametrize("old", [b"'<f8'", b"'abc'"])
+def test_a_header_that_python_would_warn_of_is_refused_without_warning(tmp_path: Path, old: bytes) -> None:
+    path, damaged = tmp_path / "evidence.npz", io.BytesIO()
+    np.save(damaged, np.ones(5, dtype=[("abc", "<f8")]))
+    assert old in damaged.getvalue()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("0.own.npy", damaged.getvalue().replace(old, b"'\\Lx'"))
+    refused(path)
+
+
+def test_an_array_that_promises_more_than_there_is_takes_no_memory(tmp_path: Path) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 33,)})
+    path = tmp_path / "evidence.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("0.own.npy", header.getvalue())
+    tracemalloc.start()
+    try:
+        refused(path, f"unpacks to {1 << 36} bytes")
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
 
 
 @FAST

@@ -125,6 +125,14 @@ def test_an_unknown_definition_is_refused(tmp_path: Path):
         assert "definition of sensor_msgs/msg/PointCloud2 of its own" in refusal(tmp_path / storage.name)
 
 
+def test_a_long_name_of_a_topic_is_said_in_short(tmp_path: Path):
+    with Writer1(tmp_path / "a.bag") as writer:
+        connection = writer.add_connection("/" + "p" * 5000, CLOUD, msgdef="float32[] values\n", md5sum="0" * 32)
+        writer.write(connection, EPOCH_NS, b"\0" * 16)
+    assert len(refusal(tmp_path / "a.bag")) < 1000
+    assert len(refusal(tmp_path / "a.bag", "/" + "p" * 5000)) < 1000
+
+
 def test_a_bag_that_was_not_closed_is_read(tmp_path: Path):
     path = write_bag2(tmp_path / "a", {"/points": SCANS})
     (path / "metadata.yaml").unlink()

@@ -261,6 +261,38 @@ def test_other_headers_that_promise_too_much(tmp_path: Path):
         assert "records" in _without_memory(tmp_path / f"scan{suffix}")
 
 
+def test_layers_of_a_laz_that_promise_too_much(tmp_path: Path):
+    """LAS 1.4's points lie in layers, whose sizes the decompressor takes memory for before it reads any."""
+    path = write_las(tmp_path / "scan.laz", SCENE)
+    content = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<I", content, 96)
+    first_layer = start + 8 + 30 + 4  # the chunk table's place, a point of format 6, the number of points
+    for layer in range(9):
+        damaged = content.copy()
+        struct.pack_into("<I", damaged, first_layer + 4 * layer, 2**32 - 1)
+        path.write_bytes(damaged)
+        assert f"a chunk at byte {start + 8} ends at" in _without_memory(path)
+
+
+def test_a_laz_of_several_chunks_and_extra_bytes_is_read(tmp_path: Path):
+    header = laspy.LasHeader(point_format=7, version="1.4")
+    header.scales = np.full(3, 1e-4)
+    header.add_extra_dims([laspy.ExtraBytesParams("ring", "u1"), laspy.ExtraBytesParams("range", "f8")])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (np.tile(SCENE[axis].astype(np.float64), 400) for axis in "xyz")
+    las.write(str(tmp_path / "scan.laz"))
+    assert len(las.x) > 2 * 50_000  # the points of a chunk
+    assert len(read_scan(tmp_path / "scan.laz")) == len(las.x)
+
+
+def test_points_that_a_scale_makes_infinite_are_no_returns(tmp_path: Path):
+    path = write_las(tmp_path / "scan.las", SCENE)
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<3d", content, 131, 1e308, 1e308, 1e308)
+    path.write_bytes(content)
+    assert "none of its" in refusal(path)
+
+
 def _without_memory(path: Path) -> str:
     tracemalloc.start()
     try:
@@ -269,6 +301,13 @@ def _without_memory(path: Path) -> str:
     finally:
         tracemalloc.stop()
     return message
+
+
+def test_a_header_that_python_would_warn_of_is_refused(tmp_path: Path):
+    path = tmp_path / "scan.npy"
+    np.save(path, np.ones((5, 4)))
+    path.write_bytes(path.read_bytes().replace(b"'<f8'", b"'<\\L'"))
+    assert "its header holds a backslash" in refusal(path)
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])

@@ -59,6 +59,18 @@ def test_an_operator_that_the_runtime_lacks_is_named(tmp_path: Path) -> None:
     assert "Unheard" in refused(graphs.save(graph.model(["output"], opset=16), tmp_path, CONTRACT))
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"x" * 5000: 1}, {"kind": "x" * 5000}, {"vehicle_ids": ["x" * 5000]}, dict.fromkeys(map(str, range(5000)))],
+)
+def test_a_mistake_at_length_is_said_in_short(change: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "net.contract.json"
+    path.write_text(json.dumps({**CONTRACT, **change}))
+    with pytest.raises(MaskError) as caught:
+        read_contract(path)
+    assert len(str(caught.value)) < 1000
+
+
 def test_an_opset_that_the_runtime_lacks_is_named(tmp_path: Path) -> None:
     graph = graphs.Graph()
     graph.node("Identity", "images", name="output")

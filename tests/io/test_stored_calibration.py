@@ -1,0 +1,74 @@
+"""A result is read again, or refused in one line, whatever its numbers are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.errors import CalibrationFileError
+from laci_stereo.io.calibration_file import to_text
+from laci_stereo.io.exports import export_as
+from laci_stereo.io.imported import ImportOptions, import_pose, imported_document
+from laci_stereo.io.siting import site
+from laci_stereo.io.stored_calibration import read_calibration
+from tests.io.sitings import siting
+
+BEYOND_FLOATS = 10**400
+
+
+def document(folder: Path) -> dict[str, Any]:
+    pose = folder / "pose.yaml"
+    pose.write_text(export_as(siting("stereo"), "opencv")[0].text)
+    return imported_document(import_pose(pose, ImportOptions()), {}, {})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda made: made.update(covariance=[[BEYOND_FLOATS] * 6] * 6),
+        lambda made: made["T_world_sensor"][0].__setitem__(0, BEYOND_FLOATS),
+        lambda made: made["world"].update(origin_utm=[BEYOND_FLOATS, 0.0]),
+        lambda made: made.update(background_boxes=[[BEYOND_FLOATS] * 6]),
+    ],
+    ids=["covariance", "transform", "origin", "boxes"],
+)
+def test_whole_numbers_beyond_floats_are_refused(change: Any, tmp_path: Path) -> None:
+    made = document(tmp_path)
+    change(made)
+    path = tmp_path / "calibration.json"
+    path.write_text(to_text(made))
+    with pytest.raises(CalibrationFileError) as caught:
+        read_calibration(path)
+    assert len(str(caught.value).splitlines()) == 1
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda made: made.update(covariance=np.full((6, 6), np.inf).tolist()), "covariance has the eigenvalue nan"),
+        (lambda made: made["T_world_sensor"][0].__setitem__(3, float("nan")), "not finite"),
+        (lambda made: made["T_world_sensor"][0].__setitem__(0, 1e200), "is no rigid transform"),
+        (lambda made: made.update(background_boxes=[[float("-inf")] * 6]), "not finite"),
+        (lambda made: made["sensor"].update(kind="k" * 5000), "kkk.*"),
+        (lambda made: made.update(covariance=[[0.5] * 6] * 2000), "covariance: "),
+    ],
+)
+def test_numbers_beyond_measure_and_long_mistakes_are_one_line(change: Any, message: str, tmp_path: Path) -> None:
+    made = document(tmp_path)
+    change(made)
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(made))
+    with pytest.raises(CalibrationFileError, match=message) as caught:
+        read_calibration(path)
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_sound_one_is_read(tmp_path: Path) -> None:
+    (tmp_path / "calibration.json").write_text(to_text(document(tmp_path)))
+    np.testing.assert_allclose(site(read_calibration(tmp_path)).T_utm_sensor, siting("stereo").T_utm_sensor, atol=1e-8)

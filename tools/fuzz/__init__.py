@@ -1,0 +1,1 @@
+"""Inputs that were damaged on purpose, for every reader."""
