@@ -215,6 +215,7 @@ def test_one_bad_image_of_many_is_skipped_counted_and_named(site: Site) -> None:
     assert json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"] == notes
 
 
+@pytest.mark.slow
 def test_any_image_may_be_the_damaged_one(site: Site) -> None:
     # The frame in which least moves is matched first, and it is one of the quiet ones at the beginning.
     for path in images(site.right)[:3]:
@@ -461,6 +462,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.slow
 @posix
 def test_a_full_disk_leaves_the_earlier_result(site: Site, small_disk: Path) -> None:
     shutil.copytree(earlier_result(site), small_disk / "result")
@@ -469,6 +471,7 @@ def test_a_full_disk_leaves_the_earlier_result(site: Site, small_disk: Path) -> 
     site.refused(UNUSABLE, "disk: is a mount point", "needed", out=small_disk)
 
 
+@pytest.mark.slow
 @posix
 def test_files_that_may_not_grow_leave_the_earlier_result(site: Site) -> None:
     earlier_result(site)
@@ -534,6 +537,7 @@ def test_an_interrupt_ends_it_and_leaves_everything_as_it_was(
 # ------------------------------------------------------------------------------------- what it prints
 
 
+@pytest.mark.slow
 @posix
 def test_progress_is_shown_on_a_terminal(site: Site) -> None:
     ours, theirs = os.openpty()
@@ -616,6 +620,7 @@ def test_the_demonstration_finds_where_the_camera_really_is(demonstration: Finis
     assert document["height_m"] == pytest.approx(true[2, 3], abs=0.03)
 
 
+@pytest.mark.slow
 def test_quiet_prints_nothing_whatever_decoders_say_and_makes_the_folders_above(site: Site) -> None:
     # Zeros in the compressed data, all markers whole: libjpeg complains and goes on.
     for path in images(site.left)[6:9]:

@@ -105,6 +105,7 @@ def test_a_drive_that_contradicts_the_others_is_named_and_left_out(site: Site) -
     assert len(document["inputs"]) == 3
 
 
+@pytest.mark.slow
 def test_what_cannot_be_combined_is_refused(site: Site) -> None:
     runs = [site.lay(0), site.lay(1, off_by(passages()[1], 1.0, 0.0))]
     site.refused(NOT_CALIBRATED, runs, "not calibrated: no majority of the 2 drives (run0, run1)")

@@ -33,6 +33,10 @@ FREE_DEG = 5.0
 """Standard deviation of the heading that is told, against the body: a stranger's body follows its way as well, so that
 only what is far from any is told by it."""
 
+FREE_LEVER_M = 1.0
+"""Standard deviation of where on the vehicle its position is: front, middle and rear axle are some 2 m apart, and that
+one was taken for another is said, and no reason to take the vehicle for a stranger's."""
+
 FREE_S, MOST_KNOTS = 1.0, 16
 """A stranger's way has one knot a second, which shows how it brakes and bends, but no more than so many."""
 
@@ -80,6 +84,11 @@ def resemblance(
     free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, heading_sigma_deg=FREE_DEG)
     try:
         way, strayed_s = _way(fit_roughly(drive, start, time_offset_s, free), vehicle, time_offset_s, settings)
+        if way < 0.0:  # or the sender is mistaken about which of its points it tells the position of
+            lever = fit_roughly(drive, start, time_offset_s, replace(free, lever_sigma_m=FREE_LEVER_M))
+            mistaken, strayed = _way(lever, vehicle, time_offset_s, settings)
+            if mistaken + math.log(MISTAKEN) > way:
+                way, strayed_s = mistaken + math.log(MISTAKEN), strayed
         alone = track.without(strayed_s)
         if 2 * len(alone.sightings) < len(track.sightings):  # then what is left is no more likely the vehicle
             alone, strayed_s = track, ()

@@ -115,6 +115,7 @@ def test_interrupted_it_says_what_is_written(tmp_path: Path) -> None:
     assert int(told[1]) in (written - 1, written)  # the signal may fall between a picture and its count
 
 
+@pytest.mark.slow
 def test_pictures_are_not_replaced_unasked(tmp_path: Path) -> None:
     contract = {"kind": "yolov8_raw", "vehicle_ids": [1]}
     model = graphs.save(graphs.yolov8_raw(), tmp_path, contract)

@@ -111,6 +111,7 @@ def test_a_pause_that_is_no_number_is_refused(calibrated: Calibrated, tmp_path: 
     refusal(calibrated.monitor(tmp_path / "out", "--follow", "--idle", "nan"), 2, "--idle", "nan is not a number")
 
 
+@pytest.mark.slow
 def test_another_contract_of_the_mask_is_another_monitor(calibrated: Calibrated, tmp_path: Path) -> None:
     model = graphs.save(graphs.yolov8_raw(), tmp_path, {"kind": "yolov8_raw", "vehicle_ids": [1]})
     out = tmp_path / "out"

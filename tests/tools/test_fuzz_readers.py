@@ -94,6 +94,7 @@ BROKEN = {
 HUNGRY = {hungers: "memory: 2", hungers_in_secret: "memory: MemoryError behind"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reader", "words"), (BROKEN | HUNGRY).items(), ids=lambda given: getattr(given, "__name__", "")
 )
@@ -109,6 +110,7 @@ def test_a_broken_reader_is_found_and_its_input_kept(reader, words, tmp_path: Pa
     assert kept.read_bytes() == damaged(SEED, 5)["a.txt"] != WHOLE
 
 
+@pytest.mark.slow
 def test_a_lost_process_is_replaced_and_a_refusal_is_none_of_that() -> None:
     lost = fuzz({"broken": crashes}, [SEED], range(3))
     assert lost.inputs["broken"] == 3
