@@ -202,9 +202,12 @@ def test_interrupted_before_a_checkpoint_it_leaves_nothing(calibrated: Calibrate
 
 @pytest.mark.slow
 def test_interrupted_it_says_how_to_go_on(calibrated: Calibrated, tmp_path: Path) -> None:
-    left = repeated(calibrated.site, tmp_path, LAPS)
-    with running(calibrated.arguments(tmp_path / "out", left=left), calibrated.site.root) as process:
-        time.sleep(5.0)
+    left, out = repeated(calibrated.site, tmp_path, LAPS), tmp_path / "out"
+    with running(calibrated.arguments(out, left=left), calibrated.site.root) as process:
+        for _ in range(6000):
+            if (out / "state.json").exists():
+                break
+            time.sleep(0.01)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
