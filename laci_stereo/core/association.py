@@ -23,7 +23,7 @@ from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.track_likelihood import Account, hold_against
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
 from laci_stereo.core.track_scene import Scene, extent, lay_out
-from laci_stereo.core.tracking import GATE, Track
+from laci_stereo.core.tracking import GATE, Times, Track
 
 log = logging.getLogger(__name__)
 
@@ -31,9 +31,6 @@ SILENT = -math.log(0.05)
 """The most that another sender can cost by not being seen: one in twenty is no vehicle that a sensor detects.
 
 So likely it is, too, that none of the tracks is the sender's."""
-
-LEAST_SEEN = math.log(10.0)
-"""Of the matches that are just taken, all with a warning, one in ten is a stranger that fits by chance."""
 
 MAX_GOOD_SIGMA = 2.0
 """The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
@@ -97,7 +94,7 @@ class _Hypothesis:
     accounts: tuple[Account, ...]
     value: float
     way: float
-    strayed_s: tuple[tuple[float, float], ...] = ()
+    strayed_s: Times = ()
 
     @property
     def against_others(self) -> float:
@@ -121,7 +118,7 @@ class Resemblance:
 
     body: float = 0.0
     way: float | None = None
-    strayed_s: tuple[tuple[float, float], ...] = ()
+    strayed_s: Times = ()
 
 
 Likeness = Callable[[Track, int, PlanarMatch, float], Resemblance]
@@ -220,9 +217,9 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - mine)
     seen = best.value + SILENT - math.log(objects)
-    if seen < LEAST_SEEN:
+    if seen < scene.settings.least_seen_log_odds:
         chance = _by_chance(scene, best.account, objects, seen)
-        raise MatchError(f"{chance}; needed are {math.exp(LEAST_SEEN):.0f} to 1")
+        raise MatchError(f"{chance}; needed are {math.exp(scene.settings.least_seen_log_odds):.0f} to 1")
     # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
     even, doubt = seen - SILENT, ""
     if second is not None and margin < min(even, scene.settings.clear_log_odds):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core import mixture, outline
+from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.settings import JointSettings
@@ -44,6 +45,18 @@ PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
 """What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
+
+
+def position_sigma_m(vehicle: VehicleTrack, settings: JointSettings) -> float:
+    """Return how exact a vehicle's positions are, as its messages tell, or as the settings say where they do not."""
+    told = vehicle.position_sigma_m
+    return max(told, FINEST_M) if np.isfinite(told) else settings.position_sigma_m
+
+
+def decay(knots_s: FloatArray, settings: JointSettings) -> FloatArray:
+    """Return how errors of positions at knots, shape (k,), are correlated, shape (k, k)."""
+    correlation: FloatArray = np.exp(-np.abs(knots_s[:, None] - knots_s) / settings.bias_time_s)
+    return correlation
 
 
 @dataclass(frozen=True)
@@ -185,9 +198,7 @@ class DriveModel:
         )
         self.own = _KNOTS - FIRST_OWN + 2 * knots
         self.block = ((drive.stamps_s - first) // settings.block_s).astype(int)
-        told = drive.vehicle.position_sigma_m
-        sigma = max(told, FINEST_M) if np.isfinite(told) else settings.position_sigma_m
-        self.drift = sigma**2 * np.exp(-np.abs(self.knots_s[:, None] - self.knots_s) / settings.bias_time_s)
+        self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, settings)
         self.base_sigmas = np.array(
             [
                 settings.clock_sigma_s,

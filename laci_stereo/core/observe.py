@@ -113,7 +113,8 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    any_fit = replace(settings.match, least_log_odds=-math.inf)  # a stranger drives on the road as well
+    # A stranger drives on the road as well.
+    any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
     try:
         track = choose_track(seen.tracks, vehicles, any_fit).track
     except CalibrationError:

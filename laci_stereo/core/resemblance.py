@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.association import Resemblance
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_model import FINEST_M, KNOTS_PER_TIME, Correction
+from laci_stereo.core.drive_model import KNOTS_PER_TIME, Correction, decay, position_sigma_m
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
@@ -17,7 +17,8 @@ from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.track_likelihood import MANOEUVRES, OTHER_TIME_S, SPEED_SPREAD, USUAL_MPS2
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.track_motion import rigid_motion
+from laci_stereo.core.tracking import Times, Track
 
 STRANGER_LENGTH_M = 0.6
 """Standard deviation of how the lengths of two cars differ: they are 4.4 +- 0.4 m. Widths differ by a tenth only, which
@@ -99,9 +100,6 @@ def resemblance(
     return Resemblance(_odds(length, STRANGER_LENGTH_M), way, strayed_s)
 
 
-Times = tuple[tuple[float, float], ...]
-
-
 def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: JointSettings) -> tuple[float, Times]:
     """Return the log odds that the way is the sender's, and from when to when something else was seen.
 
@@ -112,15 +110,13 @@ def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: J
     xy, _, known = vehicle.at(np.clip(stamps_s, *vehicle.stamps_s[[0, -1]]))
     if not known.all():
         xy = np.column_stack([np.interp(stamps_s, vehicle.stamps_s, vehicle.xy[:, axis]) for axis in (0, 1)])
-    told_m = vehicle.position_sigma_m
-    told_m = max(told_m, FINEST_M) if np.isfinite(told_m) else settings.position_sigma_m
+    told_m = position_sigma_m(vehicle, settings)
     apart_s = fit.knots_s - fit.knots_s.mean()
-    drift = np.exp(-np.abs(apart_s[:, None] - apart_s) / settings.bias_time_s)
     span_s = max(float(np.ptp(apart_s)), 1e-3)
     speed_mps = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum()) / span_s
     other = (SPEED_SPREAD * speed_mps) ** 2 * np.outer(apart_s, apart_s)
     other += USUAL_MPS2**2 / 4 * np.outer(apart_s**2, apart_s**2)
-    owns = [max(exact, told_m) ** 2 * drift for exact in (told_m, *EXACT_M)]
+    owns = [max(exact, told_m) ** 2 * decay(fit.knots_s, settings) for exact in (told_m, *EXACT_M)]
     senders = [_most_likely(fit, own) for own in owns]
     sender = np.logaddexp.reduce([value for value, _ in senders])
     stranger = np.logaddexp.reduce([_most_likely(fit, own + other)[0] for own in owns])
@@ -169,19 +165,12 @@ def _alike(
     for shift_s in SHIFT_S * np.arange(-steps, steps + 1):
         moved, _, known = vehicle.at(fit.knots_s + time_offset_s + shift_s)
         if known.all():
-            off = found + (_onto(moved, xy) - xy).T.ravel()
+            yaw, shift = rigid_motion(moved, xy, np.ones(len(xy)))
+            off = found + (rotate_xy(yaw, moved) + shift - xy).T.ravel()
             fits += math.exp(-max(float(off @ weight @ off - found @ weight @ found), 0.0) / 2)
     often_s = SHIFT_S * fits + math.sqrt(2 * math.pi) * settings.clock_sigma_s
     often = min(1.0, often_s / max(float(np.ptp(fit.knots_s)), SHIFT_S))
     return math.log(MANOEUVRES) + math.log(max(1.0, speed)) - math.log(often)
-
-
-def _onto(xy: FloatArray, other: FloatArray) -> FloatArray:
-    """Move positions, shape (k, 2), rigidly onto others, by least squares."""
-    a, b = (one - one.mean(axis=0) for one in (xy, other))
-    turn = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
-    moved: FloatArray = rotate_xy(turn, a) + other.mean(axis=0)
-    return moved
 
 
 def _odds(correction: Correction, differs: float) -> float:

@@ -135,7 +135,7 @@ def fit_all(
     level = np.broadcast_to(knots.xy, poses.xy.shape)
     starts = []
     for part in parts:
-        yaw, shift = _rigid(level, poses.xy, weight * part)
+        yaw, shift = rigid_motion(level, poses.xy, weight * part)
         # A start is judged by how much of the path it brings to within the vehicle's reach.
         q = ((rotate_xy(yaw[:, None], level) + shift[:, None] - poses.xy) ** 2).sum(axis=-1) / sender.reach_m**2
         starts.append((yaw, shift, q, (weight * q / (q + 1.0)).sum(axis=1)))
@@ -145,7 +145,7 @@ def fit_all(
     q = np.array([start[2] for start in starts])[pick, rows]
     for widening in (1.0, 4.0, 1.0, 1.0):
         xy, sigma = completed(knots, poses, yaw[:, None], sender, settings)
-        yaw, shift = _rigid(xy, poses.xy, weight * trust(q / widening) / sigma**2)
+        yaw, shift = rigid_motion(xy, poses.xy, weight * trust(q / widening) / sigma**2)
         remains = np.linalg.norm(rotate_xy(yaw[:, None], xy) + shift[:, None] - poses.xy, axis=-1)
         q = (remains / sigma) ** 2
     return yaw, shift, (q, remains)
@@ -164,7 +164,7 @@ def trust(q: FloatArray) -> FloatArray:
     return trust + 1e-9
 
 
-def _rigid(level: FloatArray, world: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def rigid_motion(level: FloatArray, world: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the yaw, shape (...), and the shift, shape (..., 2), of the least-squares motions of (..., n, 2)."""
     weight = weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-12)
     middle_level = np.einsum("...n,...nk->...k", weight, level)

@@ -32,6 +32,10 @@ FILTERED = 10
 """So many sightings at the beginning of a track tell its velocity there."""
 
 
+Times = tuple[tuple[float, float], ...]
+"""Intervals, each from one time to another."""
+
+
 @dataclass(frozen=True)
 class Track:
     """One object through time.
@@ -68,7 +72,7 @@ class Track:
         mine = {id(sighting) for sighting in self.sightings}
         return any(id(sighting) in mine for sighting in other.sightings)
 
-    def without(self, times_s: Iterable[tuple[float, float]]) -> Track:
+    def without(self, times_s: Times) -> Track:
         """Return the track without what was seen from one time to another."""
         stamps_s = np.array([sighting.stamp_s for sighting in self.sightings])
         kept = np.ones(len(stamps_s), dtype=bool)

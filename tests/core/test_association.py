@@ -347,8 +347,15 @@ def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
 
 def test_an_outline_on_another_way_speaks_against_it() -> None:
     brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
+
+    def elsewhere(*_: object) -> Resemblance:
+        return Resemblance(0.0, -4.0)
+
     with pytest.raises(MatchError, match="by chance"):
-        choose_track([brief], {42: vehicle()}, likeness=lambda *_: Resemblance(0.0, -4.0))
+        choose_track([brief], {42: vehicle()}, likeness=elsewhere)
+    # Whoever asks for a road only, on which strangers drive too, gets the track all the same.
+    whoever = MatchSettings(least_seen_log_odds=-math.inf)
+    assert choose_track([brief], {42: vehicle()}, whoever, likeness=elsewhere).track is brief
 
 
 def test_pieces_among_clutter_tell_no_more_than_that_something_is_there() -> None:
