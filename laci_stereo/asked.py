@@ -125,11 +125,11 @@ _ASKED = (
 )
 
 
-_WORKERS = click.option(
+workers_option = click.option(
     "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
 )
 
-_SAID = (
+SAID = (
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
     click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
 )
@@ -137,12 +137,12 @@ _SAID = (
 
 def calibrating(command: Callable[..., Task]) -> Callable[..., None]:
     """Make a command of a function that prepares the task of a sensor whose frames are read."""
-    return _asking(command, (*_ASKED, _WORKERS, *_SAID))
+    return _asking(command, (*_ASKED, workers_option, *SAID))
 
 
 def matching(command: Callable[..., Task]) -> Callable[..., None]:
     """Make a command of a function that prepares a task without frames."""
-    return _asking(command, (*_ASKED, *_SAID))
+    return _asking(command, (*_ASKED, *SAID))
 
 
 def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]]) -> Callable[..., None]:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import click
-import cv2
 
 from laci_stereo.core.cam import CamLog
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.images import write_picture
 from laci_stereo.io.output import check_files, check_png, write_file
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
@@ -41,7 +41,7 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
     if form is None:
         click.echo(summarise_log(recording, str(log)))
         if out is not None:
-            write_file(out, cv2.imencode(".png", draw_log(recording))[1].tobytes())
+            write_picture(out, draw_log(recording))
             click.echo(f"{'Written':<11}{out}")
         return
     for note in recording.notes:

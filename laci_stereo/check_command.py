@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
-import cv2
 import numpy as np
 
 from laci_stereo.asked import a_number, map_crs_option
@@ -17,9 +15,9 @@ from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.verdict import TOO_FAR_M, TOO_FAR_RAD
 from laci_stereo.core.errors import CalibrationFileError, MapError
-from laci_stereo.io.images import ImageFolder, first_size
+from laci_stereo.io.images import ImageFolder, first_size, write_picture
 from laci_stereo.io.lane_map import MAP_FILES, LaneMap, find_lane_map, read_lane_map
-from laci_stereo.io.output import check_files, check_png, write_file
+from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
 from laci_stereo.stereo.reader import GreyReader
@@ -160,10 +158,9 @@ def say_notes(stored: StoredCalibration, lines: LaneMap) -> None:
 def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path | None) -> None:
     """Print, write, and exit with the code of the verdict."""
     click.echo(describe_check(checked.check))
-    write_file(picture, cv2.imencode(".png", checked.picture)[1].tobytes())
+    write_picture(picture, checked.picture)
     if json_file is not None:
-        document = check_document(checked.check, map_sigma_m)
-        write_file(json_file, (json.dumps(document, indent=2, allow_nan=False) + "\n").encode())
+        write_document(json_file, check_document(checked.check, map_sigma_m))
     click.echo(f"{'Written':<11}{', '.join(str(path) for path in (picture, json_file) if path is not None)}")
     if checked.check.judgement.outcome == "fail":
         sys.exit(CONTRADICTED)

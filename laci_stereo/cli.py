@@ -29,9 +29,9 @@ from laci_stereo.import_command import import_command
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
 from laci_stereo.job import Job
-from laci_stereo.mask.network import MaskOptions, Provider
+from laci_stereo.mask.network import Provider
+from laci_stereo.mask_command import asked_mask, mask_options
 from laci_stereo.mask_command import mask as mask_command
-from laci_stereo.mask_command import mask_options
 from laci_stereo.match import BoxOrigin, MatchOptions, MatchTask
 from laci_stereo.match import prepare as prepare_match
 from laci_stereo.monitor_command import monitor as monitor_command
@@ -190,21 +190,6 @@ def parse_disparities(text: str | None) -> tuple[int, int] | None:
     if numbers is None:
         raise SettingError(f"--disparities is {text!r}; needed is MIN..MAX in pixels, such as 0..64")
     return numbers
-
-
-def asked_mask(model: Path | None, contract: Path | None, provider: Provider, workers: int) -> MaskOptions | None:
-    """Put together what was said about a vehicle mask.
-
-    Raises
-    ------
-    SettingError
-        If something was said of one, but not which.
-    """
-    if model is not None:
-        return MaskOptions(model, contract, provider, workers)
-    if contract is not None:
-        raise SettingError(f"--mask-contract is {contract} without a mask; needed is --vehicle-mask MODEL.onnx")
-    return None
 
 
 def main() -> None:

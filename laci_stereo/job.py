@@ -11,8 +11,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-import cv2
-
 from laci_stereo.check.describe import check_document, check_line
 from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import MAP_SIGMA_M
@@ -20,13 +18,14 @@ from laci_stereo.check.result import Checking, not_checked
 from laci_stereo.core.calibrate import calibrate, world_around
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint
 from laci_stereo.core.cloud import PointCloudSource
-from laci_stereo.core.errors import CamError, OutputError
+from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.calibration_file import Provenance, to_document, to_text
 from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.evidence_file import Kept, write_evidence
+from laci_stereo.io.images import write_picture
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE, result_folder
 from laci_stereo.io.overlap import check_overlap
@@ -350,7 +349,7 @@ class Result:
             (folder / RESULT_FILE).write_text(to_text(document), encoding="utf-8")
             (folder / PAGE_FILE).write_text(write_page(self.calibration, document, made), encoding="utf-8")
             for name, picture in self.pictures():
-                _write_picture(folder / name, picture)
+                write_picture(folder / name, picture)
             kept = Kept(
                 provenance.name,
                 provenance.kind,
@@ -394,10 +393,3 @@ def _of_station(log: CamLog, station: int | None, cam: Path) -> CamLog:
         present = ", ".join(str(number) for number in log.stations()[:10])
         raise CamError(f"{cam}: station {station} is not in the log; needed is one of {present}")
     return log.of(station)
-
-
-def _write_picture(path: Path, picture: Raster) -> None:
-    encoded, content = cv2.imencode(path.suffix, picture)
-    if not encoded:
-        raise OutputError(f"{path}: cannot be encoded as {path.suffix}")
-    path.write_bytes(content.tobytes())

@@ -12,10 +12,10 @@ import click
 import cv2
 import numpy as np
 
-from laci_stereo.core.errors import ImageError
+from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import Raster
-from laci_stereo.io.images import ImageFolder, read_image
-from laci_stereo.io.output import check_files, make_folder, write_file
+from laci_stereo.io.images import ImageFolder, read_image, write_picture
+from laci_stereo.io.output import check_files, make_folder
 from laci_stereo.mask.detect import NetworkFinder, Vehicle
 from laci_stereo.mask.network import PROVIDERS, MaskOptions, Network, Provider
 from laci_stereo.mask.picture import Cell, Crop
@@ -51,6 +51,21 @@ def mask_options(command: click.decorators.FC) -> click.decorators.FC:
     ):
         command = option(command)
     return command
+
+
+def asked_mask(model: Path | None, contract: Path | None, provider: Provider, workers: int) -> MaskOptions | None:
+    """Put together what was said about a vehicle mask.
+
+    Raises
+    ------
+    SettingError
+        If something was said of one, but not which.
+    """
+    if model is not None:
+        return MaskOptions(model, contract, provider, workers)
+    if contract is not None:
+        raise SettingError(f"--mask-contract is {contract} without a mask; needed is --vehicle-mask MODEL.onnx")
+    return None
 
 
 @dataclass(frozen=True)
@@ -91,7 +106,7 @@ def mask(
     seconds: list[float] = []
     try:
         for look in looked_at(NetworkFinder(network, (Cell(0, 0, *network.size),)), files):
-            write_file(targets[look.path], cv2.imencode(".jpg", drawn(look))[1].tobytes())
+            write_picture(targets[look.path], drawn(look))
             click.echo(row(look))
             looks, found = looks + 1, found + bool(look.vehicles)
             seconds.append(look.seconds)

@@ -15,21 +15,21 @@ from pathlib import Path
 from typing import Any
 
 import click
-import cv2
 
-from laci_stereo.asked import PATH, a_number, log_to_stderr, map_crs_option
+from laci_stereo.asked import PATH, SAID, a_number, log_to_stderr, map_crs_option, workers_option
 from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
 from laci_stereo.core.errors import ImageError, LaciError, OutputError, SettingError
 from laci_stereo.core.settings import Settings
+from laci_stereo.io.images import write_picture
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.io.lanelets import read_lanelets
-from laci_stereo.io.output import write_file
+from laci_stereo.io.output import whole_file, write_file
 from laci_stereo.io.stereo_calibration import calibration_files
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
 from laci_stereo.mask.contract import contract_beside
-from laci_stereo.mask.network import MaskOptions, Provider
+from laci_stereo.mask.network import Provider
 from laci_stereo.mask.stage import VehicleMask
-from laci_stereo.mask_command import mask_options
+from laci_stereo.mask_command import asked_mask, mask_options
 from laci_stereo.monitor.frames import Frames
 from laci_stereo.monitor.lanes import strips_of
 from laci_stereo.monitor.objects import Labelled, write_openlabel
@@ -97,11 +97,8 @@ _ASKED = (
         metavar="S",
         help="With --follow, end after S seconds without a file.",
     ),
-    click.option(
-        "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
-    ),
-    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
-    click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
+    workers_option,
+    *SAID,
 )
 
 
@@ -152,13 +149,12 @@ def monitor(
 
     Exit codes: 0 done; 2 the input cannot be read or makes no sense; 130 interrupted.
     """
-    if contract is not None and vehicle_mask is None:
-        raise SettingError(f"--mask-contract is {contract} without a mask; needed is --vehicle-mask MODEL.onnx")
+    options = asked_mask(vehicle_mask, contract, provider, asked.workers)
     mask, files = None, {}
-    if vehicle_mask is not None:
-        mask = VehicleMask.load(MaskOptions(vehicle_mask, contract, provider, asked.workers))
-        read_by = contract or contract_beside(vehicle_mask)
-        files = {"vehicle mask": vehicle_mask} | ({} if read_by is None else {"mask contract": read_by})
+    if options is not None:
+        mask = VehicleMask.load(options)
+        read_by = options.contract or contract_beside(options.model)
+        files = {"vehicle mask": options.model} | ({} if read_by is None else {"mask contract": read_by})
     settings = StereoSettings(rectified=rectified or stored.rectified, workers=asked.workers)
     rig_files = calibration_files(stereo, left)
     return Watched(StereoFrames(left, right, rig_files, settings, mask, follow=asked.follow), left, files)
@@ -291,8 +287,7 @@ def _deliver(monitor: Monitor, watched: Watched, stored: StoredCalibration, lane
     if not state.frames:
         raise ImageError(f"{watched.frames.uri}: 0 frames are whole; needed is at least one to say anything")
     found = findings(plan, placed_by(stored), state)
-    picture = draw_histogram(plan, state, found, lane_map)
-    write_file(asked.out / PICTURE_FILE, cv2.imencode(".png", picture)[1].tobytes())
+    write_picture(asked.out / PICTURE_FILE, draw_histogram(plan, state, found, lane_map))
     _write_labels(asked.out, monitor, Labelled(stored.name, stored.kind, watched.frames.uri, plan.world))
     document = document_of(plan, state, found, watched.frames.uri)
     write_file(asked.out / FIGURES_FILE, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
@@ -302,12 +297,5 @@ def _deliver(monitor: Monitor, watched: Watched, stored: StoredCalibration, lane
 
 
 def _write_labels(out: Path, monitor: Monitor, labelled: Labelled) -> None:
-    """Write OpenLABEL as a whole, or leave what stood there."""
-    path = out / LABELS_FILE
-    temporary = out / f".{path.name}.new"
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            write_openlabel(stream, out / TABLE_FILE, monitor.longest_frames, labelled)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(out / LABELS_FILE) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        write_openlabel(stream, out / TABLE_FILE, monitor.longest_frames, labelled)

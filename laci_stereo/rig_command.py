@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
-import cv2
 
 from laci_stereo.check.rig_describe import describe_rig, rig_document
 from laci_stereo.check.rig_images import check_rig, match_images
 from laci_stereo.check.rig_picture import draw_rig
 from laci_stereo.core.errors import ImageError
-from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images
-from laci_stereo.io.output import check_files, check_png, write_file
+from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images, write_picture
+from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.stereo_calibration import ForImages, calibration_files, read_rig
 from laci_stereo.io.timed_files import names_in
 from laci_stereo.stereo.rectify import already_rectified
@@ -60,9 +58,9 @@ def rig(
     check = check_rig(already_rectified(found) if rectified else found, match_images(pairs))
     click.echo(describe_rig(files, check))
     if picture is not None:
-        write_file(picture, cv2.imencode(".png", draw_rig(check))[1].tobytes())
+        write_picture(picture, draw_rig(check))
     if json_file is not None:
-        write_file(json_file, (json.dumps(rig_document(files, check), indent=2, allow_nan=False) + "\n").encode())
+        write_document(json_file, rig_document(files, check))
     if outputs:
         click.echo(f"{'Written':<11}{', '.join(map(str, outputs))}")
     if check.outcome == "fail":

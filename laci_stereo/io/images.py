@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from laci_stereo.core.errors import ImageError
-from laci_stereo.core.frames import IntArray
+from laci_stereo.core.errors import ImageError, OutputError
+from laci_stereo.core.frames import IntArray, Raster
 from laci_stereo.io.image_integrity import damage
+from laci_stereo.io.output import write_file
 from laci_stereo.io.stamps import iso_text
 from laci_stereo.io.timed_files import FileKind, in_time, names_in
 
@@ -112,6 +113,19 @@ def pair_images(left: ImageFolder, right: ImageFolder) -> Pairs:
             f"half of the images: {_span(left)}, {_span(right)}, difference {difference_s:.1f} s"
         )
     return Pairs(pairs, len(left) - len(pairs), len(right) - len(pairs))
+
+
+def write_picture(path: Path, picture: Raster) -> None:
+    """Write a picture as a whole, in the format that the file's name says.
+
+    Raises
+    ------
+    OutputError
+    """
+    encoded, content = cv2.imencode(path.suffix, picture)
+    if not encoded:
+        raise OutputError(f"{path}: cannot be encoded as {path.suffix}")
+    write_file(path, content.tobytes())
 
 
 def read_image(path: Path) -> Image:

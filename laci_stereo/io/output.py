@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
@@ -110,11 +111,33 @@ def write_file(path: Path, content: bytes) -> None:
     ------
     OutputError
     """
+    with whole_file(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_document(path: Path, document: Mapping[str, object]) -> None:
+    """Write a JSON file as a whole, or leave what stood there.
+
+    Raises
+    ------
+    OutputError
+    """
+    write_file(path, (json.dumps(document, indent=2, allow_nan=False) + "\n").encode())
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary file beside ``path`` that takes its place when the block ends well, else leave what stood there.
+
+    Raises
+    ------
+    OutputError
+    """
     try:
         with tempfile.NamedTemporaryFile(dir=path.absolute().parent, prefix=f".{path.name}.", delete=False) as stream:
             temporary = Path(stream.name)
         try:
-            temporary.write_bytes(content)
+            yield temporary
             temporary.chmod(0o644)  # the temporary file's own is for the user alone
             temporary.replace(path)
         finally:

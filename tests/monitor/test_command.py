@@ -186,13 +186,18 @@ def test_signal_ends_following_with_outputs(calibrated: Calibrated, tmp_path: Pa
     assert {path.name for path in out.iterdir()} == FILES
 
 
+def wait_for(path: Path) -> None:
+    for _ in range(6000):
+        if path.exists():
+            return
+        time.sleep(0.01)
+    raise AssertionError(f"{path} was not written in a minute")
+
+
 def test_interrupted_before_a_checkpoint_it_leaves_nothing(calibrated: Calibrated, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with running(calibrated.arguments(out), calibrated.site.root) as process:
-        for _ in range(1000):
-            if (out / "objects.csv").exists():
-                break
-            time.sleep(0.01)
+        wait_for(out / "objects.csv")
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
@@ -204,10 +209,7 @@ def test_interrupted_before_a_checkpoint_it_leaves_nothing(calibrated: Calibrate
 def test_interrupted_it_says_how_to_go_on(calibrated: Calibrated, tmp_path: Path) -> None:
     left, out = repeated(calibrated.site, tmp_path, LAPS), tmp_path / "out"
     with running(calibrated.arguments(out, left=left), calibrated.site.root) as process:
-        for _ in range(6000):
-            if (out / "state.json").exists():
-                break
-            time.sleep(0.01)
+        wait_for(out / "state.json")
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
