@@ -21,6 +21,7 @@ from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
 from laci_stereo.io.output import check_output
+from laci_stereo.io.rig import MAX_BASELINE_M, MIN_BASELINE_M
 from laci_stereo.job import DriveOptions, Result, Task
 
 UNKNOWN_CLOCK_S = 1.0
@@ -81,6 +82,15 @@ map_crs_option = click.option(
     "--map-crs",
     metavar="CRS[@E,N]",
     help="Coordinate system of a map that does not state it, as EPSG:25832; E,N is where they count from.",
+)
+
+baseline_option = click.option(
+    "--baseline",
+    type=click.FloatRange(MIN_BASELINE_M, MAX_BASELINE_M),
+    callback=a_number,
+    metavar="M",
+    help="Metres between the cameras, where the stereo calibration's lengths are in an unknown unit, such as squares "
+    "of a chessboard [default: as it says, else metres].",
 )
 
 _ASKED = (
@@ -175,7 +185,16 @@ def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool,
         for note in notes:
             click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
-        click.echo(f"{'Written':<11}{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+        say_written(out)
+
+
+def say_written(*paths: Path, err: bool = False) -> None:
+    """Say which files were written, of folders those in them."""
+    click.echo(f"{'Written':<11}{', '.join(map(_with_content, paths))}", err=err)
+
+
+def _with_content(path: Path) -> str:
+    return f"{path}: {', '.join(sorted(each.name for each in path.iterdir()))}" if path.is_dir() else str(path)
 
 
 def _command() -> str:

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import click
 
+from laci_stereo.asked import PATH, say_written
 from laci_stereo.core.cam import CamLog
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
@@ -19,13 +20,12 @@ from laci_stereo.report.cam_summary import summarise_log
 Format: TypeAlias = Literal["csv", "geojson"]
 
 _WRITERS: Mapping[Format, Callable[[CamLog], str]] = {"csv": to_csv, "geojson": to_geojson}
-_PATH = click.Path(path_type=Path)
 
 
 @click.command()
-@click.argument("log", type=_PATH)
+@click.argument("log", type=PATH)
 @click.option("--to", "form", type=click.Choice(["csv", "geojson"]), help="Convert, to standard output or into --out.")
-@click.option("--out", type=_PATH, help="File for the conversion; without --to, for a map (PNG).")
+@click.option("--out", type=PATH, help="File for the conversion; without --to, for a map (PNG).")
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there already.")
 def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> None:
     """Show what a log of messages says, before any run, or convert it.
@@ -42,7 +42,7 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
         click.echo(summarise_log(recording, str(log)))
         if out is not None:
             write_picture(out, draw_log(recording))
-            click.echo(f"{'Written':<11}{out}")
+            say_written(out)
         return
     for note in recording.notes:
         click.echo(f"note: {note}", err=True)
@@ -51,4 +51,4 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
         click.echo(text, nl=False)
     else:
         write_file(out, text.encode())
-        click.echo(f"{'Written':<11}{out}", err=True)
+        say_written(out, err=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from laci_stereo.asked import a_number, map_crs_option
+from laci_stereo.asked import a_number, baseline_option, map_crs_option, say_written
 from laci_stereo.check.describe import check_document, describe_check
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
@@ -72,6 +72,7 @@ stereo_option = click.option(
 @map_options
 @stereo_option
 @click.option("--rectified", is_flag=True, help="The images are rectified already [default: as the calibration's].")
+@baseline_option
 def check(
     calibration: Path,
     left: Path,
@@ -83,6 +84,7 @@ def check(
     overwrite: bool,
     stereo: tuple[Path, ...],
     rectified: bool,
+    baseline: float | None,
 ) -> None:
     """Check a stereo camera's calibration against a lane map.
 
@@ -95,7 +97,8 @@ def check(
     stored = read_calibration(calibration)
     needs_kind(stored, "stereo")
     folder = ImageFolder.open(left)
-    rig = read_stereo_calibration(calibration_files(stereo, left), first_size(folder.files), left)
+    files, size = calibration_files(stereo, left), first_size(folder.files)
+    rig = read_stereo_calibration(files, size, left, baseline or stored.baseline_m)
     rig = already_rectified(rig) if rectified or stored.rectified else rig
     lines = the_map(stored, lane_map or find_lane_map(left), map_crs)
     say_notes(stored, lines)
@@ -161,6 +164,6 @@ def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path
     write_picture(picture, checked.picture)
     if json_file is not None:
         write_document(json_file, check_document(checked.check, map_sigma_m))
-    click.echo(f"{'Written':<11}{', '.join(str(path) for path in (picture, json_file) if path is not None)}")
+    say_written(*(path for path in (picture, json_file) if path is not None))
     if checked.check.judgement.outcome == "fail":
         sys.exit(CONTRADICTED)

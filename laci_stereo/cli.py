@@ -9,6 +9,7 @@ import click
 from laci_stereo.asked import (
     PATH,
     Asked,
+    baseline_option,
     calibrating,
     deliver,
     interval,
@@ -57,6 +58,7 @@ def cli() -> None:
 @click.argument("cam", type=PATH)
 @stereo_option
 @click.option("--rectified", is_flag=True, help="The images are rectified already.")
+@baseline_option
 @click.option(
     "--background",
     metavar="START..END|DIR",
@@ -78,6 +80,7 @@ def calibrate(
     cam: Path,
     stereo: tuple[Path, ...],
     rectified: bool,
+    baseline: float | None,
     background: str | None,
     disparities: str | None,
     vehicle_mask: Path | None,
@@ -93,7 +96,12 @@ def calibrate(
     options = Options(
         **vars(asked.drive(parse_background(background))),
         stereo=stereo,
-        camera=StereoSettings(rectified=rectified, disparities=parse_disparities(disparities), workers=asked.workers),
+        camera=StereoSettings(
+            rectified=rectified,
+            baseline_m=baseline,
+            disparities=parse_disparities(disparities),
+            workers=asked.workers,
+        ),
         mask=asked_mask(vehicle_mask, contract, provider, asked.workers),
     )
     return prepare(left, right, cam, options)

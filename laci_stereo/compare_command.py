@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from laci_stereo.asked import PATH, say_written
 from laci_stereo.compare import SHARED, Comparison, chance, compare, to_csv, to_table
 from laci_stereo.io.output import check_files, write_file
 from laci_stereo.report.page.compare import Pair, Row, write_compare_page
@@ -14,13 +15,11 @@ from laci_stereo.report.page.compare import Pair, Row, write_compare_page
 CONTRADICTED = 1
 """Exit code where results contradict each other."""
 
-_PATH = click.Path(path_type=Path)
-
 
 @click.command(name="compare")
-@click.argument("results", nargs=-1, required=True, type=_PATH, metavar="RESULT RESULT...")
-@click.option("--csv", "csv_file", type=_PATH, help="File for the table.")
-@click.option("--page", "page_file", type=_PATH, help="File for the table as a page (HTML).")
+@click.argument("results", nargs=-1, required=True, type=PATH, metavar="RESULT RESULT...")
+@click.option("--csv", "csv_file", type=PATH, help="File for the table.")
+@click.option("--page", "page_file", type=PATH, help="File for the table as a page (HTML).")
 @click.option("--renamed", is_flag=True, help="It is one sensor, though the results' names for it differ.")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
 def compare_command(
@@ -43,7 +42,7 @@ def compare_command(
     if page_file is not None:
         write_file(page_file, write_compare_page([_pair(each) for each in comparisons], SHARED).encode())
     if files:
-        click.echo(f"{'Written':<11}{', '.join(map(str, files))}")
+        say_written(*files)
     if any(each.outcome == "contradict" for each in comparisons):
         sys.exit(CONTRADICTED)
 

@@ -6,19 +6,18 @@ from pathlib import Path
 
 import click
 
+from laci_stereo.asked import PATH, say_written
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.exports import FORMATS, ExportedFile, export_as
 from laci_stereo.io.output import check_files, make_folder, write_file
 from laci_stereo.io.siting import site
 from laci_stereo.io.stored_calibration import read_calibration
 
-_PATH = click.Path(path_type=Path)
-
 
 @click.command()
-@click.argument("calibration", type=_PATH, required=False)
+@click.argument("calibration", type=PATH, required=False)
 @click.option("--to", "form", type=click.Choice([each.name for each in FORMATS]), help="Format; see --list.")
-@click.option("--out", type=_PATH, help="File, or folder where there are several [default: standard output].")
+@click.option("--out", type=PATH, help="File, or folder where there are several [default: standard output].")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
 @click.option("--list", "listing", is_flag=True, help="Say what each format is.")
 def export(calibration: Path | None, form: str | None, out: Path | None, overwrite: bool, listing: bool) -> None:
@@ -42,7 +41,7 @@ def export(calibration: Path | None, form: str | None, out: Path | None, overwri
     check_files(paths, overwrite=overwrite)
     for path, file in zip(paths, files, strict=True):
         write_file(path, file.text.encode())
-    click.echo(f"{'Written':<11}{', '.join(map(str, paths))}", err=True)
+    say_written(*paths, err=True)
 
 
 def _only(files: tuple[ExportedFile, ...]) -> ExportedFile:

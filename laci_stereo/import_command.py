@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from laci_stereo.asked import PATH, say_written
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.calibration_file import to_text
 from laci_stereo.io.imported import Direction, ImportOptions, import_pose, imported_document
@@ -13,11 +14,9 @@ from laci_stereo.io.output import RESULT_FILE, check_output, result_folder
 from laci_stereo.io.written_pose import KINDS
 from laci_stereo.job import sha256
 
-_PATH = click.Path(path_type=Path)
-
 
 @click.command(name="import")
-@click.argument("file", type=_PATH)
+@click.argument("file", type=PATH)
 @click.option("--from", "form", type=click.Choice(KINDS), help="How FILE is written [default: by its content].")
 @click.option("--entry", help="Which of several transforms in FILE.")
 @click.option("--kind", type=click.Choice(["stereo", "lidar"]), help="Of the sensor [default: as FILE says].")
@@ -37,8 +36,9 @@ _PATH = click.Path(path_type=Path)
     metavar="E,N",
     help="UTM coordinates where the transform, being rigid, is true to the grid's scale [default: the sensor's].",
 )
+@click.option("--rectified", is_flag=True, help="It is of a camera whose images are rectified already.")
 @click.option("--name", help="What you call the sensor [default: as FILE says, else FILE's name].")
-@click.option("--out", type=_PATH, default=Path("imported"), show_default=True, help="Folder for the result.")
+@click.option("--out", type=PATH, default=Path("imported"), show_default=True, help="Folder for the result.")
 @click.option("--overwrite", is_flag=True, help="Replace a result that is there already.")
 def import_command(
     file: Path,
@@ -49,6 +49,7 @@ def import_command(
     origin: str | None,
     direction: Direction | None,
     centre: str | None,
+    rectified: bool,
     name: str | None,
     out: Path,
     overwrite: bool,
@@ -68,6 +69,7 @@ def import_command(
         origin=_numbers("--origin", origin, (2, 3)),
         direction=direction,
         centre=None if east_north is None else (east_north[0], east_north[1]),
+        rectified=rectified,
         name=name,
         entry=entry,
         form=form,
@@ -86,7 +88,7 @@ def import_command(
         f"{'Looks':<11}{angles['yaw']:.2f} deg counter-clockwise from grid east, {angles['down']:.2f} deg down, rolled "
         f"{angles['roll']:.2f} deg clockwise"
     )
-    click.echo(f"{'Written':<11}{out / RESULT_FILE}")
+    say_written(out / RESULT_FILE)
 
 
 def _numbers(option: str, text: str | None, counts: tuple[int, ...]) -> tuple[float, ...] | None:

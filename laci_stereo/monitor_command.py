@@ -16,7 +16,16 @@ from typing import Any
 
 import click
 
-from laci_stereo.asked import PATH, SAID, a_number, log_to_stderr, map_crs_option, workers_option
+from laci_stereo.asked import (
+    PATH,
+    SAID,
+    a_number,
+    baseline_option,
+    log_to_stderr,
+    map_crs_option,
+    say_written,
+    workers_option,
+)
 from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
 from laci_stereo.core.errors import ImageError, LaciError, OutputError, SettingError
 from laci_stereo.core.settings import Settings
@@ -128,7 +137,8 @@ def monitoring(kind: str) -> Callable[[Callable[..., Watched]], Callable[..., No
 @click.argument("left", type=PATH)
 @click.argument("right", type=PATH)
 @stereo_option
-@click.option("--rectified", is_flag=True, help="The images are rectified already.")
+@click.option("--rectified", is_flag=True, help="The images are rectified already [default: as the calibration's].")
+@baseline_option
 @click.option("--vehicle-mask", type=PATH, metavar="MODEL.onnx", help="As in calibrate; see docs/vehicle_mask.md.")
 @mask_options
 def monitor(
@@ -138,6 +148,7 @@ def monitor(
     right: Path,
     stereo: tuple[Path, ...],
     rectified: bool,
+    baseline: float | None,
     vehicle_mask: Path | None,
     contract: Path | None,
     provider: Provider,
@@ -155,7 +166,9 @@ def monitor(
         mask = VehicleMask.load(options)
         read_by = options.contract or contract_beside(options.model)
         files = {"vehicle mask": options.model} | ({} if read_by is None else {"mask contract": read_by})
-    settings = StereoSettings(rectified=rectified or stored.rectified, workers=asked.workers)
+    settings = StereoSettings(
+        rectified=rectified or stored.rectified, baseline_m=baseline or stored.baseline_m, workers=asked.workers
+    )
     rig_files = calibration_files(stereo, left)
     return Watched(StereoFrames(left, right, rig_files, settings, mask, follow=asked.follow), left, files)
 
@@ -293,7 +306,7 @@ def _deliver(monitor: Monitor, watched: Watched, stored: StoredCalibration, lane
     write_file(asked.out / FIGURES_FILE, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     if not asked.quiet:
         click.echo(summary_of(plan, state, found))
-        click.echo(f"{'Written':<11}{asked.out}: {', '.join(sorted(path.name for path in asked.out.iterdir()))}")
+        say_written(asked.out)
 
 
 def _write_labels(out: Path, monitor: Monitor, labelled: Labelled) -> None:

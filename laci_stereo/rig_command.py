@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from laci_stereo.asked import PATH, baseline_option, say_written
 from laci_stereo.check.rig_describe import describe_rig, rig_document
 from laci_stereo.check.rig_images import check_rig, match_images
 from laci_stereo.check.rig_picture import draw_rig
@@ -20,22 +21,22 @@ from laci_stereo.stereo.rectify import already_rectified
 DOES_NOT_FIT = 1
 """Exit code of a calibration that fails."""
 
-_PATH = click.Path(path_type=Path)
-
 
 @click.command()
-@click.argument("calibration", nargs=-1, type=_PATH, metavar="[CALIB]...")
-@click.argument("left", type=_PATH)
-@click.argument("right", type=_PATH)
+@click.argument("calibration", nargs=-1, type=PATH, metavar="[CALIB]...")
+@click.argument("left", type=PATH)
+@click.argument("right", type=PATH)
 @click.option("--rectified", is_flag=True, help="The images are rectified already.")
-@click.option("--picture", type=_PATH, help="File for a picture of the rectified pair with its matches (PNG).")
-@click.option("--json", "json_file", type=_PATH, help="File for all figures.")
+@baseline_option
+@click.option("--picture", type=PATH, help="File for a picture of the rectified pair with its matches (PNG).")
+@click.option("--json", "json_file", type=PATH, help="File for all figures.")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
 def rig(
     calibration: tuple[Path, ...],
     left: Path,
     right: Path,
     rectified: bool,
+    baseline: float | None,
     picture: Path | None,
     json_file: Path | None,
     overwrite: bool,
@@ -54,7 +55,7 @@ def rig(
         check_png(picture)
     files = calibration_files(calibration, left)
     pairs = _pairs(left, right)
-    found = read_rig(files, ForImages(first_size(pair.left for pair in pairs), left))
+    found = read_rig(files, ForImages(first_size(pair.left for pair in pairs), left, baseline))
     check = check_rig(already_rectified(found) if rectified else found, match_images(pairs))
     click.echo(describe_rig(files, check))
     if picture is not None:
@@ -62,7 +63,7 @@ def rig(
     if json_file is not None:
         write_document(json_file, rig_document(files, check))
     if outputs:
-        click.echo(f"{'Written':<11}{', '.join(map(str, outputs))}")
+        say_written(*outputs)
     if check.outcome == "fail":
         sys.exit(DOES_NOT_FIT)
 

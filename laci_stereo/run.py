@@ -9,13 +9,13 @@ from pathlib import Path
 
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.result import placed_by
-from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.calibration_file import Provenance
-from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, pair_images, read_image
+from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME
 from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.job import DriveOptions, Job, Result, read_drive, sha256
 from laci_stereo.mask.contract import contract_beside
@@ -25,11 +25,6 @@ from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
-
-RAW_FRAME, RECTIFIED_FRAME = (
-    f"{which} left camera: origin in the lens, x right, y down, z forward" for which in ("raw", "rectified")
-)
-"""Of results from raw images, and from images that were rectified already, which lie a turn apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +117,7 @@ def _recording(left: Path, pairs: Pairs, options: Options) -> tuple[StereoRecord
     stereo = calibration_files(options.stereo, left)
     recording = StereoRecording(
         pairs.pairs,
-        read_stereo_calibration(stereo, _image_size(pairs), left),
+        read_stereo_calibration(stereo, first_size(pair.left for pair in pairs.pairs), left, options.camera.baseline_m),
         options.camera,
         options.core.ground,
         _background(pairs, options.background),
@@ -183,20 +178,6 @@ def _check(recording: StereoRecording, lane_map: LaneMap | None, calibration: Ca
         return None
     files = [pair.left for pair in recording.pairs]
     return check_images(files, recording.reader, recording.rig.left, placed_by(calibration), lane_map)
-
-
-def _image_size(pairs: Pairs) -> tuple[int, int]:
-    """Return the width and height of the first image that can be read."""
-    problem: ImageError | None = None
-    for pair in pairs.pairs:
-        try:
-            image = read_image(pair.left)
-        except ImageError as error:
-            problem = problem or error
-        else:
-            return image.shape[1], image.shape[0]
-    assert problem is not None  # there is at least one pair
-    raise problem
 
 
 def _background(pairs: Pairs, asked: tuple[int, int] | Path | None) -> Sequence[StereoPair] | None:

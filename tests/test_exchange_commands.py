@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from laci_stereo.cli import cli
 from laci_stereo.io.calibration_file import to_document, to_text
 from laci_stereo.io.exports import FORMATS
-from tests.cli_support import Site, refusal, run, write_small_recording
+from tests.cli_support import Ran, Site, refusal, run, write_small_recording
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
 
@@ -166,6 +166,28 @@ def test_imported_result_is_held_against_the_map(
     checked = run(["check", "theirs", str(site.left), *lines, "--picture", str(tmp_path / "check.png")], tmp_path)
     assert (checked.code, ("FAIL" if code else "PASS") in checked.out) == (code, True), checked
     assert "was imported and does not say how good it is; taken are 0.3 m and 0.5 deg in the plane" in checked.err
+
+
+def test_a_check_takes_the_baseline_that_the_result_was_made_with(calibrated: Calibrated, tmp_path: Path) -> None:
+    """Of a rig whose lengths are in centimetres, as nothing in its file says."""
+    site = calibrated.site
+    centimetres = tmp_path / "stereo.yaml"
+    entries = site.stereo.read_text()
+    assert entries.count("-0.59999999999999998") == 1
+    centimetres.write_text(entries.replace("-0.59999999999999998", "-60."))
+    document = json.loads((site.out / "calibration.json").read_text())
+    document["config"]["stereo"]["baseline_m"] = 0.6
+    (tmp_path / "told").mkdir()
+    (tmp_path / "told" / "calibration.json").write_text(json.dumps(document))
+
+    def check(result: Path, *options: str) -> Ran:
+        lines = ["--map", str(site.root / "lines.csv"), "--map-crs", "EPSG:32632", "--overwrite"]
+        return run(["check", str(result), str(site.left), "--stereo", str(centimetres), *lines, *options], tmp_path)
+
+    refusal(check(site.out), 2, "is 60 m; ", "--baseline M", "0.6 if T is in centimetres")
+    told, asked = check(tmp_path / "told"), check(site.out, "--baseline", "0.6")
+    assert (told.code, asked.code) == (0, 0), (told, asked)
+    assert told.out == asked.out
 
 
 def test_a_wrong_system_is_one_line(calibrated: Calibrated, tmp_path: Path) -> None:

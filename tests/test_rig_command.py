@@ -14,14 +14,19 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.check.rig_images import Matched, RigCheck, check_rig, match_images, scaled
 from laci_stereo.core.frames import Raster
+from laci_stereo.io.calibration_file import to_document, to_text
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.rig import StereoRig
+from laci_stereo.io.stored_calibration import read_calibration
 from laci_stereo.rig_command import rig as rig_command
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.rectify import rectify
 from laci_stereo.stereo.settings import StereoSettings
 from tests.cli_support import DEMONSTRATION, refusal, run
+from tests.io.images import png_bomb
 from tests.io.rig_writers import opencv_entries, ros, write_storage
+from tests.report.page_support import PROVENANCE
+from tests.report.support import calibration
 from tests.stereo.render import Box, expose
 from tests.stereo.rigs import RIGS
 from tests.stereo.support import STATIC, exposed, views, write_pairs
@@ -294,6 +299,44 @@ def test_what_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     refusal(ran, 2, "stereo.yaml", "is 500.325 m", "millimetres")
 
 
+def test_the_baseline_answers_what_unit_lengths_have(tmp_path: Path) -> None:
+    """What is said of the rig, its fit and what is computed from it are those of the file in metres."""
+    pairs(tmp_path, "five")
+    folders = (tmp_path / "left", tmp_path / "right")
+    true = RIGS["five"]
+    metres = write_storage(tmp_path / "metres.yaml", opencv_entries(true))
+    squares = write_storage(tmp_path / "squares.yaml", {**opencv_entries(true), "T": true.t_right_left_m / 0.0317})
+    plain, told = tmp_path / "plain.json", tmp_path / "told.json"
+    assert invoke(metres, *folders, "--json", plain).exit_code == 0
+    ran = invoke(squares, *folders, "--json", told, "--baseline", true.baseline_m)
+    assert ran.exit_code == 0, ran.output
+    assert "Note       baseline 0.500325 m, as --baseline says; T, read as metres, has 15.7831 m" in ran.output
+    found, wanted = (json.loads(path.read_text()) for path in (told, plain))
+    assert found["t_right_left_m"] == pytest.approx(wanted["t_right_left_m"], abs=1e-12)
+    assert found["fit"]["depth_sigma_m"] == pytest.approx(wanted["fit"]["depth_sigma_m"])
+
+
+@pytest.mark.parametrize("baseline", ["0.01", "11", "nan", "-0.5", "two"])
+def test_a_baseline_that_no_rig_has_is_one_line(tmp_path: Path, baseline: str) -> None:
+    pairs(tmp_path, "five")
+    write_storage(tmp_path / "stereo.yaml", opencv_entries(RIGS["five"]))
+    refusal(run(arguments(tmp_path / "left", tmp_path / "right", "--baseline", baseline), tmp_path), 2, "--baseline")
+
+
+def test_a_result_keeps_the_baseline_that_was_told(tmp_path: Path) -> None:
+    """So that a check or a monitor of it reads the same stereo calibration alike."""
+    folders = [DEMONSTRATION / name for name in ("left", "right", "cam.csv")]
+    rig = prepare(*folders).recording.rig
+    squares = write_storage(tmp_path / "squares.yaml", {**opencv_entries(rig), "T": rig.t_right_left_m / 0.0317})
+    job = prepare(*folders, Options(stereo=squares, camera=StereoSettings(baseline_m=rig.baseline_m)))
+    assert job.recording.rectification.baseline_m == pytest.approx(rig.baseline_m, abs=1e-12)
+    assert job.provenance.config["stereo"]["baseline_m"] == rig.baseline_m
+    assert any("as --baseline says" in note for note in job.provenance.notes)
+    provenance = replace(PROVENANCE, config=job.provenance.config)
+    (tmp_path / "calibration.json").write_text(to_text(to_document(calibration(), provenance)))
+    assert read_calibration(tmp_path).baseline_m == rig.baseline_m
+
+
 def test_a_calibration_of_two_files_is_calibrated_with(tmp_path: Path) -> None:
     """The demonstration's rig, written as ROS does, gives the same plane, and the result says what it is from."""
     left, right, cam = (DEMONSTRATION / name for name in ("left", "right", "cam.csv"))
@@ -305,6 +348,15 @@ def test_a_calibration_of_two_files_is_calibrated_with(tmp_path: Path) -> None:
     np.testing.assert_allclose(job.recording.rectification.rays, plain.recording.rectification.rays, atol=1e-9)
     assert {str(path) for path in files} < job.provenance.inputs.keys()
     assert any(note.startswith("stereo calibration: ROS camera_info") for note in job.provenance.notes)
+
+
+def test_images_that_promise_gigabytes_are_one_line(tmp_path: Path) -> None:
+    found = pairs(tmp_path, "five")
+    write_storage(tmp_path / "stereo.yaml", opencv_entries(RIGS["five"]))
+    for each in found:
+        each.left.write_bytes(png_bomb(40_000, 20_000))
+    ran = run(arguments(tmp_path / "left", tmp_path / "right"), tmp_path)
+    refusal(ran, 2, "has 40000 x 20000 pixels; needed are at most 100 megapixels")
 
 
 def test_a_damaged_first_image_is_skipped(tmp_path: Path) -> None:

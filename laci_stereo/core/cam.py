@@ -61,7 +61,7 @@ class CamLog:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def __getitem__(self, keep: BoolArray) -> CamLog:
+    def __getitem__(self, keep: BoolArray | IntArray) -> CamLog:
         return CamLog(*(getattr(self, field.name)[keep] for field in fields(self)))
 
     def stations(self) -> list[int]:

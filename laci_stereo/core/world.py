@@ -119,7 +119,18 @@ def _utm_zone(latitude_deg: float, longitude_deg: float) -> int:
     return int(longitude_deg // 6.0) + 31
 
 
-def _checked_utm(crs: str, longitude_deg: float) -> str:
+def utm_code(crs: str) -> str:
+    """Return a UTM zone's code, as ``EPSG:32632``.
+
+    Raises
+    ------
+    SettingError
+        If it is none that PROJ knows.
+    """
+    return f"EPSG:{_utm(crs).to_epsg()}"
+
+
+def _utm(crs: str) -> CRS:
     try:
         parsed = CRS.from_user_input(crs)
     except CRSError as error:
@@ -128,10 +139,14 @@ def _checked_utm(crs: str, longitude_deg: float) -> str:
         ) from error
     if parsed.utm_zone is None or parsed.to_epsg() is None:
         raise SettingError(f"coordinate system {crs!r} is {parsed.name}; needed is a UTM zone such as EPSG:32632")
-    given, own = int(parsed.utm_zone[:-1]), _utm_zone(0.0, longitude_deg)
+    return parsed
+
+
+def _checked_utm(crs: str, longitude_deg: float) -> str:
+    given, own = int(str(_utm(crs).utm_zone)[:-1]), _utm_zone(0.0, longitude_deg)
     if min((given - own) % 60, (own - given) % 60) > MAX_ZONES_APART:
         raise SettingError(
             f"coordinate system {crs!r} is UTM zone {given}, but the longitude is {longitude_deg:.3f} deg; "
             f"needed is zone {own} or at most {MAX_ZONES_APART} from it"
         )
-    return f"EPSG:{parsed.to_epsg()}"
+    return utm_code(crs)

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.io.bag_files import Bag, open_bag
 from laci_stereo.io.bag_records import CutOffError, Message, Topic
+from laci_stereo.io.bag_types import known_types, types_told
 from laci_stereo.io.cam_columns import ALTITUDE, LATITUDE, LONGITUDE, Quantity
 from laci_stereo.io.cam_etsi import Cam, DamagedError, OtherKindError
 from laci_stereo.io.cam_gnss import ellipse_95, gnss_messages, recorded_drive
@@ -130,8 +129,7 @@ def _check_definition(path: Path, topic: Topic) -> None:
         return
     needed = [kind for _, kind in _ELEMENTS]
     try:
-        told = _types_told(topic)
-        found = _leaves(told, topic.type_name, {})
+        found = _leaves(types_told(topic.definition, topic.type_name), topic.type_name, {})
     except Exception as problem:  # of many kinds, and all of them say that this is no definition
         raise CamError(
             f"{path}: the definition of {topic.type_name} on {topic.shown} cannot be read: {quoted(str(problem))}; "
@@ -143,14 +141,6 @@ def _check_definition(path: Path, topic: Topic) -> None:
             f"{path}: the topic {topic.shown} has a definition of {topic.type_name} of its own: element {i + 1} is "
             f"{found[i] if i < len(found) else 'missing'}; needed is {needed[i]}, as in etsi_its_messages"
         )
-
-
-def _types_told(topic: Topic) -> Mapping[str, Any]:
-    text = topic.definition
-    if not text.lstrip().startswith(("=", "module")):
-        return get_types_from_msg(text, topic.type_name)
-    parts = [part.split("\n", 1)[1] if part.startswith("IDL: ") else part for part in text.split("=" * 80 + "\n")]
-    return {name: fields for part in parts if part.strip() for name, fields in get_types_from_idl(part).items()}
 
 
 def _leaves(types: Mapping[str, Any], name: str, known: dict[str, list[str]]) -> list[str]:
@@ -208,7 +198,7 @@ def _read_fixes(path: Path, bag: Bag, topic: Topic) -> CamRecording:
 
 
 def _fix(message: Message) -> tuple[int, Mapping[Quantity, float]] | None:
-    types = _types(message.topic.ros1)
+    types = known_types(message.topic.ros1)
     read = types.deserialize_ros1 if message.topic.ros1 else types.deserialize_cdr
     try:
         fix: Any = read(message.data, FIX_TYPE)
@@ -226,8 +216,3 @@ def _fix(message: Message) -> tuple[int, Mapping[Quantity, float]] | None:
     if fix.position_covariance_type:
         values.update(ellipse_95(np.asarray(fix.position_covariance, dtype=np.float64).reshape(3, 3)[:2, :2]))
     return stamp_ns, values
-
-
-@cache
-def _types(ros1: bool) -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 
 from laci_stereo.core.cam import MAX_GAP_S, CamLog
-from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.frames import FloatArray
 
 _METRES_PER_DEG = 111_195.0
 _MOVING_MPS = 2.0
@@ -27,15 +25,10 @@ def look_exchanged(log: CamLog) -> bool:
     return bool(np.median(as_given) > _DISAGREES and np.median(exchanged) < _AGREES)
 
 
-def reordered(log: CamLog, order: IntArray) -> CamLog:
-    """Return the messages at indices, shape (n,), in that order."""
-    return CamLog(*(getattr(log, column.name)[order] for column in fields(log)))
-
-
 def _motion_errors(log: CamLog) -> FloatArray:
     """Return how far the motion is off the sent one, relative to its speed: as given and exchanged, shape (2, n)."""
     log = log[np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)]
-    log = reordered(log, np.lexsort((log.stamps_ns, log.station_id)))
+    log = log[np.lexsort((log.stamps_ns, log.station_id))]
     # A step from one station's last message to another one's first is none.
     step_s = np.where(np.diff(log.station_id) == 0, np.diff(log.stamps_ns) / 1e9, 0.0)
     speed = (log.speed_mps[1:] + log.speed_mps[:-1]) / 2

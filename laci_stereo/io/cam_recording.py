@@ -27,7 +27,7 @@ from laci_stereo.io.cam_columns import (
     WIDTH,
     Values,
 )
-from laci_stereo.io.cam_exchange import look_exchanged, reordered
+from laci_stereo.io.cam_exchange import look_exchanged
 from laci_stereo.io.table import BAD_SHARE, Problems, merged
 
 _NOWHERE_DEG = 1e-4
@@ -206,7 +206,7 @@ def _log(stamps: IntArray, stations: IntArray, values: Values) -> CamLog:
 def _in_order(messages: Messages, log: CamLog) -> tuple[CamLog, list[str]]:
     """Sort the messages by time and merge those of one station at one time."""
     late = int((log.stamps_ns < np.maximum.accumulate(log.stamps_ns)).sum())
-    log = reordered(log, np.lexsort((log.station_id, log.stamps_ns)))
+    log = log[np.lexsort((log.station_id, log.stamps_ns))]
     repeats = np.zeros(len(log), dtype=bool)
     repeats[1:] = (np.diff(log.stamps_ns) == 0) & (np.diff(log.station_id) == 0)
     moved = repeats & _differs_from_before(log)

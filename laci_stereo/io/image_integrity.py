@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 
+from laci_stereo.io.image_size import JPEG_END, PNM_HEADER, jpeg_segments, stated_size
+
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
-_JPEG_MARKER = re.compile(rb"\xff[\xc0-\xcf\xd8-\xfe]")
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_PIXELS_PER_BYTE = 512
 """A block of 8 x 8 pixels takes a bit at least, as Huffman's codes have one; a header that promises more is wrong."""
-_PNM_HEADER = re.compile(
-    rb"P([1-6])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:(?:\s|#[^\n]*\n)+(\d{1,6}))?\s"
-)
 _CUT_OFF = "is cut off"
 
 
@@ -51,20 +47,12 @@ def _png_damage(content: bytes) -> str | None:
 
 def _jpeg_damage(content: bytes) -> str | None:
     # A thumbnail in the EXIF data has an end marker of its own, so the segments must be walked.
-    at = 2
-    while (match := _JPEG_MARKER.search(content, at)) is not None:
-        marker = content[match.start() + 1]
-        if marker == 0xD9:
-            return None
-        if match.end() + 2 > len(content):
-            break
-        (length,) = struct.unpack_from(">H", content, match.end())
-        if marker in _JPEG_FRAMES and match.end() + 7 <= len(content):
-            height, width = struct.unpack_from(">HH", content, match.end() + 3)
-            if width * height > _JPEG_PIXELS_PER_BYTE * len(content):
-                return f"promises {width} x {height} pixels in {len(content)} bytes (a JPEG)"
-        at = match.end() + length
-    return f"{_CUT_OFF} after {len(content)} bytes (a JPEG without its end)"
+    width, height = stated_size(content) or (0, 0)
+    if width * height > _JPEG_PIXELS_PER_BYTE * len(content):
+        return f"promises {width} x {height} pixels in {len(content)} bytes (a JPEG)"
+    if all(marker != JPEG_END for marker, _ in jpeg_segments(content)):
+        return f"{_CUT_OFF} after {len(content)} bytes (a JPEG without its end)"
+    return None
 
 
 def _bmp_damage(content: bytes) -> str | None:
@@ -82,7 +70,7 @@ def _bmp_damage(content: bytes) -> str | None:
 
 
 def _pnm_damage(content: bytes) -> str | None:
-    match = _PNM_HEADER.match(content)
+    match = PNM_HEADER.match(content)
     if match is None:
         return None
     kind, width, height = (int(match[i]) for i in (1, 2, 3))

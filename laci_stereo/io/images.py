@@ -14,6 +14,7 @@ import numpy.typing as npt
 from laci_stereo.core.errors import ImageError, OutputError
 from laci_stereo.core.frames import IntArray, Raster
 from laci_stereo.io.image_integrity import damage
+from laci_stereo.io.image_size import stated_size
 from laci_stereo.io.output import write_file
 from laci_stereo.io.stamps import iso_text
 from laci_stereo.io.timed_files import FileKind, in_time, names_in
@@ -27,6 +28,10 @@ IMAGES = FileKind(
     "PNG, JPEG, TIFF, PGM or BMP",
     ImageError,
 )
+
+MOST_PIXELS = 100_000_000
+"""Of an image: four times what cameras beside roads have. With four channels of 16 bit it decodes into 0.8 GB; a header
+may promise any size in a few bytes."""
 
 # A damaged image is one line of ours; OpenCV's own warnings say the same once more, with its source lines.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -134,7 +139,7 @@ def read_image(path: Path) -> Image:
     Raises
     ------
     ImageError
-        If it is missing, no image, cut off or otherwise damaged.
+        If it is missing, no image, larger than `MOST_PIXELS`, cut off or otherwise damaged.
     """
     try:
         content = path.read_bytes()
@@ -144,15 +149,27 @@ def read_image(path: Path) -> Image:
     damaged = damage(content)
     if damaged is not None:
         raise ImageError(f"{path} {damaged}; needed is a whole image")
-    try:
-        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as problem:
-        raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image") from problem
-    if image is None:
-        raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image")
+    image = _decoded(path, content)
     if image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{path} has pixels of type {image.dtype}; needed are 8 or 16 bit integers")
     return _without_alpha(image)
+
+
+def _decoded(path: Path, content: bytes) -> npt.NDArray[np.generic]:
+    image, problem = None, None
+    size = stated_size(content)
+    if size is not None:
+        if size[0] * size[1] > MOST_PIXELS:
+            raise ImageError(
+                f"{path} has {size[0]} x {size[1]} pixels; needed are at most {MOST_PIXELS / 1e6:.0f} megapixels"
+            )
+        try:
+            image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error as error:
+            problem = error
+    if image is None:
+        raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image") from problem
+    return image
 
 
 def first_size(files: Iterable[Path]) -> tuple[int, int]:

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError
+from pyproj import Transformer
 
 from laci_stereo.core.errors import CalibrationFileError, SettingError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, FloatArray, invert
 from laci_stereo.core.result import viewing_angles
-from laci_stereo.core.world import World
+from laci_stereo.core.world import World, utm_code
 from laci_stereo.io.calibration_file import Document, validate
 from laci_stereo.io.file_content import read_content
 from laci_stereo.io.output import RESULT_FILE
+from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME
 from laci_stereo.io.siting import Siting, Statement, rigid_in_grid
 from laci_stereo.io.text_file import quoted, shortened
 from laci_stereo.io.written_pose import WrittenPose, read_pose
@@ -37,10 +37,7 @@ FARTHEST_CENTRE_M = 1000.0
 DAIR_WORLD, DAIR_CAMERA = "virtuallidar_to_world.json", "virtuallidar_to_camera.json"
 
 _KIND_AXES = {"stereo": OPENCV_AXES, "lidar": FORWARD_LEFT_UP_AXES, "detections": FORWARD_LEFT_UP_AXES}
-_KIND_FRAMES = {
-    "stereo": "raw left camera: origin in the lens, x right, y down, z forward",
-    "lidar": "as in the scans",
-}
+_KIND_FRAMES = {"stereo": RAW_FRAME, "lidar": "as in the scans"}
 
 Direction = Literal["sensor-to-map", "map-to-sensor"]
 
@@ -61,6 +58,8 @@ class ImportOptions:
         None for what the file's names say, else from sensor to map.
     centre : tuple of float or None
         UTM east and north where a rigid transform is true to scale; None for what the file says, or the sensor's place.
+    rectified : bool
+        It is of a camera whose images were rectified already; an export of ours says that itself.
     name : str or None
     entry : str or None
         Which of several transforms in the file.
@@ -73,6 +72,7 @@ class ImportOptions:
     origin: tuple[float, ...] | None = None
     direction: Direction | None = None
     centre: tuple[float, float] | None = None
+    rectified: bool = False
     name: str | None = None
     entry: str | None = None
     form: str | None = None
@@ -106,7 +106,8 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
     kind = _said("the sensor's kind", "--kind stereo or lidar", options.kind, told.kind if told else None, path)
     if kind not in _KIND_AXES:
         raise CalibrationFileError(f"{path}: the sensor's kind is {quoted(kind)}; needed is {', '.join(_KIND_AXES)}")
-    crs = _utm_zone(_said("its UTM zone", "--crs EPSG:326..", options.crs, told.world.crs if told else None, path))
+    told_crs = told.world.crs if told else None
+    crs = utm_code(shortened(_said("its UTM zone", "--crs EPSG:326..", options.crs, told_crs, path)))
     if told is not None and pose.from_map is None:  # the other exports of ours say it by a name
         pose = replace(pose, from_map=False)
     T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
@@ -119,7 +120,7 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
     siting = Siting(
         options.name or (told.name if told else path.absolute().stem),
         kind,
-        told.frame if told else _KIND_FRAMES[kind],
+        _frame(path, kind, told.frame if told else None, options.rectified),
         world,
         *_in_world(world, T_utm_sensor, pose.grid_scale, _centre(world, T_utm_sensor, options.centre, told)),
     )
@@ -159,15 +160,14 @@ def _said(what: str, option: str, asked: str | None, told: str | None, path: Pat
     return asked or told or ""
 
 
-def _utm_zone(crs: str) -> str:
-    try:
-        parsed = CRS.from_user_input(crs)
-    except CRSError:
-        parsed = None
-    code = None if parsed is None or parsed.utm_zone is None else parsed.to_epsg()
-    if code is None or code // 100 not in (326, 327):
-        raise SettingError(f"coordinate system {quoted(crs)} is no UTM zone of WGS84; needed is one such as EPSG:32632")
-    return f"EPSG:{code}"
+def _frame(path: Path, kind: str, told: str | None, rectified: bool) -> str:
+    """Return the words for the sensor's frame."""
+    if rectified and (kind != "stereo" or told not in (None, RECTIFIED_FRAME)):
+        what = kind if told is None else f"{kind}, its frame {quoted(told)}"
+        raise SettingError(
+            f"{path}: the sensor is {what}; needed is a stereo camera of rectified images, or no --rectified"
+        )
+    return told or (RECTIFIED_FRAME if rectified else _KIND_FRAMES[kind])
 
 
 def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, axes: Axes) -> tuple[FloatArray, str]:
@@ -200,15 +200,20 @@ def _in_utm(
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Add the origin of the map frame, where the numbers are no UTM coordinates already."""
     T = T_map_sensor.copy()
-    if origin is not None:
-        east, north, ground = (*origin, 0.0)[:3]
-        T[:3, 3] += (east, north, -ground)
-        return T, (f"its map begins at UTM {origin[0]:.3f}, {origin[1]:.3f}, as was asked",)
     east, north = T[:2, 3]
-    if _is_utm(east, north):
-        return T, ()
     if told is not None:
-        T[:2, 3] += told.world.origin_utm
+        begins = (0.0, 0.0) if _is_utm(east, north) else told.world.origin_utm
+        if origin is not None and (*origin, 0.0)[:3] != (*begins, 0.0):
+            raise SettingError(
+                f"{path} says that its map begins at UTM {begins[0]:.10g}, {begins[1]:.10g} on the ground, --origin "
+                f"{', '.join(f'{value:.10g}' for value in origin)}; needed is --origin as the file has it, or without"
+            )
+        T[:2, 3] += begins
+        return T, ()
+    if origin is not None:
+        T[:3, 3] += (*origin[:2], -(*origin, 0.0)[2])
+        return T, (f"its map begins at UTM {origin[0]:.3f}, {origin[1]:.3f}, as was asked",)
+    if _is_utm(east, north):
         return T, ()
     if _is_utm(east / 1000.0, north / 1000.0):
         raise CalibrationFileError(
@@ -319,7 +324,7 @@ def imported_document(imported: Imported, inputs: dict[str, str], options: dict[
         "background_boxes": [],
         "inputs": inputs,
         "notes": list(imported.notes),
-        "config": {"import": options},
+        "config": {"import": options, **({"stereo": {"rectified": True}} if siting.frame == RECTIFIED_FRAME else {})},
     }
     validate(document)
     return document

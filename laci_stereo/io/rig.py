@@ -19,6 +19,11 @@ Size: TypeAlias = tuple[int, int]
 
 Model: TypeAlias = Literal["pinhole", "fisheye"]
 
+RAW_FRAME, RECTIFIED_FRAME = (
+    f"{which} left camera: origin in the lens, x right, y down, z forward" for which in ("raw", "rectified")
+)
+"""Of results from raw images, and from images that were rectified already, which lie a turn apart."""
+
 MIN_BASELINE_M = 0.02
 MAX_BASELINE_M = 10.0
 
@@ -84,7 +89,7 @@ class StereoRig:
 
 @dataclass(frozen=True)
 class ForImages:
-    """The images that a calibration is read for: what a file leaves open, they may tell.
+    """The images that a calibration is read for: what a file leaves open, they or their user may tell.
 
     Attributes
     ----------
@@ -92,10 +97,13 @@ class ForImages:
         Width and height, pixels.
     left : Path or None
         The folder of the left ones.
+    baseline_m : float or None
+        How far apart the cameras stand, where the user says it: files tell lengths in units that they do not name.
     """
 
     size: Size | None = None
     left: Path | None = None
+    baseline_m: float | None = None
 
     @property
     def left_camera(self) -> int | None:
@@ -125,6 +133,32 @@ def projection_shift(P: FloatArray) -> FloatArray:
     z = P[2, 3] / P[2, 2]
     y = (P[1, 3] - P[1, 2] * z) / P[1, 1]
     return np.array([(P[0, 3] - P[0, 1] * y - P[0, 2] * z) / P[0, 0], y, z])
+
+
+def with_baseline(name: str, rig: StereoRig, baseline_m: float) -> StereoRig:
+    """Return the rig whose cameras stand as far apart as the user says, in the directions that the file tells.
+
+    Raises
+    ------
+    RigError
+        If the file has them in one place.
+    """
+    read = rig.baseline_m
+    if not (0.0 < read < math.inf and 0.0 < baseline_m < math.inf):
+        raise RigError(
+            f"{name}: the length of T is {read:g}, --baseline says {baseline_m:g} m; needed are numbers above 0"
+        )
+    note = f"baseline {baseline_m:g} m, as --baseline says; T, read as metres, has {read:.6g} m"
+    return _scaled(rig, baseline_m / read, note)
+
+
+def _scaled(rig: StereoRig, factor: float, note: str) -> StereoRig:
+    return replace(
+        rig,
+        t_right_left_m=rig.t_right_left_m * factor,
+        notes=(*rig.notes, note),
+        rectified=None if rig.rectified is None else _scaled(rig.rectified, factor, note),
+    )
 
 
 def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
@@ -201,14 +235,14 @@ def _check_baseline(name: str, rig: StereoRig) -> None:
     baseline = rig.baseline_m
     if not MIN_BASELINE_M <= baseline <= MAX_BASELINE_M:
         units = [
-            name
-            for name, metres in (("millimetres", 1e-3), ("centimetres", 1e-2))
+            f"{baseline * metres:.6g} if T is in {unit}"
+            for unit, metres in (("millimetres", 1e-3), ("centimetres", 1e-2))
             if MIN_BASELINE_M <= baseline * metres <= MAX_BASELINE_M
         ]
-        hint = f"; is T in {' or '.join(units)}?" if units and baseline > MAX_BASELINE_M else ""
         raise RigError(
             f"{name}: the baseline (length of T) is {baseline:g} m; a stereo rig's is {MIN_BASELINE_M:g} to "
-            f"{MAX_BASELINE_M:g} m{hint}"
+            f"{MAX_BASELINE_M:g} m: needed is T in metres, or --baseline M with the metres between the cameras"
+            + (f" ({', '.join(units)})" if units else "")
         )
     # Seen from half-way between the two orientations, as rectification does.
     half_back = Rotation.from_matrix(rig.R_right_left).as_rotvec() * -0.5

@@ -55,10 +55,14 @@ class Document:
     name: str
     root: Mapping[str, Node]
 
+    def key(self, entry: Entry) -> str | None:
+        """Return the name under which an entry stands here."""
+        present = {plain(name): name for name in self.root}
+        return next((present[plain(name)] for name in entry.names if plain(name) in present), None)
+
     def find(self, entry: Entry) -> tuple[str, Node] | None:
         """Return the name under which an entry stands here, for messages, and what stands there."""
-        present = {plain(name): name for name in self.root}
-        found = next((present[plain(name)] for name in entry.names if plain(name) in present), None)
+        found = self.key(entry)
         return None if found is None else (shortened(found, _LONGEST_NAME), self.root[found])
 
     def has(self, *names: str) -> bool:

@@ -25,6 +25,12 @@ TRANSLATION = Entry(
     "translation between the cameras",
     ("T", "translation", "translationVector", "trans", "stereoT", "translationOfCamera2"),
 )
+_SIDES: tuple[Literal["left", "right"], ...] = ("left", "right")
+_MATRICES = {side: Entry.of_camera("camera matrix", MATRIX, side) for side in _SIDES}
+_DISTORTIONS = {side: Entry.of_camera("distortion", DISTORTION, side) for side in _SIDES}
+_ENTRIES = (*_MATRICES.values(), *_DISTORTIONS.values(), ROTATION, TRANSLATION)
+_NAMES = frozenset(plain(name) for entry in _ENTRIES for name in entry.names)
+_LENSES = tuple({_MATRICES[side].what, _DISTORTIONS[side].what} for side in _SIDES)
 _PROJECTION = ("P", "projectionMatrix", "projection")
 _MODEL_NAMES = ("model", "distortionmodel", "cameramodel")
 _FISHEYE_FLAGS = ("fisheye", "fisheyemodel", "isfisheye", "usefisheye")
@@ -53,7 +59,7 @@ def read_opencv(documents: Sequence[Document], images: ForImages) -> StereoRig:
             f"{document.name} lacks the image size; needed are image_width and image_height, it holds "
             f"{listed(list(document.root))}"
         )
-    left, right = (_lens(document, side, size, model) for side in ("left", "right"))
+    left, right = (_lens(document, side, size, model) for side in _SIDES)
     if model == "pinhole" and {len(left.distortion), len(right.distortion)} == {4} and not _names_model(document):
         notes = (*notes, "four distortion coefficients and no model named; taken as k1, k2, p1, p2, not as a fisheye's")
     rotation = document.array(ROTATION, (3, 3), (3,))
@@ -89,7 +95,7 @@ def _names_model(document: Document) -> bool:
 
 
 def _lens(document: Document, side: Literal["left", "right"], size: Size, model: Model) -> Lens:
-    K = document.array(Entry.of_camera("camera matrix", MATRIX, side), (3, 3))
+    K = document.array(_MATRICES[side], (3, 3))
     shapes = tuple((count,) for count in COEFFICIENTS[model])
     distortion = document.array(Entry.of_camera(f"{model} distortion", DISTORTION, side), *shapes)
     return Lens(K, distortion, size, model)
@@ -97,7 +103,7 @@ def _lens(document: Document, side: Literal["left", "right"], size: Size, model:
 
 def _rectified(document: Document, size: Size) -> StereoRig | None:
     """Return the rig of the rectified images, where the file has their projections."""
-    entries = [Entry.of_camera("projection", _PROJECTION, side) for side in ("left", "right")]
+    entries = [Entry.of_camera("projection", _PROJECTION, side) for side in _SIDES]
     if any(document.find(entry) is None for entry in entries):
         return None
     left_P, right_P = (document.array(entry, (3, 4)) for entry in entries)
@@ -117,17 +123,33 @@ def _flattened(document: Document) -> Document:
 
 
 def _merged(documents: Sequence[Document]) -> tuple[Document, tuple[str, ...]]:
-    """Lay two files over each other; where both have an entry, that beside the translation counts."""
+    """Lay two files over each other; where both tell something, that beside the translation counts.
+
+    But a camera's matrix and distortion are from one file, where one has both: they were estimated together.
+    """
     if len(documents) == 1:
         return documents[0], ()
-    ordered = sorted(documents, key=lambda document: document.find(TRANSLATION) is not None)
-    root: dict[str, Node] = {}
-    twice: list[str] = []
-    for document in ordered:
-        twice += [name for name, node in document.root.items() if name in root and not _same(root[name], node)]
-        root |= document.root
-    notes = (f"{listed(twice)}: in both files, and not the same; taken from {ordered[-1].name}",) if twice else ()
-    return Document(" + ".join(document.name for document in documents), root), notes
+    inner, outer = sorted(documents, key=lambda document: document.find(TRANSLATION) is not None)
+    one, other = _told(inner), _told(outer)
+    halves = {what for lens in _LENSES if lens <= one.keys() and not lens <= other.keys() for what in lens}
+    root = {name: inner.root[name] for what, name in one.items() if what not in other or what in halves}
+    root |= {name: outer.root[name] for what, name in other.items() if what not in halves}
+    notes: list[str] = []
+    for whats, source in (
+        ([what for what in other if what in halves], f"{inner.name}, which has the whole lens"),
+        ([what for what in other if what not in halves], outer.name),
+    ):
+        pairs = [(one[what], other[what]) for what in whats if what in one]
+        names = [name for pair in pairs if not _same(inner.root[pair[0]], outer.root[pair[1]]) for name in pair]
+        if names:
+            notes.append(f"{listed([*dict.fromkeys(names)])}: in both files, and not the same; taken from {source}")
+    return Document(" + ".join(document.name for document in documents), root), tuple(notes)
+
+
+def _told(document: Document) -> dict[str, str]:
+    """Return under which name a file tells each thing, the first of those that are known, by what it is."""
+    known = {entry.what: found for entry in _ENTRIES if (found := document.key(entry)) is not None}
+    return known | {plain(name): name for name in document.root if plain(name) not in _NAMES}
 
 
 def _same(one: Node, other: Node) -> bool:

@@ -20,6 +20,7 @@ from laci_stereo.io.rig import (
     StereoRig,
     check_rig,
     check_size,
+    with_baseline,
 )
 from laci_stereo.io.rig_basalt import read_basalt
 from laci_stereo.io.rig_depthai import read_depthai
@@ -117,7 +118,10 @@ def calibration_files(given: Path | Sequence[Path], left_folder: Path) -> tuple[
 
 
 def read_stereo_calibration(
-    files: Path | Sequence[Path], image_size: Size | None = None, left_folder: Path | None = None
+    files: Path | Sequence[Path],
+    image_size: Size | None = None,
+    left_folder: Path | None = None,
+    baseline_m: float | None = None,
 ) -> StereoRig:
     """Read a stereo calibration and check that it can be one.
 
@@ -129,13 +133,15 @@ def read_stereo_calibration(
         Width and height of the images that it is for.
     left_folder : path, optional
         The folder of the left images; of several cameras in a file, its name may tell which are meant.
+    baseline_m : float, optional
+        How far apart the cameras stand, where the file's lengths are in an unknown unit.
 
     Raises
     ------
     RigError
         If it cannot be read, lacks an entry, is for images of another size, or describes no usable stereo camera.
     """
-    rig = read_rig(files, ForImages(image_size, left_folder))
+    rig = read_rig(files, ForImages(image_size, left_folder, baseline_m))
     if image_size is not None:
         check_size(_names(files), rig, image_size)
     return rig
@@ -156,6 +162,8 @@ def read_rig(files: Path | Sequence[Path], images: ForImages) -> StereoRig:
     documents = [read_document(path) for path in paths]
     with np.errstate(all="ignore"):  # huge numbers become infinite ones, which are refused
         rig = next(rig for rig in (read(documents, images) for read in _FORMATS) if rig is not None)
+        if images.baseline_m is not None:
+            rig = with_baseline(_names(paths), rig, images.baseline_m)
         check_rig(_names(paths), rig)
         return rig if rig.rectified is None or _usable(rig.rectified) else replace(rig, rectified=None)
 

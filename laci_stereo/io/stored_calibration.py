@@ -41,6 +41,8 @@ class StoredCalibration:
         Roll, down and yaw, see `ViewingAngles`.
     rectified : bool
         It is of images that were rectified already.
+    baseline_m : float or None
+        How far apart the user said that the cameras stand; None where the stereo calibration tells it.
     """
 
     path: Path
@@ -54,6 +56,7 @@ class StoredCalibration:
     boxes: FloatArray
     angles_deg: tuple[float, float, float]
     rectified: bool
+    baseline_m: float | None
 
     @property
     def claims(self) -> bool:
@@ -94,6 +97,9 @@ def read_calibration(result: Path) -> StoredCalibration:
 
 def _parsed(path: Path, document: Document) -> StoredCalibration:
     sensor, world, angles = document["sensor"], document["world"], document["euler_deg"]
+    stereo = document["config"].get("stereo")
+    images: Document = stereo if isinstance(stereo, dict) else {}
+    baseline_m = images.get("baseline_m")
     east, north = world["origin_utm"]
     return StoredCalibration(
         path=path,
@@ -106,17 +112,13 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
         centre_world=np.array(document["covariance_centre_world"], dtype=np.float64),
         boxes=np.array(document["background_boxes"], dtype=np.float64).reshape(-1, 6),
         angles_deg=(angles["roll"], angles["down"], angles["yaw"]),
-        rectified=_says_rectified(document["config"]),
+        rectified=images.get("rectified") is True,
+        baseline_m=baseline_m if isinstance(baseline_m, float) else None,
     )
 
 
 def _covariance(rows: list[list[float]] | None) -> FloatArray:
     return np.full((6, 6), np.nan) if rows is None else np.array(rows, dtype=np.float64)
-
-
-def _says_rectified(config: Document) -> bool:
-    stereo = config.get("stereo")
-    return isinstance(stereo, dict) and stereo.get("rectified") is True
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is beyond measure becomes infinite, which is refused

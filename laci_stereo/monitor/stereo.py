@@ -117,7 +117,7 @@ class StereoFrames:
     @cached_property
     def _rig(self) -> StereoRig:
         size = first_size(pair.left for pair in self._pairs)
-        return read_stereo_calibration(self._stereo, size, self._left)
+        return read_stereo_calibration(self._stereo, size, self._left, self._settings.baseline_m)
 
 
 class _Patient(GreyReader):

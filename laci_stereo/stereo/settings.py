@@ -15,6 +15,8 @@ class StereoSettings:
     ----------
     rectified : bool
         The images are rectified already, and the calibration's left matrix is that of both.
+    baseline_m : float or None
+        How far apart the cameras stand, where the calibration's lengths are in an unknown unit; None: as it says.
     disparities : tuple of int or None
         Smallest and largest disparity to search, pixels. None: from the baseline, the focal length and the mounting
         height, which a coarse look at the scene gives, for every part of an image by itself.
@@ -39,6 +41,7 @@ class StereoSettings:
     """
 
     rectified: bool = False
+    baseline_m: float | None = None
     disparities: tuple[int, int] | None = None
     block_size: int = 5
     uniqueness_percent: int = 10

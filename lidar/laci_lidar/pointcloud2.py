@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import struct
-from functools import cache
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from laci_lidar.columns import Column, Columns
 from laci_lidar.errors import ScanError
+from laci_stereo.io.bag_types import known_types, types_told
 from laci_stereo.io.text_file import quoted
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 _VALUES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _LARGEST_POINT = 1 << 16
-
-
-@cache
-def _types(ros1: bool) -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 def is_known(ros1: bool, definition: str, digest: str) -> bool:
@@ -36,20 +29,13 @@ def is_known(ros1: bool, definition: str, digest: str) -> bool:
     digest : str
         ROS 1's MD5 sum; otherwise unused.
     """
-    types = _types(ros1)
+    types = known_types(ros1)
     if ros1:
         return digest in ("", "*", types.generate_msgdef(POINT_CLOUD)[1])
     if not definition.strip():
         return True
     try:
-        if definition.lstrip().startswith(("=", "module")):
-            parts = [
-                part.split("\n", 1)[1] if part.startswith("IDL: ") else part
-                for part in definition.split("=" * 80 + "\n")
-            ]
-            told = {name: fields for part in parts if part.strip() for name, fields in get_types_from_idl(part).items()}
-        else:
-            told = get_types_from_msg(definition, POINT_CLOUD)
+        told = types_told(definition, POINT_CLOUD)
     except Exception:  # of many kinds, and all of them say that this is no definition
         return False
     # Names and types of the fields; constants and comments do not matter.
@@ -81,7 +67,7 @@ def read_message(message: bytes, ros1: bool, what: str) -> Columns:
     ScanError
         If it is damaged.
     """
-    types = _types(ros1)
+    types = known_types(ros1)
     try:
         cloud: Any = (types.deserialize_ros1 if ros1 else types.deserialize_cdr)(message, POINT_CLOUD)
     except Exception as problem:  # of many kinds: the bytes may be anything

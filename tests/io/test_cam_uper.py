@@ -74,7 +74,7 @@ def test_what_a_general_encoder_writes_is_read(values: dict[str, Any], optional:
 
 
 @given(mutations(encode(vehicle_cam(heading=100, speed=500))).filter(lambda data: data[:2] == b"\x02\x02"))
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 def test_what_is_read_is_what_a_general_decoder_reads(data: bytes):
     try:
         found = decode_cam(data)

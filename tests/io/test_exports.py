@@ -65,12 +65,24 @@ def test_opencv_reads_its_file_and_projects_points_of_the_map(sited: Siting, tmp
 
 @every_siting
 def test_ros2_launch_file_starts_the_publisher_of_the_transform(sited: Siting) -> None:
-    """ROS 2 reads a launch file in YAML by yaml.safe_load, and splits the arguments as a shell does."""
-    ((node,),) = (yaml.safe_load(only(sited, "ros2")).values(),)
-    (entry,) = node
-    assert (entry["node"]["pkg"], entry["node"]["exec"]) == ("tf2_ros", "static_transform_publisher")
-    words = shlex.split(entry["node"]["args"])
+    """ROS 2 reads a launch file in YAML by yaml.safe_load, and splits the arguments as a shell does.
+
+    A list of entities, each with its type alone as key; a dollar sign would begin a substitution. The publisher takes
+    its options in any order, each once, and a turn either as a quaternion or as angles.
+    """
+    document = yaml.safe_load(only(sited, "ros2"))
+    assert list(document) == ["launch"]
+    (entity,) = document["launch"]
+    assert list(entity) == ["node"]
+    node = entity["node"]
+    assert set(node) <= {"pkg", "exec", "name", "namespace", "args", "ros_args", "output", "respawn"}
+    assert all(isinstance(value, str) and "$" not in value for value in node.values())
+    assert (node["pkg"], node["exec"]) == ("tf2_ros", "static_transform_publisher")
+    assert re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", node["name"])
+    words = shlex.split(node["args"])
     told = dict(zip(words[::2], words[1::2], strict=True))
+    assert len(words) == 2 * len(told)
+    assert set(told) == {f"--{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw", "frame-id", "child-frame-id")}
     assert (told["--frame-id"], told["--child-frame-id"]) == ("map", frame_id(sited))
     assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", frame_id(sited))
     types = get_typestore(Stores.ROS2_HUMBLE).types

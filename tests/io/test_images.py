@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from laci_stereo.core.errors import ImageError
+from laci_stereo.io.image_size import stated_size
 from laci_stereo.io.images import ImageFolder, pair_images, read_image
+from tests.io.images import png_bomb
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused, write_images
 
 START_NS = 1760000000_000000000
@@ -20,8 +23,8 @@ IN_COLOUR = [".png", ".tif", ".tiff", ".bmp", ".ppm"]
 IN_GREY = [".png", ".tif", ".pgm"]
 
 
-def encoded(image: np.ndarray, suffix: str) -> bytes:
-    done, content = cv2.imencode(suffix, image)
+def encoded(image: np.ndarray, suffix: str, *parameters: int) -> bytes:
+    done, content = cv2.imencode(suffix, image, parameters)
     assert done
     return content.tobytes()
 
@@ -176,6 +179,94 @@ def test_a_jpeg_that_promises_more_pixels_than_its_bytes_can_hold_is_not_decoded
     (tmp_path / "x.jpg").write_bytes(content)
     with pytest.raises(ImageError, match=rf"promises 30000 x 17000 pixels in {len(content)} bytes"):
         read_image(tmp_path / "x.jpg")
+
+
+@pytest.mark.parametrize("suffix", [*IN_COLOUR, ".jpg", ".pgm", ".webp"])
+@pytest.mark.parametrize("shape", [(48, 64), (1, 1), (7, 300), (257, 3)])
+def test_the_size_that_a_file_states_is_that_of_its_pixels(suffix: str, shape: tuple[int, int]) -> None:
+    image = RNG.integers(0, 256, (*shape, 3), dtype=np.uint8)
+    content = encoded(image[:, :, 0] if suffix == ".pgm" else image, suffix)
+    assert stated_size(content) == shape[::-1]
+    if suffix == ".webp":
+        assert stated_size(encoded(image, suffix, cv2.IMWRITE_WEBP_QUALITY, 50)) == shape[::-1]
+    for length in range(40):
+        assert stated_size(content[:length]) in (None, shape[::-1])
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("kind", ["H", "I"])
+def test_the_size_that_a_tiff_states_in_all_its_ways(order: str, big: bool, kind: str) -> None:
+    head = (b"II" if order == "<" else b"MM") + struct.pack(order + "H", 43 if big else 42)
+    head += struct.pack(order + ("HHQ" if big else "I"), *((8, 0, 16) if big else (8,)))
+    told = {254: 0, 256: 30_000, 257: 40_000, 258: 8}
+    entries = b"".join(
+        struct.pack(order + ("HHQ" if big else "HHI"), tag, {"H": 3, "I": 4}[kind], 1)
+        + struct.pack(order + kind, value).ljust(8 if big else 4, b"\0")
+        for tag, value in told.items()
+    )
+    assert stated_size(head + struct.pack(order + ("Q" if big else "H"), len(told)) + entries) == (30_000, 40_000)
+
+
+STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0+\0\x08\0\0", b"BM", b"RIFFaaaaWEBPVP8X", b"P6 ")
+
+
+@pytest.mark.parametrize("suffix", [*IN_COLOUR, ".jpg", ".webp"])
+def test_of_any_bytes_a_size_or_none_is_stated(suffix: str) -> None:
+    whole = encoded(SCENE[:8, :8], suffix)
+
+    @fuzz
+    @given(st.one_of(mutations(whole), st.builds(bytes.__add__, st.sampled_from(STARTS), st.binary(max_size=60))))
+    def check(content: bytes) -> None:
+        size = stated_size(content)
+        assert size is None or min(size) >= 0
+
+    check()
+
+
+def patched(content: bytes, size: tuple[int, ...], form: str, at: int) -> bytes:
+    raw = struct.pack(form, *size)
+    return content[:at] + raw + content[at + len(raw) :]
+
+
+def tiff_of(size: tuple[int, int]) -> bytes:
+    content = encoded(SCENE, ".tif")
+    for tag, old, new in ((256, SCENE.shape[1], size[0]), (257, SCENE.shape[0], size[1])):
+        entry = struct.pack("<HHII", tag, 3, 1, old)
+        assert content.count(entry) == 1
+        content = content.replace(entry, struct.pack("<HHII", tag, 4, 1, new))
+    return content
+
+
+BOMBS = {
+    "x.png": lambda: png_bomb(40_000, 20_000),
+    "x.jpg": lambda: encoded(np.zeros((10_001, 10_000), dtype=np.uint8), ".jpg"),
+    "x.tiff": lambda: tiff_of((40_000, 20_000)),
+    "x.webp": lambda: patched(encoded(SCENE, ".webp", cv2.IMWRITE_WEBP_QUALITY, 50), (16_000, 16_000), "<HH", 26),
+    "lossless.webp": lambda: patched(encoded(SCENE, ".webp"), (15_999 | 15_999 << 14,), "<I", 21),
+    "x.bmp": lambda: patched(patched(encoded(SCENE, ".bmp"), (40_000, 20_000), "<ii", 18), (1, 0), "<II", 30),
+}
+"""Small files that would decode into gigabytes; the BMP says that its runs are packed."""
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_an_image_of_more_pixels_than_cameras_have_is_not_decoded(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = BOMBS[name]()
+    (tmp_path / name).write_bytes(content)
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("decoded"))
+    with pytest.raises(ImageError, match=r"has \d+ x \d+ pixels; needed are at most 100 megapixels") as refused:
+        read_image(tmp_path / name)
+    assert len(str(refused.value).splitlines()) == 1
+    assert len(content) < 2_000_000
+
+
+def test_what_is_no_known_format_is_not_decoded(tmp_path: Path) -> None:
+    """OpenCV reads more formats than we know the headers of; their content, under whatever name, may state any size."""
+    (tmp_path / "x.png").write_bytes(encoded(SCENE, ".hdr"))
+    with pytest.raises(ImageError, match=r"x\.png cannot be decoded"):
+        read_image(tmp_path / "x.png")
 
 
 @pytest.mark.parametrize("progressive", [0, 1])

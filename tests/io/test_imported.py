@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from laci_stereo.core.frames import FloatArray, invert, transform
 from laci_stereo.io.calibration_file import to_text
 from laci_stereo.io.exports import FORMATS, export_as
 from laci_stereo.io.imported import Imported, ImportOptions, import_pose, imported_document
+from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME
 from laci_stereo.io.siting import Siting, site
 from laci_stereo.io.stored_calibration import read_calibration
 from tests.io.sitings import FIJI, SITINGS, ULM, siting, sitings, ten_points
@@ -308,8 +310,8 @@ def test_millimetres_are_recognised(tmp_path: Path) -> None:
     [
         ({"crs": None}, r"does not say its UTM zone; needed is --crs EPSG:326\.\."),
         ({"kind": None}, r"does not say the sensor's kind; needed is --kind stereo or lidar"),
-        ({"crs": "EPSG:4326"}, "is no UTM zone of WGS84; needed is one such as EPSG:32632"),
-        ({"crs": "Ulm"}, "'Ulm' is no UTM zone"),
+        ({"crs": "EPSG:4326"}, "'EPSG:4326' is WGS 84; needed is a UTM zone such as EPSG:32632"),
+        ({"crs": "Ulm"}, "'Ulm' is not known to PROJ"),
         ({"origin": None}, "needed are UTM coordinates in metres, --origin E,N"),
     ],
 )
@@ -326,6 +328,57 @@ def test_what_file_and_option_say_must_agree(tmp_path: Path) -> None:
         import_pose(path, ImportOptions(kind="stereo"))
     with pytest.raises(SettingError, match=r"its UTM zone is EPSG:32632, the option EPSG:32633"):
         import_pose(path, ImportOptions(crs="EPSG:32633"))
+
+
+@pytest.mark.parametrize("form", ["ros2", "matrix"])
+def test_an_origin_that_the_file_states_is_not_overridden(tmp_path: Path, form: str) -> None:
+    """The map of exports in UTM begins at its 0, 0, that of the others at a place which they tell."""
+    path = exported(tmp_path, LIDAR, form)
+    stated = LIDAR.world.origin_utm if form == "ros2" else (0.0, 0.0)
+    plain = import_pose(path, ImportOptions()).siting
+    for same in (stated, (*stated, 0.0)):
+        found = import_pose(path, ImportOptions(origin=same)).siting
+        np.testing.assert_array_equal(found.T_world_sensor, plain.T_world_sensor)
+    for other in ((stated[0] + 1.0, stated[1]), (*stated, 478.0)):
+        with pytest.raises(
+            SettingError, match=r"says that its map begins at UTM .* needed is --origin as the file"
+        ) as no:
+            import_pose(path, ImportOptions(origin=other))
+        assert len(str(no.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("form", [each.name for each in FORMATS if each.name != "proj"])
+@pytest.mark.parametrize("rectified", [False, True])
+def test_a_camera_of_rectified_images_stays_one(tmp_path: Path, form: str, rectified: bool) -> None:
+    path = exported(tmp_path, replace(STEREO, frame=RECTIFIED_FRAME if rectified else RAW_FRAME), form)
+    imported = import_pose(path, ImportOptions())
+    result = tmp_path / "result.json"
+    result.write_text(to_text(imported_document(imported, {}, {})))
+    stored = read_calibration(result)
+    assert stored.rectified == rectified
+
+
+def test_of_foreign_files_the_user_says_that_images_are_rectified(tmp_path: Path) -> None:
+    path = tmp_path / "T.txt"
+    path.write_text(rows(STEREO.T_utm_sensor))
+    assert taken(path, kind="stereo").siting.frame.startswith("raw left camera")
+    found = taken(path, kind="stereo", rectified=True).siting
+    assert found.frame == RECTIFIED_FRAME
+    with pytest.raises(SettingError, match="the sensor is lidar; needed is a stereo camera of rectified images"):
+        taken(path, kind="lidar", rectified=True)
+    with pytest.raises(SettingError, match="the sensor is stereo, its frame 'as it is: x, y, z'; needed is"):
+        import_pose(exported(tmp_path, STEREO, "opencv"), ImportOptions(rectified=True))
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832", "epsg:32632", "WGS 84 / UTM zone 32N"])
+def test_any_utm_zone_goes_into_a_result(tmp_path: Path, crs: str) -> None:
+    path = tmp_path / "T.txt"
+    path.write_text(rows(LIDAR.T_utm_sensor))
+    imported = taken(path, crs=crs)
+    (tmp_path / "result.json").write_text(to_text(imported_document(imported, {}, {})))
+    stored = read_calibration(tmp_path / "result.json")
+    assert stored.world.crs == ("EPSG:25832" if crs == "EPSG:25832" else "EPSG:32632")
+    np.testing.assert_allclose(site(stored).T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
 
 
 def test_a_camera_in_axes_of_a_body_is_refused(tmp_path: Path) -> None:

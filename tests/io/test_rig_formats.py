@@ -147,18 +147,30 @@ def test_middleburys_depths_are_those_of_its_formula(tmp_path: Path) -> None:
         read_stereo_calibration(path)
 
 
-def test_two_files_that_disagree_are_said_to(tmp_path: Path) -> None:
-    inner, outer = writers.opencv_two(tmp_path, RIGS["five"])
-    other = {
-        "R": RIGS["five"].R_right_left,
-        "T": RIGS["five"].t_right_left_m,
-        "K1": RIGS["five"].left.K * [[1], [1], [1]],
-    }
-    other["K1"] = RIGS["five"].left.K + np.diag([1.0, 1.0, 0.0])
-    writers.write_storage(outer, other)
-    rig = read_stereo_calibration((inner, outer))
-    np.testing.assert_array_equal(rig.left.K, other["K1"])
-    assert any("K1: in both files, and not the same" in note for note in rig.notes)
+@pytest.mark.parametrize("name", ["K1", "M1", "cameraMatrixL"])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_of_two_files_that_disagree_a_lens_is_taken_whole(tmp_path: Path, name: str, swapped: bool) -> None:
+    """A matrix and a distortion of different calibrations are no lens, whatever names the files have for them."""
+    rig = RIGS["five"]
+    inner, outer = writers.opencv_two(tmp_path, rig)
+    K, distortion = rig.left.K + np.diag([9.0, 9.0, 0.0]), rig.left.distortion * 0.9
+    extrinsics = {"R": rig.R_right_left, "T": rig.t_right_left_m, name: K}
+    files = (outer, inner) if swapped else (inner, outer)
+
+    writers.write_storage(outer, extrinsics)
+    read = read_stereo_calibration(files)
+    np.testing.assert_array_equal(read.left.K, rig.left.K)
+    np.testing.assert_array_equal(read.left.distortion, rig.left.distortion)
+    (note,) = [note for note in read.notes if "in both files, and not the same" in note]
+    assert note.endswith(f"taken from {inner}, which has the whole lens")
+    assert note.startswith("K1: " if name == "K1" else f"K1, {name}: ")
+
+    writers.write_storage(outer, {**extrinsics, "D1": distortion})
+    read = read_stereo_calibration(files)
+    np.testing.assert_array_equal(read.left.K, K)
+    np.testing.assert_array_equal(read.left.distortion, distortion)
+    (note,) = [note for note in read.notes if "in both files, and not the same" in note]
+    assert note == f"{'K1' if name == 'K1' else f'K1, {name}'}, D1: in both files, and not the same; taken from {outer}"
 
 
 @pytest.mark.parametrize(
@@ -410,8 +422,20 @@ def test_a_real_middlebury_pair() -> None:
 def test_real_files_that_hold_no_whole_rig() -> None:
     with pytest.raises(RigError, match="has camera 0; needed are 0 and 1, or 2 and 3"):
         read_stereo_calibration(FAMOUS / "kitti_calib_cam_to_cam.txt", (1242, 375))
+    with pytest.raises(RigError, match=r"opencv_intrinsics\.yml lacks the rotation between the cameras"):
+        read_stereo_calibration(FAMOUS / "opencv_intrinsics.yml", (640, 480))
+    with pytest.raises(RigError, match=r"thaytan_extrinsics\.yml lacks the pinhole distortion of the left camera"):
+        read_stereo_calibration(FAMOUS / "thaytan_extrinsics.yml", (640, 480))
+
+
+@needs_shared
+def test_a_real_pair_of_files_in_an_unknown_unit() -> None:
     both = (FAMOUS / "opencv_intrinsics.yml", FAMOUS / "thaytan_extrinsics.yml")
     with pytest.raises(
-        RigError, match=r"baseline \(length of T\) is 59\.8373 m; .* is T in millimetres or centimetres"
+        RigError, match=r"\(length of T\) is 59\.8373 m; .* --baseline M .* \(0\.0598373 if T is in mill"
     ):
-        read_stereo_calibration(both, (1280, 960))
+        read_stereo_calibration(both, (640, 480))
+    rig = read_stereo_calibration(both, (640, 480), baseline_m=0.06)
+    assert rig.baseline_m == pytest.approx(0.06)
+    assert rig.left.K[0, 0] == rig.right.K[0, 0] == 534.80326845051309  # the extrinsics' own K1 has no distortion
+    assert rig.left.distortion[0] == 0.29589439552724328

@@ -126,6 +126,36 @@ def test_a_right_camera_on_the_left_is_no_error_here(tmp_path: Path) -> None:
     assert read_stereo_calibration(write(tmp_path / "s.yaml", sized(T=-T))).baseline_m > 0
 
 
+@pytest.mark.parametrize("per_metre", [1.0, 100.0, 1000.0, 1 / 0.0254, 1 / 0.0317])
+def test_lengths_in_any_unit_are_metres_by_the_baseline(tmp_path: Path, per_metre: float) -> None:
+    """Centimetres, millimetres, inches, or squares of a chessboard that nobody has measured."""
+    path = write(tmp_path / "s.yaml", sized(T=T * per_metre))
+    rig = read_stereo_calibration(path, baseline_m=float(np.linalg.norm(T)))
+    np.testing.assert_allclose(rig.t_right_left_m, T, rtol=0, atol=1e-12)
+    assert any("as --baseline says" in note for note in rig.notes)
+
+
+def test_the_baseline_counts_for_rectified_images_as_well(tmp_path: Path) -> None:
+    P = np.column_stack([K_LEFT, np.zeros(3)])
+    shifted = P + np.outer(K_LEFT @ [-600.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+    path = write(tmp_path / "s.yaml", sized(T=T * 1000.0, P1=P, P2=shifted))
+    flat = read_stereo_calibration(path, baseline_m=float(np.linalg.norm(T))).rectified
+    assert flat is not None
+    assert flat.baseline_m == pytest.approx(0.6, abs=1e-12)
+    assert any("as --baseline says" in note for note in flat.notes)
+
+
+@pytest.mark.parametrize("baseline_m", [0.0, -0.6, np.nan, np.inf])
+def test_a_baseline_that_is_no_length_is_refused(tmp_path: Path, baseline_m: float) -> None:
+    with pytest.raises(RigError, match="needed are numbers above 0"):
+        read_stereo_calibration(write(tmp_path / "s.yaml", sized()), baseline_m=baseline_m)
+
+
+def test_cameras_in_one_place_have_no_direction_to_scale(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match=r"the length of T is 0, --baseline says 0\.6 m; needed are numbers above 0"):
+        read_stereo_calibration(write(tmp_path / "s.yaml", sized(T=np.zeros(3))), baseline_m=0.6)
+
+
 def test_a_rotation_vector_is_a_rotation(tmp_path: Path) -> None:
     vector = Rotation.from_matrix(R).as_rotvec()
     rig = read_stereo_calibration(write(tmp_path / "s.yaml", sized(R=vector)))
@@ -159,10 +189,10 @@ ROLLED = np.array([0.0, -0.6, 0.0])
         ),
         ({"R": np.diag([1.0, 1.0, -1.0])}, "R is no rotation .*det R is -1"),
         ({"R": R * 1.01}, "R is no rotation"),
-        ({"T": np.zeros(3)}, "the baseline .* is 0 m; a stereo rig's is 0.02 to 10 m$"),
-        ({"T": T * 1000}, "is 600.017 m; a stereo rig's is 0.02 to 10 m; is T in millimetres or centimetres"),
-        ({"T": T * 100}, "is 60.0017 m; .* is T in millimetres or centimetres"),
-        ({"T": T * 10000}, "is 6000.17 m; .* is T in millimetres"),
+        ({"T": np.zeros(3)}, "the baseline .* is 0 m; .* needed is T in metres, or --baseline M with .* the cameras$"),
+        ({"T": T * 1000}, r"is 600\.017 m; .* \(0\.600017 if T is in millimetres, 6\.00017 if T is in centimetres\)"),
+        ({"T": T * 100}, r"is 60\.0017 m; .* \(0\.0600017 if T is in millimetres, 0\.600017 if T is in centimetres\)"),
+        ({"T": T * 10000}, r"is 6000\.17 m; .* \(6\.00017 if T is in millimetres\)"),
         ({"R": np.eye(3), "T": ROLLED}, "one above the other .* disparity is searched along rows"),
         ({"R": np.eye(3), "T": np.array([0.0, 0.0, 0.6])}, "one behind the other"),
         ({"model": "omnidirectional"}, "model is 'omnidirectional'; needed is pinhole or fisheye"),

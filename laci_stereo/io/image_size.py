@@ -1,0 +1,114 @@
+"""How large an image file says that it is, before anything of it is decoded."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterator
+
+Size = tuple[int, int]
+"""Width and height, pixels."""
+
+JPEG_END = 0xD9
+_JPEG_MARKER = re.compile(rb"\xff[\xc0-\xcf\xd8-\xfe]")
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+PNM_HEADER = re.compile(
+    rb"P([1-6])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:(?:\s|#[^\n]*\n)+(\d{1,6}))?\s"
+)
+_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
+_TIFF_WHOLE_NUMBERS = {3: "H", 4: "I", 16: "Q"}
+"""Types of a TIFF's entries, and how struct names them."""
+
+
+def stated_size(content: bytes) -> Size | None:
+    """Return the width and height that an image file states.
+
+    Parameters
+    ----------
+    content : bytes
+        Of a PNG, JPEG, TIFF, BMP, WebP or portable anymap file; its first bytes tell which.
+
+    Returns
+    -------
+    tuple of int or None
+        None if it is none of them, or its header is cut off.
+    """
+    read = next((read for start, read in _HEADERS if re.match(start, content, re.DOTALL)), None)
+    try:
+        return None if read is None else read(content)
+    except (struct.error, OverflowError):  # it is shorter than where its header leads
+        return None
+
+
+def jpeg_segments(content: bytes) -> Iterator[tuple[int, int]]:
+    """Yield each segment's marker and where its length stands; at its end marker a JPEG is over."""
+    at = 2
+    while (match := _JPEG_MARKER.search(content, at)) is not None:
+        marker = content[match.start() + 1]
+        yield marker, match.end()
+        if marker == JPEG_END or match.end() + 2 > len(content):
+            return
+        (length,) = struct.unpack_from(">H", content, match.end())
+        at = match.end() + length
+
+
+def _png(content: bytes) -> Size | None:
+    width, height = struct.unpack_from(">II", content, 16)
+    return (width, height) if content[12:16] == b"IHDR" else None
+
+
+def _jpeg(content: bytes) -> Size | None:
+    frame = next((at for marker, at in jpeg_segments(content) if marker in _JPEG_FRAMES), None)
+    if frame is None:
+        return None
+    height, width = struct.unpack_from(">HH", content, frame + 3)
+    return width, height
+
+
+def _tiff(content: bytes) -> Size | None:
+    order = "<" if content.startswith(b"I") else ">"
+    big = content[2:4] in (b"+\0", b"\0+")
+    offset, count, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
+    (at,) = struct.unpack_from(order + offset, content, 8 if big else 4)
+    (entries,) = struct.unpack_from(order + count, content, at)
+    at += struct.calcsize(order + count)
+    found: dict[int, int] = {}
+    for _ in range(min(entries, (len(content) - at) // entry)):
+        tag, kind = struct.unpack_from(order + "HH", content, at)
+        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT) and kind in _TIFF_WHOLE_NUMBERS:
+            (value,) = struct.unpack_from(order + _TIFF_WHOLE_NUMBERS[kind], content, at + (12 if big else 8))
+            found[tag] = max(value, found.get(tag, 0))
+        at += entry
+    return (found[_TIFF_WIDTH], found[_TIFF_HEIGHT]) if len(found) == 2 else None
+
+
+def _bmp(content: bytes) -> Size | None:
+    (header,) = struct.unpack_from("<I", content, 14)
+    width, height = struct.unpack_from("<HH" if header == 12 else "<ii", content, 18)
+    return abs(width), abs(height)
+
+
+def _webp(content: bytes) -> Size | None:
+    kind = content[12:16]
+    if kind == b"VP8X":
+        return int.from_bytes(content[24:27], "little") + 1, int.from_bytes(content[27:30], "little") + 1
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", content, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    width, height = struct.unpack_from("<HH", content, 26)
+    return width & 0x3FFF, height & 0x3FFF
+
+
+def _pnm(content: bytes) -> Size | None:
+    match = PNM_HEADER.match(content)
+    return None if match is None else (int(match[2]), int(match[3]))
+
+
+_HEADERS: tuple[tuple[bytes, Callable[[bytes], Size | None]], ...] = (
+    (rb"\x89PNG\r\n\x1a\n", _png),
+    (rb"\xff\xd8\xff", _jpeg),
+    (rb"II[*+]\0|MM\0[*+]", _tiff),
+    (rb"BM", _bmp),
+    (rb"RIFF....WEBP", _webp),
+    (rb"P[1-6]", _pnm),
+)
