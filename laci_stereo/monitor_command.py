@@ -235,7 +235,7 @@ def _go_through(monitor: Monitor, asked: Watch) -> None:
     waits_since = time.monotonic()
     while asked.follow:
         start = time.monotonic()
-        if _looked(monitor):
+        if _looked(monitor, asked):
             waits_since = time.monotonic()
         listing_s = time.monotonic() - start
         while monitor.step(ended=False):
@@ -248,11 +248,15 @@ def _go_through(monitor: Monitor, asked: Watch) -> None:
         _show(monitor, asked)
 
 
-def _looked(monitor: Monitor) -> bool:
-    """Look for new frames, and tell whether there are some."""
+def _looked(monitor: Monitor, asked: Watch) -> bool:
+    """Look for new frames, and tell whether there are some; of the first ones say so, for counts come much later."""
     known = len(monitor.frames.stamps_ns)
     monitor.refresh()
-    return len(monitor.frames.stamps_ns) > known
+    now = len(monitor.frames.stamps_ns)
+    if now and not known and not asked.quiet:
+        block_s = monitor.plan.settings.block_s
+        click.echo(f"note: {now} frames so far; counts begin when {block_s:g} s of them are there", err=True)
+    return now > known
 
 
 def _show(monitor: Monitor, asked: Watch) -> None:

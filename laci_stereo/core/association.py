@@ -19,7 +19,7 @@ import numpy as np
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import Account, hold_against
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
 from laci_stereo.core.track_scene import Scene, extent, lay_out
@@ -158,6 +158,8 @@ def choose_track(
         If none fits, or two fit equally well.
     """
     settings = settings or MatchSettings()
+    turn_s = max((track.turn_s for track in tracks), default=0.0)
+    settings = replace(settings, clock_sigma_s=with_turn(settings.clock_sigma_s, turn_s))
     _check_motion(vehicles, settings)
     scene = lay_out(tracks, vehicles, settings)
     seeds = find_seeds(scene)

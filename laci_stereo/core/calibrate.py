@@ -125,6 +125,8 @@ def locate(
         quality=judge(placement, ground_covariance, choice.track, settings.quality),
         method=settings.method,
         clock_sigma_s=settings.joint.clock_sigma_s,
+        turn=placement.turn,
+        found=placement.remarks,
     )
 
 

@@ -31,6 +31,9 @@ class PointCloud:
     offset_s : ndarray, shape (n,), or None
         Each point's own time after ``stamp_ns``, seconds: a scanner turns for a tenth of a second, in which a car
         at 10 m/s moves by a metre. None: all points were taken at the stamp.
+    turn_s : float
+        How long a turn of a scanner lasts that may turn, and of which neither this nor the points' times are known; 0
+        where there is nothing to guess.
     """
 
     stamp_ns: int
@@ -39,6 +42,7 @@ class PointCloud:
     sigma_across_m: FloatArray
     at_edge: BoolArray
     offset_s: FloatArray | None = None
+    turn_s: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -57,6 +61,7 @@ class PointCloud:
             self.sigma_across_m[keep],
             self.at_edge[keep],
             None if self.offset_s is None else self.offset_s[keep],
+            self.turn_s,
         )
 
 

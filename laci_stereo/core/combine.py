@@ -169,7 +169,9 @@ def _calibration(used: Sequence[Passage], drives: Sequence[Evidence], fit: Joint
         quality=replace(quality, frames_seen=_seen(used)),
         method="joint",
         clock_sigma_s=settings.joint.clock_sigma_s,
-        others=tuple(replace(each, match=match) for each in used[1:]),
+        turn=placement.turn,
+        found=placement.remarks,
+        others=tuple(replace(each, match=match, turn=placement.turn) for each in used[1:]),
     )
 
 

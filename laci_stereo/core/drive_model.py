@@ -10,14 +10,15 @@ from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
-from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.tractrix import body_yaw
 
-FIRST_OWN = 4
-"""Yaw, x, y and the range bias are the sensor's; what follows is each drive's own: clock offset, heading error, heading
-lever, the shape, how partial a detector's boxes are, and the knots of the GNSS bias."""
+FIRST_OWN = 5
+"""Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own: clock offset, heading
+error, heading lever, the shape, how partial a detector's boxes are, and the knots of the GNSS bias."""
 
-_CLOCK, _HEADING, _LEVER, _SHAPE = 4, 5, 6, 7
+BIAS, SWEEP = 3, 4
+_CLOCK, _HEADING, _LEVER, _SHAPE = 5, 6, 7, 8
 _PARTIAL = _SHAPE + len(outline.SHAPE)
 _KNOTS = _PARTIAL + 1
 
@@ -167,7 +168,7 @@ class Rows:
     Attributes
     ----------
     distance, variance : ndarray, shape (n,)
-    jacobian : ndarray, shape (n, 17)
+    jacobian : ndarray, shape (n, 18)
     face, frame : ndarray of int, shape (n,)
     share : ndarray, shape (n,)
         How much each weighs, since it shares its noise with others.
@@ -182,9 +183,19 @@ class Rows:
 
 
 class DriveModel:
-    """One drive, with what does not change while the parameters do."""
+    """One drive, with what does not change while the parameters do.
 
-    def __init__(self, drive: Evidence, centre: FloatArray, settings: JointSettings) -> None:
+    Parameters
+    ----------
+    drive : Evidence
+    centre : ndarray, shape (2,)
+        Level, about which yaw and position are meant.
+    settings : JointSettings
+    turns : bool
+        The scanner may turn without telling the points' times.
+    """
+
+    def __init__(self, drive: Evidence, centre: FloatArray, settings: JointSettings, *, turns: bool = False) -> None:
         self.drive = drive
         self.centre = centre
         self.settings = settings
@@ -201,7 +212,7 @@ class DriveModel:
         self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, settings)
         self.base_sigmas = np.array(
             [
-                settings.clock_sigma_s,
+                with_turn(settings.clock_sigma_s, drive.turn_s) if turns else settings.clock_sigma_s,
                 np.radians(settings.heading_sigma_deg),
                 settings.lever_sigma_m,
                 settings.lever_sigma_m,
@@ -273,11 +284,11 @@ class DriveModel:
         return mixture.first_shares(len(self.drive) * outline.FACES)
 
     def weigh(self, x: FloatArray, softening_m: float, shares: FloatArray, chosen: Chosen | None = None) -> Fitness:
-        """Return information and gradient at some parameters, shape (4 + own,).
+        """Return information and gradient at some parameters, shape (5 + own,).
 
         Parameters
         ----------
-        x : ndarray, shape (4 + own,)
+        x : ndarray, shape (5 + own,)
         softening_m : float
             Added to the noise.
         shares : ndarray
@@ -323,9 +334,8 @@ class DriveModel:
         Points on one side in one frame share a part of their noise, so that many weigh no more than a few
         (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the side that most are of.
         """
-        drive, poses = self.drive, self._poses(x)
-        points = np.flatnonzero(poses.known[drive.frame])
-        hits, _, _ = self._hits(x, poses, points)
+        drive = self.drive
+        points, hits, _ = self.meet(x)
         z, sigma_z = drive.points[points, 2], drive.sigma_z_m[points]
         wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, self.highest_m)
         points, face = points[wall], hits.face[wall]
@@ -337,13 +347,20 @@ class DriveModel:
         most = together[drive.frame[points], side]
         return Chosen(points, 1.0 / (1.0 + (most - 1.0) * self.settings.shared_noise_share))
 
+    def meet(self, x: FloatArray) -> tuple[IntArray, outline.Hits, FloatArray]:
+        """Return which points the messages tell the vehicle's place for, what they meet, and where on the vehicle."""
+        poses = self._poses(x)
+        points = np.flatnonzero(poses.known[self.drive.frame])
+        hits, _, (xy, _, _) = self._hits(x, poses, points)
+        return points, hits, xy
+
     def _by_all(self, rows: Rows) -> FloatArray:
         """Append the derivatives by the knots: a bias of the messages moves the vehicle on the map."""
         hat = self.hat[rows.frame]
         return np.hstack([rows.jacobian, rows.jacobian[:, 1:2] * hat, rows.jacobian[:, 2:3] * hat])
 
     def _poses(self, x: FloatArray) -> _Poses:
-        at = self.drive.stamps_s + x[_CLOCK]
+        at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
         xy, heading, known = self.drive.vehicle.at(at)
         first, last = self.drive.vehicle.stamps_s[[0, -1]]
         earlier, later = (np.clip(at + shift, first, last) for shift in (-RATE_S, RATE_S))
@@ -388,8 +405,11 @@ class DriveModel:
     def _hits(self, x: FloatArray, poses: _Poses, points: IntArray) -> tuple[outline.Hits, FloatArray, _Placed]:
         """Return what some points meet, where they are from ``centre`` in level axes, and in the vehicle frame."""
         along = self.drive.sigma_along_m[points]
-        arm = self.drive.points[points, :2] - x[3] * along[:, None] * self.sight[points] - self.centre
-        placed = self._into_vehicle(x, poses, self.drive.frame[points], arm)
+        frame = self.drive.frame[points]
+        arm = self.drive.points[points, :2] - x[BIAS] * along[:, None] * self.sight[points] - self.centre
+        late_s = x[SWEEP] * self.drive.points_late_s[points]
+        moved = late_s[:, None] * rotate_xy(-x[0], poses.velocity)[frame]
+        placed = self._into_vehicle(x, poses, frame, arm - moved)
         xy, origin, _ = placed
         across = self.drive.sigma_across_m[points]
         return outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL]), arm, placed
@@ -399,7 +419,8 @@ class DriveModel:
         hits, arm, (xy, _, yaw) = self._hits(x, poses, points)
         jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, hits.normal)
         sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
-        jacobian[:, 3] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
+        jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
+        jacobian[:, SWEEP] += self.drive.points_late_s[points] * jacobian[:, _CLOCK]
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         return Rows(hits.distance, hits.variance, jacobian, hits.face, frame, chosen.share)
 
@@ -435,13 +456,14 @@ class DriveModel:
         yaw: FloatArray,
         normal: FloatArray,
     ) -> FloatArray:
-        """Return the derivatives of normal . xy by yaw, x, y, clock offset, heading error and heading lever."""
+        """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and heading lever."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
         jacobian[:, 0] = (normal_world * _turned(rotate_xy(x[0], arm))).sum(axis=1)
         jacobian[:, 1:3] = normal_world
         moved = (normal_world * poses.velocity[frame]).sum(axis=1)
         jacobian[:, _CLOCK] = -moved - poses.yaw_rate[frame] * (normal * _turned(xy)).sum(axis=1)
+        jacobian[:, SWEEP] = self.drive.frames_late_s[frame] * jacobian[:, _CLOCK]
         about = -(normal * _turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]

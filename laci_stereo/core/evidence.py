@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class Evidence:
     height_m : float
         Of the sensor above the ground.
     vehicle : VehicleTrack
+    turn_s : float
+        How long a turn of the scanner lasts if it turns, and the points' times are not known; else 0.
     """
 
     stamps_s: FloatArray
@@ -44,9 +47,24 @@ class Evidence:
     sigma_z_m: FloatArray
     height_m: float
     vehicle: VehicleTrack
+    turn_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+    @cached_property
+    def frames_late_s(self) -> FloatArray:
+        """How much later than in the mean a scanner that turns counter-clockwise sees each frame's middle, (m,)."""
+        turned = np.unwrap(np.arctan2(self.middles[:, 1], self.middles[:, 0]))
+        late_s: FloatArray = (turned - turned.mean()) * (self.turn_s / (2 * np.pi))
+        return late_s
+
+    @cached_property
+    def points_late_s(self) -> FloatArray:
+        """How much later than its frame's middle such a scanner sees each point, shape (n,)."""
+        (x, y), (u, v) = self.middles[self.frame].T, self.points[:, :2].T
+        late_s: FloatArray = np.arctan2(x * v - y * u, x * u + y * v) * (self.turn_s / (2 * np.pi))
+        return late_s
 
     def thinned(self, rows: int) -> Evidence:
         """Return about so many of the points, spread evenly over all frames."""
@@ -88,4 +106,5 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         sigma_z_m=np.hypot(down * along, level * across),
         height_m=height_m,
         vehicle=vehicle,
+        turn_s=track.turn_s,
     )

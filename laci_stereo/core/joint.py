@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
 
-from laci_stereo.core.drive_model import FIRST_OWN, Chosen, Correction, DriveModel, Fitness
+from laci_stereo.core.drive_model import FIRST_OWN, SWEEP, Chosen, Correction, DriveModel, Fitness
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.settings import JointSettings, with_turn
 
 SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
 """Extra standard deviation in the first iterations: from beyond the error of a box's centre down to the noise."""
@@ -37,6 +37,13 @@ SHIFTS_M = ((0.0, 0.0), (-0.9, -0.9), (-0.9, 0.9), (0.9, -0.9), (0.9, 0.9))
 """Starts around the paper's match: its yaw leans on one box and is a few degrees off at most; its position is off by
 half of what of the vehicle is not seen, which is half a car's width across and somewhat more along it."""
 
+TURNS = {0.0: 0.5, 1.0: 0.25, -1.0: 0.25}
+"""How a scanner that does not tell the points' times turns, counter-clockwise, and how likely that is beforehand: as
+often as not it does not turn, or its points were brought to the scan's stamp before they were written."""
+
+FIXED = 1e-3
+"""Standard deviation of a turn that is taken for known: it keeps the equations regular."""
+
 FREE_M = 100.0
 """Standard deviation of the position about the start, which only keeps the equations regular."""
 
@@ -46,6 +53,28 @@ COARSE_ROWS = 1500
 FINE_ROWS = 10_000
 """Points of a drive that are registered in the end, some 50 per second and side of a long one: what points on one side
 of a frame have in common makes any number of them weigh as much as four."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What is known beforehand of how a scanner turns while it takes a scan, counter-clockwise.
+
+    Attributes
+    ----------
+    mean, sigma : float
+        In turns per turn of the scanner: 1 where it turns so, 0 where it does not, or the points' times are known.
+    """
+
+    mean: float
+    sigma: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether it may turn."""
+        return self.mean != 0.0 or self.sigma > FIXED
+
+
+NO_TURN, ANY_TURN = Turn(0.0, FIXED), Turn(0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -71,6 +100,11 @@ class JointFit:
         That have such points.
     explained : float
         Share of the points that the outline explains, at the surface or behind it.
+    turn : float
+        How the scanner turns while it takes a scan: 1 counter-clockwise, -1 clockwise, 0 not at all or the points'
+        times are known.
+    turn_probability : float
+        Of that, by what the points tell.
     """
 
     match: PlanarMatch
@@ -82,6 +116,8 @@ class JointFit:
     residual_rms_m: float
     frames: int
     explained: float
+    turn: float = 0.0
+    turn_probability: float = 1.0
 
 
 def fit_jointly(
@@ -91,6 +127,9 @@ def fit_jointly(
     settings: JointSettings | None = None,
 ) -> JointFit:
     """Estimate yaw and position, and each drive's clock offset, shape, heading error and GNSS bias.
+
+    Where a scanner does not tell the points' times, how it turns is estimated too, taken for the likeliest of what it
+    can be, and the result is as uncertain as the others are different and likely.
 
     Parameters
     ----------
@@ -114,10 +153,29 @@ def fit_jointly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
-    thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings)
+    turn = _turn_of(drives)
+    thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings, turn)
     best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    problem = _Problem([drive.thinned(FINE_ROWS) for drive in drives], begin, centre, settings)
-    return _fit(problem, problem.solve(best), centre)
+    fine = [drive.thinned(FINE_ROWS) for drive in drives]
+    problem = _Problem(fine, begin, centre, settings, turn)
+    solved = problem.solve(best)
+    if not turn.possible:
+        return _fit(problem, solved, centre)
+    turned = [_turned(problem, solved, each) for each in TURNS]
+    likeliest = max(turned, key=lambda each: each.log_probability)
+    problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED))
+    solved = problem.solve(likeliest.x)
+    # The result is as uncertain as the other turns are different and likely.
+    log_probabilities = np.array([each.log_probability for each in turned])
+    probabilities = np.exp(log_probabilities - np.logaddexp.reduce(log_probabilities))
+    off = np.array([each.x - likeliest.x for each in turned])
+    solved = replace(solved, covariance=solved.covariance + (off.T * probabilities) @ off)
+    fit = _fit(problem, solved, centre)
+    return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
+
+
+def _turn_of(drives: Sequence[Evidence]) -> Turn:
+    return ANY_TURN if any(drive.turn_s for drive in drives) else NO_TURN
 
 
 @dataclass(frozen=True)
@@ -151,7 +209,8 @@ def fit_roughly(
     if not len(drive):
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
-    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings or JointSettings())
+    settings, turn = settings or JointSettings(), _turn_of([drive])
+    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
@@ -191,20 +250,22 @@ class _Solved:
 
 
 class _Problem:
-    """All drives' models over one vector: yaw, x, y and range bias of the sensor, then what is each drive's own."""
+    """All drives' models over one vector: yaw, x, y, range bias and turn of the sensor, then each drive's own."""
 
     def __init__(
-        self, drives: Sequence[Evidence], begin: FloatArray, centre: FloatArray, settings: JointSettings
+        self, drives: Sequence[Evidence], begin: FloatArray, centre: FloatArray, settings: JointSettings, turn: Turn
     ) -> None:
-        self.models = [DriveModel(drive, centre, settings) for drive in drives]
+        self.settings = settings
+        self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
-        self.precision[range(4), range(4)] = [1.0, FREE_M**-2, FREE_M**-2, 1.0 / settings.shared_noise_share]
+        first = [1.0, FREE_M**-2, FREE_M**-2, 1.0 / settings.shared_noise_share, turn.sigma**-2]
+        self.precision[range(FIRST_OWN), range(FIRST_OWN)] = first
         self.mean = np.zeros(self.size)
-        self.mean[:FIRST_OWN] = begin
+        self.mean[:FIRST_OWN] = *begin, turn.mean
         for model, own in zip(self.models, self.own, strict=True):
             self.precision[own, own], self.mean[own] = model.prior()
 
@@ -315,6 +376,40 @@ class _Problem:
         values, vectors = np.linalg.eigh((whitened + whitened.T) / 2)
         grown: FloatArray = root @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ root.T
         return grown
+
+
+@dataclass(frozen=True)
+class _Turned:
+    """What was found of all parameters if the scanner turns so, and how likely that is."""
+
+    turn: float
+    x: FloatArray
+    log_probability: float
+
+
+def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
+    """Condition what was found with any turn, a normal distribution, on one.
+
+    What the points tell of turn and clocks is what was found, less what was expected; the evidence of a turn is the
+    mean of that over what the turn lets expect.
+    """
+    index = np.array([SWEEP, *(own.start for own in solved.own)])
+    covariance = solved.covariance[np.ix_(index, index)]
+    before, found = np.diag(np.diag(problem.precision)[index]), np.linalg.inv(covariance)
+    # Where residuals scatter by more than the model has it, less than nothing would be left.
+    values, vectors = np.linalg.eigh(found - before)
+    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    told = vectors[:, values > 0.0]
+    pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
+    known_s = problem.settings.clock_sigma_s
+    clocks = [with_turn(known_s, model.drive.turn_s) if turn else known_s for model in problem.models]
+    prior = np.diag(np.array([FIXED, *clocks]) ** -2.0)
+    mean = np.array([turn, *np.zeros(len(clocks))])
+    after, sum_pull = prior + information, prior @ mean + pull
+    at = np.linalg.solve(after, sum_pull)
+    evidence = (sum_pull @ at - mean @ prior @ mean + np.linalg.slogdet(prior)[1] - np.linalg.slogdet(after)[1]) / 2
+    x = solved.x + solved.covariance[:, index] @ np.linalg.solve(covariance, at - solved.x[index])
+    return _Turned(turn, x, float(evidence + np.log(TURNS[turn])))
 
 
 def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:

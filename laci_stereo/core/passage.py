@@ -36,6 +36,8 @@ class Passage:
         To be added to the sensor's stamps to get the CAMs' time.
     clock_sigma_s : float
         What was known of that beforehand, one standard deviation.
+    turn : float
+        How its scanner turned, see `JointFit`.
     name : str
         What messages call it.
     """
@@ -50,6 +52,7 @@ class Passage:
     match: PlanarMatch
     time_offset_s: float
     clock_sigma_s: float
+    turn: float = 0.0
     name: str = ""
 
     @property

@@ -120,6 +120,8 @@ def place(
         left_out={reason: count for reason, count in left_out.items() if count},
         time_offset_s=fit.time_offsets_s[0],
         time_sigma_s=fit.time_sigmas_s[0],
+        turn=fit.turn,
+        remarks=(_turning(fit),) if any(drive.turn_s for drive in drives) else (),
         advice=advice,
         contradictions=tuple(
             f"{name}: {_in_words(correction)}" if name else _in_words(correction)
@@ -144,6 +146,12 @@ def _in_words(correction: Correction) -> str:
         side = "right" if value > 0 else "left"
         return f"the messages' positions are {abs(value):.2f} m to the {side} of where --cam-reference puts them"
     return f"the vehicle's {correction.what} is {value:+.2f} m off what its messages tell"
+
+
+def _turning(fit: JointFit) -> str:
+    """Say how the scanner turns."""
+    how = {0.0: "all at once", 1.0: "turning counter-clockwise", -1.0: "turning clockwise"}[fit.turn]
+    return f"by the drive, the scanner takes a scan's points {how} (probability {fit.turn_probability:.0%})"
 
 
 def _told(vehicle: VehicleTrack) -> float:

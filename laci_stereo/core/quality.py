@@ -73,6 +73,10 @@ class Placement:
         Frames that were not, by reason.
     time_offset_s, time_sigma_s : float
         To be added to the sensor's stamps to get the CAMs' time; 0 where it is taken as known.
+    turn : float
+        How the scanner turns, see `JointFit`.
+    remarks : tuple of str
+        What else was found.
     advice : str
         Which drive would help where it is weakest.
     contradictions : tuple of str
@@ -87,6 +91,8 @@ class Placement:
     left_out: dict[str, int] = field(default_factory=dict)
     time_offset_s: float = 0.0
     time_sigma_s: float = 0.0
+    turn: float = 0.0
+    remarks: tuple[str, ...] = ()
     advice: str = ""
     contradictions: tuple[str, ...] = ()
 

@@ -15,7 +15,7 @@ from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
 from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.track_likelihood import MANOEUVRES, OTHER_TIME_S, SPEED_SPREAD, USUAL_MPS2
 from laci_stereo.core.track_motion import rigid_motion
 from laci_stereo.core.tracking import Times, Track
@@ -82,12 +82,13 @@ def resemblance(
     if not len(drive.points):
         return Resemblance()
     step_s = max(FREE_S, float(np.ptp(drive.stamps_s)) / MOST_KNOTS)
+    clocks = replace(settings, clock_sigma_s=with_turn(settings.clock_sigma_s, drive.turn_s))
     free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, heading_sigma_deg=FREE_DEG)
     try:
-        way, strayed_s = _way(fit_roughly(drive, start, time_offset_s, free), vehicle, time_offset_s, settings)
+        way, strayed_s = _way(fit_roughly(drive, start, time_offset_s, free), vehicle, time_offset_s, clocks)
         if way < 0.0:  # or the sender is mistaken about which of its points it tells the position of
             lever = fit_roughly(drive, start, time_offset_s, replace(free, lever_sigma_m=FREE_LEVER_M))
-            mistaken, strayed = _way(lever, vehicle, time_offset_s, settings)
+            mistaken, strayed = _way(lever, vehicle, time_offset_s, clocks)
             if mistaken + math.log(MISTAKEN) > way:
                 way, strayed_s = mistaken + math.log(MISTAKEN), strayed
         alone = track.without(strayed_s)

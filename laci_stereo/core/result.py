@@ -94,6 +94,10 @@ class Calibration:
     method : {"joint", "paper"}
     clock_sigma_s : float
         What was known of the clocks' offset beforehand, one standard deviation.
+    turn : float
+        How the scanner turned, see `JointFit`.
+    found : tuple of str
+        What else the estimate found.
     others : tuple of Passage
         Further drives that it was estimated from, in the same level frame and world.
     """
@@ -116,6 +120,8 @@ class Calibration:
     quality: Quality
     method: Method
     clock_sigma_s: float = 0.010
+    turn: float = 0.0
+    found: tuple[str, ...] = ()
     others: tuple[Passage, ...] = ()
 
     @property
@@ -132,6 +138,7 @@ class Calibration:
             match=self.match,
             time_offset_s=self.time_offset_s,
             clock_sigma_s=self.clock_sigma_s,
+            turn=self.turn,
         )
         return (own, *self.others)
 
@@ -158,8 +165,8 @@ class Calibration:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was assumed of the messages, or left out of them."""
-        return self.vehicle.remarks
+        """What was assumed of the messages, or left out of them, and what else was found."""
+        return (*self.vehicle.remarks, *self.found)
 
     @property
     def paper_differs(self) -> tuple[float, float] | None:

@@ -230,6 +230,15 @@ class MatchSettings:
     stretch_m: float = 10.0
 
 
+def with_turn(clock_sigma_s: float, turn_s: float) -> float:
+    """Return how well the clocks' offset is known where a scanner turns and does not tell the points' times.
+
+    It stamps a scan at any moment of a turn, and sees the vehicle at any other: two uniform distributions add to the
+    offset, with a variance of a twelfth of a turn's square each.
+    """
+    return math.hypot(clock_sigma_s, turn_s / math.sqrt(6.0))
+
+
 @dataclass(frozen=True)
 class JointSettings:
     """What the joint estimate takes as known beforehand, each as one standard deviation.

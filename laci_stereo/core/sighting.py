@@ -51,6 +51,8 @@ class Sighting:
         How fast it moves away from the sensor, where that was measured.
     late_s : ndarray, shape (n,), or None
         By how much later than its stamp each point was taken; None: not at all.
+    turn_s : float
+        See `PointCloud`.
     """
 
     stamp_s: float
@@ -65,6 +67,7 @@ class Sighting:
     sigma_m: float = 0.0
     radial_mps: float | None = None
     late_s: FloatArray | None = None
+    turn_s: float = 0.0
 
 
 def find_vehicles(
@@ -167,4 +170,5 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
         flaw=flaw,
         sigma_m=sigma_m,
         late_s=None if cloud.offset_s is None else cloud.offset_s[kept] - late_s,
+        turn_s=cloud.turn_s,
     )

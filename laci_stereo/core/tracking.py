@@ -63,6 +63,11 @@ class Track:
         """Of the usable sightings' boxes, level frame, shape (n, 2)."""
         return np.array([sighting.box.centre for sighting in self.usable]).reshape(-1, 2)
 
+    @cached_property
+    def turn_s(self) -> float:
+        """How long a turn of the scanner lasts if it turns and the points' times are not known, else 0."""
+        return max((sighting.turn_s for sighting in self.sightings), default=0.0)
+
     def flaws(self) -> Counter[str]:
         """Count the sightings that are left out, by reason."""
         return Counter(sighting.flaw for sighting in self.sightings if sighting.flaw is not None)

@@ -25,6 +25,7 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import EvidenceError
 from laci_stereo.core.frames import Axes, FloatArray
 from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.joint import TURNS
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.sighting import Flaw, Sighting
@@ -57,6 +58,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
     "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
     "slope": ("f", (8,)),  # gradient, covariance xx, xy, yy, pivot; all 0 for none; 1 if altitudes were told
+    "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
     "middles": ("f", ("frames", 2)),
@@ -233,6 +235,7 @@ def _to_arrays(passage: Passage) -> Arrays:
         "message_poses": np.column_stack([vehicle.xy, vehicle.yaw_rad]),
         "vehicle": np.array(size),
         "slope": _of_slope(vehicle),
+        "turn": np.array([passage.track.turn_s, passage.turn]),
         "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
         "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
@@ -296,6 +299,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
         match=PlanarMatch(yaw, np.array([match_x, match_y])),
         time_offset_s=offset_s,
         clock_sigma_s=clock_sigma_s,
+        turn=float(found["turn"][1]),
         name=str(found["name"]),
     )
 
@@ -318,6 +322,7 @@ def _check(path: Path, found: Arrays) -> None:
         "ground's covariance, symmetric and not negative": np.allclose(covariance, covariance.T)
         and np.linalg.eigvalsh(covariance)[0] > -1e-6 * max(float(np.trace(covariance)), 0.0) - 1e-15,
         "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all() and (found["vehicle"][4:6] >= 0.0).all(),
+        "turn, of at least 0 s, by -1, 0 or 1": found["turn"][0] >= 0.0 and found["turn"][1] in TURNS,
         "clock sigma, above 0": found["own"][4] > 0.0,
         "messages' stamps, at least 2 and ascending": len(found["message_stamps_s"]) > 1
         and (np.diff(found["message_stamps_s"]) > 0.0).all(),
@@ -368,6 +373,7 @@ def _track(found: Arrays) -> Track:
     ends = np.append(0, np.cumsum(found["counts"][:, 1]))
     points, sigmas = (found[name].astype(np.float64) for name in ("points", "sigmas"))
     boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
+    turn_s = float(found["turn"][0])
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
     return Track(
         tuple(
@@ -383,6 +389,7 @@ def _track(found: Arrays) -> Track:
                 flaw=FLAWS[counts[i][2]],
                 sigma_m=noise[i][0],
                 radial_mps=None if np.isnan(noise[i][1]) else noise[i][1],
+                turn_s=turn_s,
             )
             for i, (first, end) in enumerate(pairwise(ends))
         )

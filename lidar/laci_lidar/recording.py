@@ -35,8 +35,8 @@ GAP_PERIODS = 1.5
 MAX_READERS = 4
 
 _UNTIMED = (
-    "the scans do not tell when each point was taken, so all count as taken at the stamp; if the scanner turns, that "
-    "is wrong by up to a turn's time, which looks like an offset between the clocks: --sweep tells how it turns"
+    "the scans do not tell when each point was taken, so whether the scanner turns meanwhile, and which way, is found "
+    "from the drive: --sweep tells it"
 )
 _ASSUMED = (
     "too few neighbouring points are on the ground for an estimate of the noise of ranges, which is taken as "
@@ -111,8 +111,7 @@ class LidarRecording:
 
     def remarks(self) -> tuple[str, ...]:
         """Say what was assumed of the scanner, where something was."""
-        untimed = "" if self.scanner.timed or self.settings.sweep is not None else _UNTIMED
-        return tuple(filter(None, (self.scanner.noise.assumed, untimed)))
+        return tuple(filter(None, (self.scanner.noise.assumed, _UNTIMED if self._turn_s else "")))
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -210,7 +209,15 @@ class LidarRecording:
             sigma_across_m=np.sqrt(np.einsum("ij,ij->i", points, points)) * scanner.noise.angle_sigma_rad,
             at_edge=scanner.view.at_edge(points),
             offset_s=offset_s,
+            turn_s=self._turn_s,
         )
+
+    @cached_property
+    def _turn_s(self) -> float:
+        """How long a turn lasts, if the scanner turns and nothing tells how, else 0."""
+        if self.scanner.timed or self.settings.sweep is not None or len(self.scans) < 2:
+            return 0.0
+        return float(np.median(np.diff(self.scans.stamps_ns))) / 1e9
 
     def _gathered_offsets_s(self, parts: Sequence[tuple[int, Scan]], scanner: Scanner) -> FloatArray | None:
         """Return when each point was taken after the frame's stamp, or None if all were taken at it."""

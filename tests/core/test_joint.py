@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.drive_model import DriveModel
+from laci_stereo.core.drive_model import BIAS, FIRST_OWN, SWEEP, DriveModel
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -13,6 +13,7 @@ from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import BRAKING, STRAIGHT, TRUTH, TURN, evidence, told
+from tests.simulated import Drive
 
 UNKNOWN_CLOCK = JointSettings(clock_sigma_s=1.0)
 
@@ -128,14 +129,16 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.mark.parametrize("index", range(16))
+@pytest.mark.parametrize("index", range(FIRST_OWN + 12))
 def test_the_derivatives_are_those_of_the_distances(index: int) -> None:
-    drive = replace(evidence(sigma_m=0.05, offset_s=0.01), vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
-    model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
-    x = np.zeros(4 + model.own)
+    drive = evidence(sigma_m=0.05, offset_s=0.01)
+    drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)), turn_s=0.1)
+    model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings(), turns=True)
+    x = np.zeros(FIRST_OWN + model.own)
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
-    x[3:16] = np.random.default_rng(2).normal(0.0, 0.01, 13)
-    x[14:16] += 0.2
+    x[BIAS], x[SWEEP] = 0.01, 0.7
+    x[FIRST_OWN : FIRST_OWN + 12] = np.random.default_rng(2).normal(0.0, 0.01, 12)
+    x[FIRST_OWN + 10 : FIRST_OWN + 12] += 0.2
     step = 1e-6 * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
     assert len(rows.distance) == len(more.distance) == len(less.distance)
@@ -150,3 +153,34 @@ def test_no_points_are_refused_in_words() -> None:
     unknown = replace(drive, stamps_s=drive.stamps_s[:0], middles=drive.middles[:0], points=drive.points[:0])
     with pytest.raises(MatchError, match="0 points of the vehicle"):
         fit_jointly([unknown], TRUTH)
+
+
+def swept(drive: Drive, turn: float, late_s: float = 0.05) -> Evidence:
+    """Return a drive as a scanner sees it that turns in a tenth of a second and does not tell the points' times."""
+    seen = replace(evidence(drive), turn_s=0.1)
+    return replace(seen, stamps_s=seen.stamps_s - turn * seen.frames_late_s - late_s * abs(turn))
+
+
+@pytest.mark.parametrize("turn", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("drive", [TURN, STRAIGHT, BRAKING], ids=["turn", "straight", "braking"])
+def test_how_a_scanner_turns_is_found(drive: Drive, turn: float) -> None:
+    fit = fit_jointly([swept(drive, turn)], TRUTH)
+    assert fit.turn == turn
+    assert fit.turn_probability > 0.5
+    z2 = error(fit) @ np.linalg.solve(fit.covariance, error(fit))
+    assert z2 < 14.2  # three sigma in three dimensions
+
+
+def test_scans_at_once_are_no_worse_for_a_scanner_that_might_turn() -> None:
+    seen = evidence(TURN)
+    timed, untimed = (fit_jointly([replace(seen, turn_s=turn_s)], TRUTH) for turn_s in (0.0, 0.1))
+    assert error(untimed) == pytest.approx(error(timed), abs=1e-3)
+    assert timed.turn == 0.0
+    assert timed.turn_probability == 1.0
+
+
+def test_a_turn_that_is_not_told_leaves_a_steady_drive_open_along() -> None:
+    fit = fit_jointly([swept(STRAIGHT, 1.0)], TRUTH)
+    along = np.array([np.cos(np.radians(-60.0)), np.sin(np.radians(-60.0))])
+    # At 7 m/s, with nothing but the prior of the clocks: a turn over the root of six.
+    assert np.sqrt(along @ fit.covariance[1:, 1:] @ along) == pytest.approx(7.0 * 0.1 / np.sqrt(6.0), rel=0.1)

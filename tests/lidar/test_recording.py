@@ -82,12 +82,16 @@ def test_a_scanner_that_sees_too_little_ground_gets_the_usual_noise_and_says_so(
     assert not any("--range-sigma" in remark for remark in LidarRecording(listed(few), EXACT).remarks())
 
 
-def test_scans_without_times_of_points_are_taken_at_their_stamp_and_it_says_so():
-    (remark,) = LidarRecording(listed(scans(2, offset=False)), EXACT).remarks()
-    assert "--sweep tells how it turns" in remark
-    assert LidarRecording(listed(scans(2)), EXACT).remarks() == ()
-    told = replace(EXACT, sweep=Sweep("start", "ccw", 10.0))
-    assert LidarRecording(listed(scans(2, offset=False)), told).remarks() == ()
+def test_where_scans_do_not_tell_the_times_of_points_it_says_so_and_the_scanner_may_turn():
+    untimed = LidarRecording(listed(scans(3, offset=False)), EXACT)
+    (remark,) = untimed.remarks()
+    assert "--sweep tells it" in remark
+    period_s = float(np.median(np.diff(untimed.scans.stamps_ns))) / 1e9
+    assert [cloud.turn_s for cloud in untimed] == [period_s] * 3
+    told = LidarRecording(listed(scans(3, offset=False)), replace(EXACT, sweep=Sweep("start", "ccw", 10.0)))
+    for known in (LidarRecording(listed(scans(3)), EXACT), told):
+        assert known.remarks() == ()
+        assert [cloud.turn_s for cloud in known] == [0.0] * 3
 
 
 def test_without_times_of_points_there_are_none_unless_the_sweep_is_told():

@@ -179,7 +179,8 @@ def test_folder_that_grows_is_followed(calibrated: Calibrated, tmp_path: Path) -
 def test_signal_ends_following_with_outputs(calibrated: Calibrated, tmp_path: Path, name: str) -> None:
     out = tmp_path / "monitor"
     with running(calibrated.arguments(out, "--follow"), calibrated.site.root) as process:
-        time.sleep(6.0)
+        assert process.stderr is not None
+        assert "frames so far" in process.stderr.readline()
         process.send_signal(getattr(signal, name))
         _, said = process.communicate(timeout=60)
     assert process.returncode == 0, said

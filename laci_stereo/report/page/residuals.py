@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core import mixture, outline
-from laci_stereo.core.drive_model import FIRST_OWN, Correction, DriveModel
+from laci_stereo.core.drive_model import BIAS, FIRST_OWN, Correction, DriveModel
 from laci_stereo.core.evidence import evidence_of
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
 from laci_stereo.core.joint import SOFTENING_M
-from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import JointSettings
 
@@ -95,20 +94,20 @@ def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
     if not len(drive):
         return None
     centre = drive.middles.mean(axis=0)
-    model = DriveModel(drive, centre, settings)
+    model = DriveModel(drive, centre, settings, turns=passage.turn != 0.0)
     x, shares, covariance = _solve(model, passage, centre)
     if not np.isfinite(x).all():
         return None
-    laid = _lay(model, x, shares, passage.match)
+    laid = _lay(model, x, shares)
     return Fit(laid if len(laid.face) else None, model.corrections(x[FIRST_OWN:], covariance))
 
 
 def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return all parameters, of which yaw, x and y are held, the mixture's shares, and the covariance of the own."""
-    x = np.concatenate([[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0], model.mean])
+    x = np.concatenate([[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn], model.mean])
     x[FIRST_OWN] = passage.time_offset_s
     shares = model.shares()
-    free = slice(FIRST_OWN - 1, None)
+    free = np.r_[BIAS, FIRST_OWN : FIRST_OWN + model.own]
     precision = np.zeros((model.own + 1, model.own + 1))
     precision[0, 0] = 1.0 / model.settings.shared_noise_share
     pace, step = 1.0, np.zeros(model.own + 1)
@@ -116,7 +115,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         fitness = model.weigh(x, soft, shares)
         shares = fitness.shares
         precision[1:, 1:], mean = model.prior(x[FIRST_OWN:])
-        information = fitness.information[free, free] + precision
+        information = fitness.information[np.ix_(free, free)] + precision
         gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, mean))
         before, step = step, np.linalg.solve(information, gradient)
         pace *= 0.5 if before @ information @ step < 0.0 else 1.0  # points at corners change sides, and it swings
@@ -127,32 +126,14 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
     return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[1:, 1:]
 
 
-def _lay(model: DriveModel, x: FloatArray, shares: FloatArray, match: PlanarMatch) -> Laid:
-    drive, own = model.drive, x[FIRST_OWN:]
-    centre_world, yaw, known = _vehicle(model, own)
-    chosen = np.flatnonzero(known[drive.frame])
-    frame, along, across = drive.frame[chosen], drive.sigma_along_m[chosen], drive.sigma_across_m[chosen]
-    points = drive.points[chosen, :2] - x[3] * along[:, None] * model.sight[chosen]
-    xy = rotate_xy(-yaw[frame], match(points) - centre_world[frame])
-    origin = rotate_xy(-yaw, match(np.zeros((1, 2))) - centre_world)[frame]
-    first = 3  # clock, heading and lever come before the shape
-    hits = outline.meet(xy, origin, along, across, model.size, own[first : first + len(outline.SHAPE)])
-    z, sigma_z = drive.points[chosen, 2], drive.sigma_z_m[chosen]
+def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
+    chosen, hits, xy = model.meet(x)
+    drive = model.drive
+    frame, z, sigma_z = drive.frame[chosen], drive.points[chosen, 2], drive.sigma_z_m[chosen]
     wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, model.highest_m)
     group = (frame * outline.FACES + hits.face)[wall]
     mixed = mixture.weigh(hits.distance[wall], np.sqrt(hits.variance[wall]), group, shares)
     return Laid(drive.stamps_s[frame[wall]], xy[wall], hits.distance[wall], hits.face[wall], mixed.surface)
-
-
-def _vehicle(model: DriveModel, own: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the vehicle's centre on the map, its body's yaw and where they are known, by the corrected messages."""
-    clock_s, heading_rad, lever_m = own[:3]
-    vehicle, at = model.drive.vehicle, model.drive.stamps_s + clock_s
-    xy, heading, known = vehicle.at(at)
-    yaw = heading + heading_rad + model.body.at(at, lever_m)[0]
-    reference = np.tile(np.asarray(vehicle.reference), (len(at), 1))
-    bias = model.hat @ own[-2 * len(model.knots_s) :].reshape(2, -1).T
-    return xy + rotate_xy(heading, reference) - rotate_xy(yaw, reference) - bias, yaw, known
 
 
 @dataclass(frozen=True)
