@@ -1,13 +1,14 @@
 """Does the lane check tell right calibrations from wrong ones? Random scenes with paint, rendered.
 
-usage: python -m tools.bench_check [--scenes 100] [--first SEED] [--jobs 2] [--share 1.0] [--out DIR]
-       [--set FACTOR=VALUE ...]
+usage: python -m tools.bench_check [--sensor stereo_05] [--scenes 100] [--first SEED] [--jobs 2] [--share 1.0]
+       [--no-intensity] [--out DIR] [--set FACTOR=VALUE ...]
 
 Of each scene's place at rest one image is rendered (the median of a recording is free of what moves, and of most of its
-noise). It is checked by calibrations that are as far from the truth as they claim (see `CLAIMED`), by ones that are
-30 cm off in every eighth of the compass, and by ones that are turned by 0.5 deg either way about the sensor. Errors are
-right ones that fail and wrong ones that pass; where the lines cannot tell is counted apart. With --out the pictures of
-all errors are kept. ``--share`` scales the image: 0.5 renders four times as fast, with half the resolution.
+noise); of a LiDAR's, those scans are simulated that the check looks at, traffic included. It is checked by calibrations
+that are as far from the truth as they claim (see `CLAIMED`), by ones that are 30 cm off in every eighth of the compass,
+and by ones that are turned by 0.5 deg either way about the sensor. Errors are right ones that fail and wrong ones that
+pass; where the lines cannot tell is counted apart. With --out the pictures of all errors are kept. ``--share`` scales
+the image: 0.5 renders four times as fast, with half the resolution.
 """
 
 from __future__ import annotations
@@ -17,30 +18,36 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
+from laci_lidar.check import draw_scans, see_scans
+from laci_lidar.scan import Scan
+from laci_lidar.sequence import ScanSequence
+from laci_lidar.surroundings import SCANS
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.check.align import SHIFT_M as SHIFT_M_SEARCHED
+from laci_stereo.check.images import paint_in_image
 from laci_stereo.check.lanes import LaneCheck, check_lanes
 from laci_stereo.check.picture import draw_check
 from laci_stereo.check.placed import Placed
-from laci_stereo.check.profiles import profiles_in_image
-from laci_stereo.core.frames import FloatArray, Raster, invert, rigid, transform
+from laci_stereo.core.frames import FloatArray, IntArray, Raster, invert, rigid, transform
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.drawn import on_ground
+from laci_stereo.stereo.recording import spread
 from tools.scenes.__main__ import settings as read_factors
 from tools.scenes.disparity import StereoCamera
 from tools.scenes.geometry import Body
 from tools.scenes.imager import Sensor, develop
 from tools.scenes.render import Eye, Renderer, exposure_scale, random_look
-from tools.scenes.scene import Scene, SceneError, draw_scene
+from tools.scenes.scene import SENSORS, Recorded, Scene, SceneError, SensorKind, SimulatedScans, draw_scene
+from tools.scenes.world import Edge, Line
 
 CLAIMED = np.radians([0.02, 0.02, 0.06, 0.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.0, 0.04, 0.04, 0.005])
 """One sigma of tilt, yaw and place: what the demonstration's results claim."""
@@ -49,6 +56,17 @@ RIGHT = 8
 """Draws of right calibrations for each scene."""
 
 SHIFT_M, TURN_DEG = 0.30, 0.5
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is asked for; see the usage."""
+
+    sensor: SensorKind
+    share: float
+    intensity: bool
+    factors: dict[str, object]
+    out: Path | None
 
 
 @dataclass(frozen=True)
@@ -66,36 +84,100 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A scene's place as a camera sees it."""
+class Place:
+    """A scene's place at rest, with where its sensor truly is."""
 
-    image: Raster
-    lens: Lens
     lane_map: LaneMap
     T_world_sensor: FloatArray
     boxes: FloatArray
     centre: FloatArray
 
+    def check(self, placed: Placed) -> LaneCheck:
+        """Check a calibration."""
+        raise NotImplementedError
 
-def show(scene: Scene, share: float) -> Shown:
+    def draw(self, placed: Placed, check: LaneCheck) -> Raster:
+        """Draw a check."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Shown(Place):
+    """As a camera sees it."""
+
+    image: Raster
+    lens: Lens
+
+    def check(self, placed: Placed) -> LaneCheck:
+        """Check a calibration."""
+        camera = Camera(self.lens, invert(placed.T_world_sensor))
+        return check_lanes(self.lane_map.lines, placed, partial(paint_in_image, self.image, camera))
+
+    def draw(self, placed: Placed, check: LaneCheck) -> Raster:
+        """Draw a check."""
+        camera = Camera(self.lens, invert(placed.T_world_sensor))
+        return draw_check(self.image, partial(_project, camera), check, placed, self.lane_map)
+
+
+@dataclass(frozen=True)
+class Scanned(Place):
+    """As a LiDAR sees it."""
+
+    scans: ScanSequence
+
+    def check(self, placed: Placed) -> LaneCheck:
+        """Check a calibration."""
+        see = see_scans(self.scans, placed, self.lane_map.lines)
+        return check_lanes(see.lines, see.placed, see, kinds=see.kinds)
+
+    def draw(self, placed: Placed, check: LaneCheck) -> Raster:
+        """Draw a check."""
+        return draw_scans(see_scans(self.scans, placed, self.lane_map.lines), check, self.lane_map)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Scans of a scene that are looked at, each simulated once (implements `ScanSequence`)."""
+
+    scans: tuple[Scan, ...]
+    stamps_ns: IntArray
+    path: Path = Path("simulated")
+    skipped: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:  # noqa: ARG002
+        """Yield the scans at these indices."""
+        return (self.scans[index] for index in indices)
+
+
+def watch(scene: Scene, share: float, *, intensity: bool) -> Place:
+    """Record a scene's place at rest."""
+    lines: list[Line | Edge] = [*scene.site.lines, *scene.site.edges]
+    lane_map = LaneMap(tuple(LaneLine(line.kind, line.subtype, line.xy, str(i)) for i, line in enumerate(lines)), ())
+    standing = [body for body in scene.site.bodies if body.name != "ground"]
+    boxes = np.array([box_around(body) for body in standing]).reshape(-1, 6)
+    centre = np.append(scene.sender.track(scene.times_s)[0][scene.in_view].mean(axis=0), 0.0)
+    about = (lane_map, scene.T_world_sensor, boxes, centre)
+    if isinstance(scene.sensor, StereoCamera):
+        return Shown(*about, *show(scene, scene.sensor, share))
+    chosen = spread(range(len(scene.times_s)), SCANS)
+    scans = tuple(scan for scan in SimulatedScans(Recorded(scene)).read(chosen, 1) if scan is not None)
+    kept = scans if intensity else tuple(replace(scan, intensity=None) for scan in scans)
+    return Scanned(*about, Kept(kept, scene.stamps_ns[chosen]))
+
+
+def show(scene: Scene, camera: StereoCamera, share: float) -> tuple[Raster, Lens]:
     """Render what stands still, once."""
-    camera = scene.sensor
-    assert isinstance(camera, StereoCamera)
     lens = scaled(camera.rig.left, share)
     look = random_look(np.random.default_rng(scene.seed))
     # Four images' worth of light: the median of fifteen has less noise still.
     sensor: Sensor = replace(look.sensor, colour=False, bits=8, full_well_e=4 * look.sensor.full_well_e)
     renderer = Renderer([body for body in scene.bodies if body.static], Eye(lens, scene.T_world_sensor), look.light)
     scale = exposure_scale(renderer.background, sensor)
-    image = develop(renderer.radiance(0.0), lens, sensor, scale, np.random.default_rng(scene.seed))
-    lines = tuple(
-        LaneLine("line_thin", "dashed" if line.dashed else "solid", line.xy, str(number))
-        for number, line in enumerate(scene.site.lines)
-    )
-    standing = [body for body in scene.site.bodies if body.name != "ground"]
-    boxes = np.array([box_around(body) for body in standing]).reshape(-1, 6)
-    centre = np.append(scene.sender.track(scene.times_s)[0][scene.in_view].mean(axis=0), 0.0)
-    return Shown(image, lens, LaneMap(lines, ()), scene.T_world_sensor, boxes, centre)
+    return develop(renderer.radiance(0.0), lens, sensor, scale, np.random.default_rng(scene.seed)), lens
 
 
 def scaled(lens: Lens, share: float) -> Lens:
@@ -116,14 +198,14 @@ def box_around(body: Body) -> list[float]:
     return [*centre.tolist(), *(high - low).tolist(), float(np.arctan2(T[1, 0], T[0, 0])), top]
 
 
-def moved(shown: Shown, error: FloatArray) -> FloatArray:
+def moved(shown: Place, error: FloatArray) -> FloatArray:
     """Return the transform with an error, shape (6,), of (rotation vector, translation) about the track's centre."""
     about = rigid(np.eye(3), shown.centre)
     turned = rigid(Rotation.from_rotvec(error[:3]).as_matrix(), error[3:])
     return about @ turned @ invert(about) @ shown.T_world_sensor
 
 
-def errors_of(shown: Shown, seed: int) -> Iterator[tuple[str, FloatArray]]:
+def errors_of(shown: Place, seed: int) -> Iterator[tuple[str, FloatArray]]:
     """Yield what is tried: its name, and the transform."""
     rng = np.random.default_rng(seed)
     for _ in range(RIGHT):
@@ -138,17 +220,17 @@ def errors_of(shown: Shown, seed: int) -> Iterator[tuple[str, FloatArray]]:
         yield "turned", rigid(rotation @ T[:3, :3], T[:3, 3])
 
 
-def run(seed: int, share: float, factors: dict[str, object], out: Path | None) -> list[Trial]:
+def run(seed: int, options: Options) -> list[Trial]:
     """Try one scene."""
     try:
-        shown = show(draw_scene(seed, "stereo_05", **factors), share)
+        scene = draw_scene(seed, options.sensor, **options.factors)
     except SceneError:
         return []
+    place = watch(scene, options.share, intensity=options.intensity)
     trials = []
-    for number, (wrong, T_world_sensor) in enumerate(errors_of(shown, seed)):
-        placed = Placed(T_world_sensor, np.diag(CLAIMED**2), shown.centre, shown.boxes)
-        camera = Camera(shown.lens, invert(T_world_sensor))
-        check = check_lanes(shown.lane_map.lines, placed, partial(profiles_in_image, shown.image, camera))
+    for number, (wrong, T_world_sensor) in enumerate(errors_of(place, seed)):
+        placed = Placed(T_world_sensor, np.diag(CLAIMED**2), place.centre, place.boxes)
+        check = place.check(placed)
         trial = Trial(
             seed,
             wrong,
@@ -156,13 +238,13 @@ def run(seed: int, share: float, factors: dict[str, object], out: Path | None) -
             check.judgement.reasons,
             check.lines_found,
             len(check.lines),
-            measured_wrongly_cm(check, T_world_sensor @ invert(shown.T_world_sensor)),
+            measured_wrongly_cm(check, T_world_sensor @ invert(place.T_world_sensor)),
             run_both_ways(check),
         )
         trials.append(trial)
-        if out is not None and (is_error(trial) or number == 0):
-            picture = draw_check(shown.image, partial(_project, camera), check, placed, shown.lane_map)
-            cv2.imwrite(str(out / f"{seed}_{number}_{wrong}_{trial.outcome.replace(' ', '_')}.png"), picture)
+        if options.out is not None and (is_error(trial) or number == 0):
+            name = f"{seed}_{number}_{wrong}_{trial.outcome.replace(' ', '_')}.png"
+            cv2.imwrite(str(options.out / name), place.draw(placed, check))
     return trials
 
 
@@ -234,16 +316,19 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--share", type=float, default=1.0, help="of the image's size")
+    parser.add_argument("--sensor", choices=SENSORS, default="stereo_05")
+    parser.add_argument("--no-intensity", action="store_true", help="of a LiDAR")
     parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     factors = read_factors(arguments.set)
+    options = Options(arguments.sensor, arguments.share, not arguments.no_intensity, factors, arguments.out)
     if arguments.out is not None:
         arguments.out.mkdir(parents=True, exist_ok=True)
     trials: list[Trial] = []
     seeds = range(arguments.first, arguments.first + arguments.scenes)
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        jobs = [pool.submit(run, seed, arguments.share, factors, arguments.out) for seed in seeds]
+        jobs = [pool.submit(run, seed, options) for seed in seeds]
         for number, done in enumerate(as_completed(jobs), start=1):
             trials += done.result()
             print(f"\r{number} of {len(jobs)}", end="", flush=True)

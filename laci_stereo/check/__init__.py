@@ -1,1 +1,1 @@
-"""Whether a map's lines lie on the road's: paint found in what a sensor saw, held against a calibration."""
+"""Whether a map's lines lie on the road's: paint, kerbs and walls that a sensor saw, held against a calibration."""

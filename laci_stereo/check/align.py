@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,9 @@ RIVAL_SHARE = 2 / 3
 """A second alignment with so much of the best one's evidence is as good: two of three lines may well be alone to be
 painted, while one of two or three beside kerbs is what a wrong one finds."""
 
+MOST_RIVALS = 4
+"""Kerbs on both sides of a line, and the lane's other line."""
+
 MOST_SECTIONS = 300
 """Evenly chosen: more of a line say little more of where it is."""
 
@@ -44,14 +48,17 @@ class Alignment:
         Counter-clockwise about ``centre``.
     centre : ndarray, shape (2,)
         World: the middle of the sections.
-    rival : float
-        Evidence of the best alignment that is another one, as a share of this one's, of the sections that it moves.
+    share : float
+        Of a rival: of the best one's evidence, of the sections that it moves, so much it keeps.
+    rivals : tuple of Alignment
+        Other ones that are about as good, no two of them alike.
     """
 
     shift: FloatArray
     turn_rad: float
     centre: FloatArray
-    rival: float
+    share: float = 1.0
+    rivals: tuple[Alignment, ...] = ()
 
     def offsets(self, sections: Sections) -> FloatArray:
         """Return how far to the left of each section its paint is, shape (n,)."""
@@ -87,9 +94,21 @@ def align(evidence: FloatArray, tolerance_m: FloatArray, sections: Sections) -> 
     best = _most_central(tried, support)
     offsets = tried[best] @ rows.T
     held = _support(near, offsets[None])[0]
-    apart_m = 2 * tolerance_m + WIDTHS_M[0]
-    moved = np.concatenate([(np.abs(part @ rows.T - offsets) > apart_m) @ held for part in _parts(tried)])
-    return Alignment(tried[best, :2], float(tried[best, 2]), centre, _best_rival(support, moved, best))
+    moved = np.concatenate([apart(part @ rows.T - offsets, tolerance_m) @ held for part in _parts(tried)])
+    shares = _shares(support, moved, best)
+    good = shares >= RIVAL_SHARE
+    tried_well, shares = tried[good], shares[good]
+    rivals = tuple(
+        Alignment(tried_well[i, :2], float(tried_well[i, 2]), centre, float(shares[i]))
+        for i in _unlike(tried_well @ rows.T, shares, tolerance_m)
+    )
+    return Alignment(tried[best, :2], float(tried[best, 2]), centre, rivals=rivals)
+
+
+def apart(difference_m: FloatArray, tolerance_m: FloatArray) -> BoolArray:
+    """Tell which offsets are of other paint, for they differ by more than its width and tolerance, shape (..., n)."""
+    other: BoolArray = np.abs(difference_m) > 2 * tolerance_m + WIDTHS_M[0]
+    return other
 
 
 def _parts(tried: FloatArray) -> list[FloatArray]:
@@ -102,14 +121,24 @@ def _support(near: FloatArray, offsets_m: FloatArray) -> FloatArray:
     return np.asarray(np.take_along_axis(near, _index(offsets_m).T, axis=1).T)
 
 
-def _best_rival(support: FloatArray, moved: FloatArray, best: int) -> float:
-    """Return the greatest share of the best alignment's evidence in the sections that another one moves, that it keeps.
+def _shares(support: FloatArray, moved: FloatArray, best: int) -> FloatArray:
+    """Return which share of the best alignment's evidence, of the sections that others move, these keep, shape (t,).
 
-    Sections that it leaves about where they are, as those along a shift, speak for both; what it loses there counts.
+    Sections that one leaves about where they are, as those along a shift, speak for both; what it loses there counts.
     """
-    counts = moved >= LEAST_MOVED
-    kept = moved[counts] - (support[best] - support[counts])
-    return float((kept / moved[counts]).max(initial=0.0))
+    kept = moved - (support[best] - support)
+    return np.where(moved >= LEAST_MOVED, kept / np.maximum(moved, LEAST_MOVED), 0.0)
+
+
+def _unlike(offsets_m: FloatArray, shares: FloatArray, tolerance_m: FloatArray) -> Iterator[int]:
+    """Yield the best rivals, each of which puts some section elsewhere than those before."""
+    left = np.arange(len(shares))
+    for _ in range(MOST_RIVALS):
+        if len(left) == 0:
+            break
+        best = int(left[shares[left].argmax()])
+        yield best
+        left = left[apart(offsets_m[left] - offsets_m[best], tolerance_m).any(axis=1)]
 
 
 def _most_central(tried: FloatArray, support: FloatArray) -> int:

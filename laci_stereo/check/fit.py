@@ -41,17 +41,20 @@ class Offsets:
         Of the paint, to the left of the map's line.
     cell_m : ndarray, shape (n,)
         What a pixel covers across.
+    loose_m : ndarray, shape (n,)
+        Standard deviation of what a line means against what is seen of it, the same along it.
     """
 
     sections: Sections
     left_m: FloatArray
     cell_m: FloatArray
+    loose_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.left_m)
 
     def __getitem__(self, chosen: BoolArray | IntArray) -> Offsets:
-        return Offsets(self.sections[chosen], self.left_m[chosen], self.cell_m[chosen])
+        return Offsets(self.sections[chosen], self.left_m[chosen], self.cell_m[chosen], self.loose_m[chosen])
 
 
 @dataclass(frozen=True)
@@ -74,11 +77,6 @@ class PlanarError:
     value: FloatArray
     covariance: FloatArray
     expected: FloatArray
-
-    @property
-    def significance(self) -> float:
-        """Chi-square of the value against none, with three degrees of freedom."""
-        return float(self.value @ np.linalg.solve(self.covariance, self.value))
 
     @property
     def chi_square(self) -> float:
@@ -127,7 +125,8 @@ def covariance_of(offsets: Offsets, placed: Placed, map_sigma_m: float) -> Float
     apart = np.abs(sections.along_m[:, None] - sections.along_m)
     alike = (sections.line[:, None] == sections.line) * np.exp(-apart / CORRELATED_M)
     covariance = alike * (map_sigma_m**2 / 2 + CROSSFALL_M**2 * np.outer(raised, raised))
-    covariance += (sections.line[:, None] == sections.line) * LENS_PX**2 * np.outer(offsets.cell_m, offsets.cell_m)
+    for common in (LENS_PX * offsets.cell_m, offsets.loose_m):
+        covariance += (sections.line[:, None] == sections.line) * np.outer(common, common)
     covariance += map_sigma_m**2 / 2 * sections.left @ sections.left.T
     for bent in _bends(sections.xy - placed.centre_world[:2]):
         covariance += CURVATURE_PER_M**2 * np.outer(raised * bent, raised * bent)

@@ -13,6 +13,9 @@ from laci_stereo.check.lanes import MAP_SIGMA_M, LaneCheck, check_lanes
 from laci_stereo.check.picture import draw_check
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import profiles_in_image
+from laci_stereo.check.ridges import find_stripes
+from laci_stereo.check.sections import Sections
+from laci_stereo.check.traces import Traces
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster, invert
 from laci_stereo.io.lane_map import LaneMap
@@ -62,9 +65,14 @@ def check_images(
     """
     image = at_rest(files, reader)
     camera = Camera(lens, invert(placed.T_world_sensor))
-    check = check_lanes(lane_map.lines, placed, partial(profiles_in_image, image, camera), map_sigma_m)
+    check = check_lanes(lane_map.lines, placed, partial(paint_in_image, image, camera), map_sigma_m)
     picture = draw_check(image, lambda xy: camera.project_line(on_ground(xy)), check, placed, lane_map)
     return Checked(check, picture)
+
+
+def paint_in_image(image: Raster, camera: Camera, sections: Sections) -> Traces:
+    """Look for paint across sections of lines in an image, raw, grey, shape (height, width)."""
+    return find_stripes(profiles_in_image(image, camera, sections), sections.line)
 
 
 def at_rest(files: Sequence[Path], reader: GreyReader) -> Raster:

@@ -1,4 +1,4 @@
-"""Find a map's lines on the road, and judge a calibration by where they are."""
+"""Find a map's lines around a sensor, and judge a calibration by where they are."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from laci_stereo.check.align import align, planar_rows
+from laci_stereo.check.align import LEAST_MOVED, Alignment, align, apart, planar_rows
 from laci_stereo.check.fit import Offsets, PlanarError, covariance_of, fit_planar
 from laci_stereo.check.placed import Placed
-from laci_stereo.check.profiles import COARSEST_M, OFFSETS_M, Profiles
-from laci_stereo.check.ridges import SURE, WIDTHS_M, Stripes, find_stripes, middle_of
-from laci_stereo.check.sections import Sections, sections_of
+from laci_stereo.check.profiles import OFFSETS_M
+from laci_stereo.check.ridges import WIDTHS_M
+from laci_stereo.check.sections import MAYBE, PAINTED, WALLS, Sections, sections_of
+from laci_stereo.check.traces import SURE, Traces
 from laci_stereo.check.verdict import Evidence, Judgement, judge
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.io.lane_map import LaneLine
@@ -41,8 +42,8 @@ ASTRAY = 4.0
 
 ROUNDS = 5
 
-See: TypeAlias = Callable[[Sections], Profiles]
-"""Samples what a sensor saw across sections of lines."""
+See: TypeAlias = Callable[[Sections], Traces]
+"""Looks for what the map shows across sections of its lines."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,11 @@ class LineCheck:
     id, kind : str
         As in the map.
     in_view_m, hidden_m, found_m : float
-        Length that should be seen, that the background hides, and on which paint was found.
+        Length that should be seen, that the background hides, and that was found.
     found : bool
         It is seen as much as it should be.
     offset_m, sigma_m : float or None
-        Where the paint is to the left of the line, as the calibration has it, and how well that is measured; None where
+        Where what it stands for is to its left, as the calibration has it, and how well that is measured; None where
         there is none.
     offset_px, sigma_px : float or None
         The same in the image; None without an image.
@@ -121,7 +122,7 @@ class View:
 
     Attributes
     ----------
-    sections, profiles, stripes
+    sections, traces
         Of what is in view, alike in length.
     hidden : Sections
     alone_m : ndarray, shape (n,)
@@ -129,8 +130,7 @@ class View:
     """
 
     sections: Sections
-    profiles: Profiles
-    stripes: Stripes
+    traces: Traces
     hidden: Sections
     alone_m: FloatArray
 
@@ -149,7 +149,13 @@ class Fitted:
         return ~np.isin(self.offsets.sections.line, list(self.astray))
 
 
-def check_lanes(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: float = MAP_SIGMA_M) -> LaneCheck:
+def check_lanes(
+    lines: Sequence[LaneLine],
+    placed: Placed,
+    see: See,
+    map_sigma_m: float = MAP_SIGMA_M,
+    kinds: Sequence[str] = PAINTED,
+) -> LaneCheck:
     """Hold a map against what a sensor saw.
 
     Parameters
@@ -159,21 +165,28 @@ def check_lanes(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m
     see : callable
     map_sigma_m : float
         Standard deviation of a line's place in the map.
+    kinds : sequence of str
+        Of lines that the sensor can see.
     """
-    view = _look(lines, placed, see, map_sigma_m)
+    view = _look(lines, placed, see, map_sigma_m, kinds)
     if len(view.sections) == 0:
         return LaneCheck(judge(Evidence(0, 0, 0.0), None), (), None, None, None, None, view.hidden)
-    alignment = align(view.stripes.evidence, view.alone_m, view.sections)
+    alignment = align(view.traces.evidence, view.alone_m, view.sections)
     fitted = _fit(view, alignment.offsets(view.sections), placed, map_sigma_m)
     checked = tuple(
         _line_checked(lines[number], number, view, fitted, placed) for number in np.unique(view.sections.line).tolist()
     )
     together = sum(line.found and not line.astray for line in checked)
-    judgement = judge(Evidence(len(checked), together, alignment.rival), None if fitted is None else fitted.error)
+    rival = max(
+        (other.share for other in alignment.rivals if _ends_elsewhere(other, fitted, view, placed, map_sigma_m)),
+        default=0.0,
+    )
+    expected = sum(line.found or line.kind not in MAYBE for line in checked)
+    judgement = judge(Evidence(expected, together, rival), None if fitted is None else fitted.error)
     if fitted is None:
         return LaneCheck(judgement, checked, None, None, None, None, view.hidden)
     left_m = fitted.offsets.left_m[fitted.together]
-    residual_px = _rms(left_m / fitted.offsets.cell_m[fitted.together]) if view.profiles.in_image else None
+    residual_px = _rms(left_m / fitted.offsets.cell_m[fitted.together]) if view.traces.in_image else None
     return LaneCheck(
         judgement,
         checked,
@@ -190,19 +203,20 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: float) -> View:
-    """Find what of the lines can be seen, and stripes across it."""
-    sections = sections_of(lines, placed.origin[:2])
-    profiles = see(sections)
-    visible = np.isfinite(profiles.values[:, len(OFFSETS_M) // 2]) & (profiles.cell_m <= COARSEST_M)
-    behind = placed.hidden(sections.xy)
-    counts = np.bincount(sections.line[visible & ~behind], minlength=len(lines))
-    kept = visible & ~behind & (counts[sections.line] >= LEAST_SECTIONS)
-    hidden = sections[visible & behind]
-    sections, profiles = sections[kept], profiles[kept]
-    own = covariance_of(Offsets(sections, np.zeros(len(sections)), profiles.cell_m), placed, map_sigma_m)
-    stripes = find_stripes(profiles, sections.line)
-    return View(sections, profiles, stripes, hidden, np.sqrt(np.diag(own)))
+def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: float, kinds: Sequence[str]) -> View:
+    """Find what of the lines can be seen, and what is seen across it."""
+    whole = sections_of(lines, placed.origin[:2], kinds)
+    tall = np.array([line.kind in WALLS for line in lines], dtype=bool)[whole.line]
+    behind = placed.hidden(whole.xy) & ~tall  # a wall hides itself, and is seen over what is lower
+    sections, hidden = whole[~behind], whole[behind]
+    traces = see(sections)
+    visible = np.isfinite(traces.cell_m)
+    counts = np.bincount(sections.line[visible], minlength=len(lines))
+    kept = visible & (counts[sections.line] >= LEAST_SECTIONS)
+    sections, traces = sections[kept], traces[kept]
+    still = Offsets(sections, np.zeros(len(sections)), traces.cell_m, traces.loose_m)
+    own = covariance_of(still, placed, map_sigma_m)
+    return View(sections, traces, hidden[np.isfinite(see(hidden).cell_m)], np.sqrt(np.diag(own)))
 
 
 def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float) -> Fitted | None:
@@ -212,7 +226,7 @@ def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float)
         index, left_m = _measured(view, expected_m)
         if len(index) == 0:
             return None
-        offsets = Offsets(view.sections[index], left_m, view.profiles.cell_m[index])
+        offsets = Offsets(view.sections[index], left_m, view.traces.cell_m[index], view.traces.loose_m[index])
         if np.isin(offsets.sections.line, list(astray)).all():
             astray = frozenset()
         error = fit_planar(offsets[~np.isin(offsets.sections.line, list(astray))], placed, map_sigma_m)
@@ -222,16 +236,24 @@ def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float)
     return fitted
 
 
+def _ends_elsewhere(rival: Alignment, fitted: Fitted | None, view: View, placed: Placed, map_sigma_m: float) -> bool:
+    """Tell whether what is found from a rival's start lies elsewhere, as far as a rival must be."""
+    other = _fit(view, rival.offsets(view.sections), placed, map_sigma_m)
+    if fitted is None or other is None:
+        return False
+    ends = [planar_rows(view.sections, each.centre) @ each.value for each in (fitted.error, other.error)]
+    return bool(apart(ends[1] - ends[0], view.alone_m).sum() >= LEAST_MOVED)
+
+
 def _measured(view: View, expected_m: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return which sections have a stripe near to where it is expected, the nearest one, and where its middle is."""
     beside = np.abs(OFFSETS_M - expected_m[:, None]) / np.maximum(view.alone_m, WIDTHS_M[0] / GATE)[:, None]
-    likely = np.where(beside <= GATE, view.stripes.peaks * np.exp(-0.5 * beside**2), 0.0)
+    likely = np.where(beside <= GATE, view.traces.peaks * np.exp(-0.5 * beside**2), 0.0)
     best = likely.argmax(axis=1)
     rows = np.arange(len(best))
-    sigmas = np.where(likely[rows, best] > 0.0, view.stripes.sigmas[rows, best], 0.0)
+    sigmas = np.where(likely[rows, best] > 0.0, view.traces.sigmas[rows, best], 0.0)
     index = np.flatnonzero(sigmas >= np.maximum(SURE, _paler(sigmas, view.sections.line)))
-    left_m = [middle_of(view.profiles.values[i], int(best[i]), float(view.stripes.width_m[i, best[i]])) for i in index]
-    return index, np.array(left_m)
+    return index, view.traces.left_m[index, best[index]]
 
 
 def _paler(sigmas: FloatArray, line: IntArray) -> FloatArray:
@@ -259,7 +281,7 @@ def _line_checked(line: LaneLine, number: int, view: View, fitted: Fitted | None
     weights = np.linalg.inv(covariance_of(mine, placed, 0.0))
     sigma_m = 1.0 / float(np.sqrt(weights.sum()))
     mean = weights.sum(axis=0) * sigma_m**2
-    per_m = float(mean @ (1.0 / mine.cell_m)) if view.profiles.in_image else None
+    per_m = float(mean @ (1.0 / mine.cell_m)) if view.traces.in_image else None
     offset_m = float(mean @ mine.left_m)
     return LineCheck(
         line.id,

@@ -10,9 +10,9 @@ import numpy as np
 from laci_stereo.check.describe import verdict_text
 from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
-from laci_stereo.check.sections import PAINTED
+from laci_stereo.check.sections import PAINTED, WALLS
 from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
 from laci_stereo.report.lines import subdivide
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
@@ -27,8 +27,15 @@ STEP_M = 0.5
 PANEL_SHARE, MARGIN = 0.62, 14.0
 
 
-def draw_check(backdrop: Raster, project: Project, check: LaneCheck, placed: Placed, lane_map: LaneMap) -> Raster:
-    """Draw the map's painted lines as the calibration has them, dashed where they are hidden, and the paint found.
+def draw_check(
+    backdrop: Raster,
+    project: Project,
+    check: LaneCheck,
+    placed: Placed,
+    lane_map: LaneMap,
+    kinds: Sequence[str] = PAINTED,
+) -> Raster:
+    """Draw the map's lines as the calibration has them, dashed where they are hidden, and where they were found.
 
     Parameters
     ----------
@@ -37,6 +44,8 @@ def draw_check(backdrop: Raster, project: Project, check: LaneCheck, placed: Pla
     check : LaneCheck
     placed : Placed
     lane_map : LaneMap
+    kinds : sequence of str
+        Of lines that the sensor can see.
 
     Returns
     -------
@@ -45,12 +54,12 @@ def draw_check(backdrop: Raster, project: Project, check: LaneCheck, placed: Pla
     canvas = Canvas(backdrop, halo=NIGHT)
     drawn: list[FloatArray] = []
     for line in lane_map.lines:
-        for piece, hidden in _by_sight(line.xy, placed) if line.kind in PAINTED else ():
+        for piece, hidden in _by_sight(line, placed) if line.kind in kinds else ():
             pieces = project(piece)
             canvas.lines(pieces, HIDDEN if hidden else LANE)
             drawn += pieces
-    for colour, paint in ((SKY_BLUE, _paint(check, False)), (VERMILLION, _paint(check, True))):
-        dots = [pixels[:1] for each in paint for pixels in project(each)]
+    for colour, places in ((SKY_BLUE, _found(check, False)), (VERMILLION, _found(check, True))):
+        dots = [pixels[:1] for each in places for pixels in project(each)]
         if dots:
             canvas.dots(np.concatenate(dots), colour, DOT_RADIUS)
     top = canvas.height - 1.2 * LINE_HEIGHT * TEXT * canvas.unit_px
@@ -59,16 +68,16 @@ def draw_check(backdrop: Raster, project: Project, check: LaneCheck, placed: Pla
     return canvas.image
 
 
-def _by_sight(xy: FloatArray, placed: Placed) -> Iterator[tuple[FloatArray, bool]]:
-    """Cut a line, shape (n, 2), into what is seen and what the background hides."""
-    fine = subdivide(xy, STEP_M)
-    behind = placed.hidden((fine[1:] + fine[:-1]) / 2)
+def _by_sight(line: LaneLine, placed: Placed) -> Iterator[tuple[FloatArray, bool]]:
+    """Cut a line into what is seen, shape (n, 2), and what the background hides; a wall is of the background itself."""
+    fine = subdivide(line.xy, STEP_M)
+    behind = placed.hidden((fine[1:] + fine[:-1]) / 2) & (line.kind not in WALLS)
     for part in np.split(np.arange(len(behind)), np.flatnonzero(np.diff(behind)) + 1):
         yield fine[part[0] : part[-1] + 2], bool(behind[part[0]])
 
 
-def _paint(check: LaneCheck, astray: bool) -> Iterator[FloatArray]:
-    """Yield where paint was found, as lines a centimetre long, shape (2, 2), world."""
+def _found(check: LaneCheck, astray: bool) -> Iterator[FloatArray]:
+    """Yield where something was found, as lines a centimetre long, shape (2, 2), world."""
     if check.offsets is None:
         return
     sections = check.offsets.sections
@@ -82,8 +91,8 @@ def _draw_legend(canvas: Canvas, bottom: float, lines: Sequence[FloatArray]) -> 
     entries = [
         Entry("line of the map", "line", LANE),
         Entry("the same, hidden by the background", "line", HIDDEN),
-        Entry("paint found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
-        Entry("paint off on its own", "dot", Stroke(VERMILLION, DOT_RADIUS)),
+        Entry("found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
+        Entry("found, off on its own", "dot", Stroke(VERMILLION, DOT_RADIUS)),
     ]
     margin = MARGIN * canvas.unit_px
     width, height = (extent + 2 * margin for extent in canvas.legend_size(entries))

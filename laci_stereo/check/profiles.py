@@ -17,9 +17,6 @@ REACH_M = 1.5
 STEP_M = 0.03
 """Across a line; the narrowest paint, 8 cm, has nearly three."""
 
-COARSEST_M = 0.12
-"""Of a pixel across a line: where it covers more than thin lines are wide, paint melts into what is beside it."""
-
 ROWS = 8
 """Samples along a section: their mean is the section's profile."""
 
@@ -64,7 +61,8 @@ def profiles_in_image(image: Raster, camera: Camera, sections: Sections) -> Prof
     """
     values = np.full((len(sections), len(OFFSETS_M)), np.nan)
     cell_m = cell_across(camera, sections)
-    seen = np.flatnonzero((cell_m <= COARSEST_M) & _inside(project_ground(camera, sections.xy), image))
+    # Where a pixel covers more than the paint is wide, it melts into what is beside it.
+    seen = np.flatnonzero((cell_m <= sections.width_m) & _inside(project_ground(camera, sections.xy), image))
     places = _window(sections[seen])
     pixels = project_ground(camera, places.reshape(-1, 2)).reshape(places.shape)
     values[seen] = np.where(_inside(pixels, image), _look_up(image.astype(np.float32), pixels), np.nan).mean(axis=1)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from laci_stereo.check.profiles import OFFSETS_M, STEP_M, Profiles
+from laci_stereo.check.texture import noise_of
+from laci_stereo.check.traces import Traces, highest
 from laci_stereo.core.frames import FloatArray, IntArray
 
 WIDTHS_M = (0.09, 0.15, 0.21, 0.33, 0.51)
@@ -16,72 +18,39 @@ WIDTHS_M = (0.09, 0.15, 0.21, 0.33, 0.51)
 FLANK_M = 0.15
 """How much of the road on either side a stripe is compared with: so little that a pavement is none."""
 
-NOISE_SCALE = 1.4826
-"""From the median absolute deviation to the standard deviation of normal numbers."""
-
-SURE = 4.0
-"""Sigma. Of some 10 000 places that are looked at, noise alone passes at less than one."""
-
 BESIDE_A_PEAK = 0.5
 """What is less than this share of a peak near by is its slope: a wide window answers to a narrow stripe at its edge."""
 
 FAINT = 0.02
 """Of the road's brightness: what the noise is at least. Worn paint reflects a fifth more than the road, which is 9 % of
-the values in an image with a gamma of 2.2, and just beyond `SURE`."""
-
-LEAST_KNOWN = 10
-"""Offsets from which a texture can be told."""
-
-DOUBTFUL = 2.0
-"""Sigma below which a stripe counts nothing; what is between counts in part, for paint wears off."""
+the values in an image with a gamma of 2.2, and just beyond what is sure."""
 
 
-@dataclass(frozen=True)
-class Stripes:
-    """How much each place across a line looks like the middle of a stripe.
-
-    Attributes
-    ----------
-    sigmas : ndarray, shape (n, m)
-        Brightness over that of the brighter side, in standard deviations of the road's; 0 where nothing was seen.
-    width_m : ndarray, shape (n, m)
-        Of the stripe that fits best there.
-    """
-
-    sigmas: FloatArray
-    width_m: FloatArray
-
-    @property
-    def evidence(self) -> FloatArray:
-        """From 0 to 1, shape (n, m)."""
-        return np.clip((self.sigmas - DOUBTFUL) / (SURE - DOUBTFUL), 0.0, 1.0)
-
-    @property
-    def peaks(self) -> FloatArray:
-        """The evidence where it is greatest among its neighbours, else 0, shape (n, m)."""
-        return np.where(self.sigmas == maximum_filter1d(self.sigmas, 5, axis=1, mode="constant"), self.evidence, 0.0)
-
-
-def find_stripes(profiles: Profiles, line: IntArray) -> Stripes:
+def find_stripes(profiles: Profiles, line: IntArray) -> Traces:
     """Look for stripes.
 
     Parameters
     ----------
     profiles : Profiles
-        With something seen in each of them.
     line : ndarray of int, shape (n,)
         Which of them are of one line, in order: they share its noise.
     """
-    sigmas = np.zeros(profiles.values.shape)
-    widths = np.zeros(profiles.values.shape)
-    brightness = np.nanmedian(profiles.values, axis=1)
+    traces = Traces.unseen(len(profiles.values))
+    seen = np.isfinite(profiles.values[:, len(OFFSETS_M) // 2])
+    values = profiles.values[seen]
+    sigmas, widths = np.zeros(values.shape), np.zeros(values.shape)
+    brightness = np.nanmedian(values, axis=1)
     for width_m in WIDTHS_M:
-        response = _response(profiles.values, width_m)
-        noise = np.fmax(_texture(response, line), _unevenness(response, width_m))
-        found = _in_sigmas(response, np.maximum(_shared(noise, line), FAINT * brightness))
+        response = _response(values, width_m)
+        found = np.nan_to_num(response / noise_of(response, line[seen], width_m + FLANK_M, FAINT * brightness))
         better = found > sigmas
         sigmas[better], widths[better] = found[better], width_m
-    return Stripes(np.where(sigmas >= BESIDE_A_PEAK * _greatest_near(sigmas), sigmas, 0.0), widths)
+    sigmas = np.where(sigmas >= BESIDE_A_PEAK * _greatest_near(sigmas), sigmas, 0.0)
+    left_m = np.zeros(values.shape)
+    for row, at in np.argwhere(highest(sigmas) & (sigmas > 0.0)).tolist():
+        left_m[row, at] = middle_of(values[row], at, float(widths[row, at]))
+    found_here = Traces(sigmas, left_m, profiles.cell_m[seen], np.zeros(len(values)))
+    return replace(traces.put(seen, found_here), in_image=profiles.in_image)
 
 
 def _greatest_near(sigmas: FloatArray) -> FloatArray:
@@ -135,46 +104,3 @@ def _response(values: FloatArray, width_m: float) -> FloatArray:
     whole = gaps[:, high + flank] == gaps[:, low - flank]
     response[:, middle] = np.where(whole, inner - np.maximum(left, right), np.nan)
     return response
-
-
-def _in_sigmas(response: FloatArray, noise: FloatArray) -> FloatArray:
-    """Divide responses, shape (n, m), by their noise, shape (n,); 0 where nothing is known."""
-    return np.asarray(np.nan_to_num(response / np.maximum(noise, 1e-9)[:, None]))
-
-
-def _shared(noise: FloatArray, line: IntArray) -> FloatArray:
-    """Return each section's noise, or its line's median where that is greater; infinite where it is not known."""
-    shared = np.full(len(noise), np.inf)
-    for number in np.unique(line):
-        mine = line == number
-        known = noise[mine & np.isfinite(noise)]
-        if len(known):
-            shared[mine] = np.maximum(np.nan_to_num(noise[mine], nan=np.inf), np.median(known))
-    return shared
-
-
-def _unevenness(response: FloatArray, width_m: float) -> FloatArray:
-    """Return the robust standard deviation of each section's responses; NaN where a stripe would spoil half of them."""
-    spread = np.full(len(response), np.nan)
-    known = np.isfinite(response)
-    spoilt = 2 * (width_m + FLANK_M) / STEP_M
-    enough = known.sum(axis=1) > 2 * spoilt
-    if enough.any():
-        rows = response[enough]
-        middle = np.nanmedian(rows, axis=1, keepdims=True)
-        spread[enough] = NOISE_SCALE * np.nanmedian(np.abs(rows - middle), axis=1)
-    return spread
-
-
-def _texture(response: FloatArray, line: IntArray) -> FloatArray:
-    """Return the robust standard deviation of each section's responses against its neighbours'; NaN where unknown.
-
-    What runs along the line, paint above all, is the same in neighbours, so that it is no noise.
-    """
-    apart = np.abs(np.diff(response, axis=0))
-    known = np.isfinite(apart)
-    steps = np.full(len(apart), np.nan)
-    enough = (np.diff(line) == 0) & (known.sum(axis=1) >= LEAST_KNOWN)
-    steps[enough] = NOISE_SCALE / np.sqrt(2.0) * np.nanmedian(apart[enough], axis=1)
-    texture: FloatArray = np.fmax(np.append(np.nan, steps), np.append(steps, np.nan))
-    return texture

@@ -16,6 +16,21 @@ SECTION_M = 1.0
 PAINTED = ("", "line_thin", "line_thick", "stop_line", "pedestrian_marking", "bike_marking", "keepout")
 """Kinds of lines that are painted on a road; a line without a kind may be."""
 
+THIN_M = 0.12
+"""What paint is wide, as a rule; the narrowest has 8 cm."""
+
+WIDE_M = {"line_thick": 0.25, "stop_line": 0.30}
+"""What is painted wider (RMS: 0.25 to 0.30 m, and 0.50 m; MUTCD: 0.30 m at least)."""
+
+KERBS = ("curbstone", "road_border")
+"""Kinds of lines where a road may end with a step."""
+
+MAYBE = ("road_border",)
+"""Kinds of lines that may be a step or none: not to find them tells nothing."""
+
+WALLS = ("wall", "fence", "guard_rail", "jersey_barrier")
+"""Kinds of lines along which something stands."""
+
 FARTHEST_M = 80.0
 """From the sensor: at 15 m, the highest that one hangs, a line of sight is 11 deg from the road there."""
 
@@ -34,18 +49,23 @@ class Sections:
         Its middle, world.
     left : ndarray, shape (n, 2)
         Unit vector to the left of the line.
+    width_m : ndarray, shape (n,)
+        What its paint is wide.
     """
 
     line: IntArray
     along_m: FloatArray
     xy: FloatArray
     left: FloatArray
+    width_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.line)
 
     def __getitem__(self, chosen: BoolArray | IntArray) -> Sections:
-        return Sections(self.line[chosen], self.along_m[chosen], self.xy[chosen], self.left[chosen])
+        return Sections(
+            self.line[chosen], self.along_m[chosen], self.xy[chosen], self.left[chosen], self.width_m[chosen]
+        )
 
     @property
     def ahead(self) -> FloatArray:
@@ -53,21 +73,24 @@ class Sections:
         return np.column_stack([self.left[:, 1], -self.left[:, 0]])
 
 
-def sections_of(lines: Sequence[LaneLine], around_xy: FloatArray) -> Sections:
-    """Cut the painted ones of some lines into sections of about a metre, within `FARTHEST_M` of a point."""
-    pieces = [_cut(number, line.xy) for number, line in enumerate(lines) if line.kind in PAINTED]
+def sections_of(lines: Sequence[LaneLine], around_xy: FloatArray, kinds: Sequence[str] = PAINTED) -> Sections:
+    """Cut those of some lines that are of some kinds into sections of about a metre, within `FARTHEST_M` of a point."""
+    pieces = [
+        _cut(number, line.xy, WIDE_M.get(line.kind, THIN_M)) for number, line in enumerate(lines) if line.kind in kinds
+    ]
     if not pieces:
-        return Sections(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)))
+        return Sections(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     whole = Sections(
         np.concatenate([piece.line for piece in pieces]),
         np.concatenate([piece.along_m for piece in pieces]),
         np.concatenate([piece.xy for piece in pieces]),
         np.concatenate([piece.left for piece in pieces]),
+        np.concatenate([piece.width_m for piece in pieces]),
     )
     return whole[np.linalg.norm(whole.xy - around_xy, axis=1) < FARTHEST_M]
 
 
-def _cut(number: int, xy: FloatArray) -> Sections:
+def _cut(number: int, xy: FloatArray, width_m: float) -> Sections:
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     at = np.append(0.0, np.cumsum(steps))
     count = max(round(at[-1] / SECTION_M), 1) if at[-1] > 0 else 0
@@ -79,4 +102,4 @@ def _cut(number: int, xy: FloatArray) -> Sections:
     ahead = ahead[kept] / length[kept, None]
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     middle, along = (ends[1:] + ends[:-1])[kept] / 2, (edges[1:] + edges[:-1])[kept] / 2
-    return Sections(np.full(len(middle), number), along, middle, left)
+    return Sections(np.full(len(middle), number), along, middle, left, np.full(len(middle), width_m))

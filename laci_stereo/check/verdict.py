@@ -31,7 +31,7 @@ ONE_SIDED = float(-ndtri(ERROR_RATE))
 
 @dataclass(frozen=True)
 class Evidence:
-    """How much was found: lines in view, lines found, and how well they would fit elsewhere (see `Alignment`)."""
+    """How much was found: lines that should be, lines that were, and how well they fit elsewhere (see `Alignment`)."""
 
     in_view: int
     found: int
@@ -54,7 +54,7 @@ def judge(evidence: Evidence, error: PlanarError | None) -> Judgement:
     """
     lacking = _lacking(evidence)
     if lacking or error is None:
-        return Judgement("cannot tell", (lacking or "no paint was found near the map's lines",))
+        return Judgement("cannot tell", (lacking or "nothing was found near the map's lines",))
     wrong = _wrong(error)
     if wrong:
         return Judgement("fail", (wrong,))
@@ -64,7 +64,7 @@ def judge(evidence: Evidence, error: PlanarError | None) -> Judgement:
 
 def _lacking(evidence: Evidence) -> str:
     if evidence.in_view == 0:
-        return "none of the map's painted lines is in view"
+        return "none of the map's lines that can be seen is in view"
     found = f"{evidence.found} of {evidence.in_view} lines in view were found"
     if evidence.found < FEWEST_LINES:
         return f"{found}; needed are at least {FEWEST_LINES}"
@@ -83,7 +83,11 @@ def _wrong(error: PlanarError) -> str:
             f"{off}: chi-square is {error.chi_square:.0f}, and what the calibration claims and the map's own error "
             f"allow is {CONTRADICTION:.0f}"
         )
-    if error.significance > CONTRADICTION and (shift_m >= TOO_FAR_M or abs(turn_rad) >= TOO_FAR_RAD):
+    # What is open in some direction may be anything there, however sure the rest is.
+    towards = error.value[:2] / max(shift_m, 1e-9)
+    sure_m = float(np.sqrt(CONTRADICTION * (towards @ error.covariance[:2, :2] @ towards)))
+    sure_rad = float(np.sqrt(CONTRADICTION * error.covariance[2, 2]))
+    if shift_m >= max(TOO_FAR_M, sure_m) or abs(turn_rad) >= max(TOO_FAR_RAD, sure_rad):
         return f"{off}, though the calibration claims to be no better than that"
     return ""
 

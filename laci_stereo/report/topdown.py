@@ -279,9 +279,9 @@ def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries:
     _draw_bar(canvas, view, (SIDE_LEFT + 3.0 * line, top + 2.0 * line))
     canvas.legend(entries, (SIDE_LEFT, top + 3.6 * line), BLACK)
     y = top + (4.6 + len(entries)) * line
-    facts = _facts(calibration)
-    size = min(canvas.fitting(text, SIDE_RIGHT - SIDE_LEFT, SMALL) for text in facts)
-    for text in facts:
+    told = facts(calibration)
+    size = min(canvas.fitting(text, SIDE_RIGHT - SIDE_LEFT, SMALL) for text in told)
+    for text in told:
         canvas.text(text, (SIDE_LEFT, y), BLACK, size=size)
         y += line
 
@@ -297,8 +297,10 @@ def _draw_bar(canvas: Canvas, view: MapView, at: tuple[float, float]) -> None:
     canvas.text(f"{length_m:g} m", ((x + end) / 2, y - 2.6 * height), BLACK, align="centre")
 
 
-def _facts(calibration: Calibration) -> list[str]:
-    east, north = calibration.T_utm_sensor[:2, 3]
+def facts(calibration: Calibration) -> list[str]:
+    """Say in words where the sensor stands, and how sure that is."""
+    # Not of T_utm_sensor, which is rigid, and true to the grid's scale at the track only.
+    east, north = calibration.world.to_utm(calibration.T_world_sensor[None, :2, 3])[0]
     angles, quality = calibration.viewing_angles, calibration.quality
     return [
         f"sensor at E {east:.2f} m",

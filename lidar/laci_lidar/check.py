@@ -1,51 +1,34 @@
-"""The lane check of a LiDAR: paint is where the road returns more light."""
+"""The lane check of a LiDAR: paint is where the road returns more light, kerbs are steps, and walls stand upright."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from laci_lidar.kerbs import find_kerbs
 from laci_lidar.sequence import ScanSequence
+from laci_lidar.surroundings import Surroundings, gaps, smoothed, surroundings_in, typical, windows
+from laci_lidar.walls import find_walls
 from laci_stereo.check.images import Checked
-from laci_stereo.check.lanes import MAP_SIGMA_M, check_lanes
+from laci_stereo.check.lanes import MAP_SIGMA_M, LaneCheck, check_lanes
 from laci_stereo.check.picture import draw_check
 from laci_stereo.check.placed import Placed
-from laci_stereo.check.profiles import OFFSETS_M, REACH_M, STEP_M, Profiles
-from laci_stereo.check.sections import FARTHEST_M, SECTION_M, Sections
-from laci_stereo.core.frames import FloatArray, Raster, transform
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.check.profiles import OFFSETS_M, Profiles
+from laci_stereo.check.ridges import find_stripes
+from laci_stereo.check.sections import KERBS, PAINTED, WALLS, Sections, sections_of
+from laci_stereo.check.traces import Traces
+from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.report.lines import clip_slab
-from laci_stereo.stereo.recording import spread
-
-SCANS = 20
-"""Evenly spread: the noise of their ranges fills what lies between beams."""
 
 GROUND_M = 0.3
 """Off the plane, at most: roads are crowned and bent by less within sight, and bodies of vehicles begin above."""
 
-LEAST_POINTS = 10
-"""Across a section, from which a profile can be told."""
-
 PIXELS_PER_M = 16.0
 MOST_PIXELS = 1600
-
-
-@dataclass(frozen=True)
-class Road:
-    """Points of the ground and how bright they are.
-
-    Attributes
-    ----------
-    xy : ndarray, shape (n, 2)
-        World.
-    intensity : ndarray, shape (n,)
-        In the sensor's own unit.
-    """
-
-    xy: FloatArray
-    intensity: FloatArray
 
 
 class PlacedRanging(Placed):
@@ -54,6 +37,53 @@ class PlacedRanging(Placed):
     def lengthening(self, xy: FloatArray) -> FloatArray:
         """Return no movement, shape (n, 2)."""
         return np.zeros_like(xy)
+
+
+@dataclass(frozen=True)
+class Seeing:
+    """What a LiDAR sees of the lines of a map.
+
+    Attributes
+    ----------
+    lines : sequence of LaneLine
+    placed : PlacedRanging
+    around : Surroundings
+    """
+
+    lines: Sequence[LaneLine]
+    placed: PlacedRanging
+    around: Surroundings
+
+    @property
+    def has_intensity(self) -> bool:
+        """Whether any scan has an intensity."""
+        return bool(np.isfinite(self.around.intensity).any())
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Of lines that can be seen: painted ones by intensity only."""
+        return (*KERBS, *WALLS, *(PAINTED if self.has_intensity else ()))
+
+    @cached_property
+    def near(self) -> Surroundings:
+        """The points beside lines."""
+        return self.around.beside(sections_of(self.lines, self.placed.origin[:2], self.kinds).xy)
+
+    @cached_property
+    def road(self) -> Surroundings:
+        """Those of the ground, with an intensity."""
+        return self.near[(np.abs(self.near.points[:, 2]) < GROUND_M) & np.isfinite(self.near.intensity)]
+
+    def __call__(self, sections: Sections) -> Traces:
+        """Look for what the map shows across sections of its lines."""
+        kind = np.array([line.kind for line in self.lines])[sections.line]
+        paint, kerb, wall = (np.isin(kind, kinds) for kinds in (PAINTED, KERBS, WALLS))
+        return (
+            Traces.unseen(len(sections))
+            .put(paint, find_paint(self.road, sections[paint]))
+            .put(kerb, find_kerbs(self.near, self.placed, sections[kerb]))
+            .put(wall, find_walls(self.near, self.placed, sections[wall]))
+        )
 
 
 def check_scans(
@@ -72,83 +102,43 @@ def check_scans(
     Returns
     -------
     Checked or None
-        None where the scans have no intensity.
+        None where the scans have no intensity, and the map nothing that stands out.
 
     Raises
     ------
     ScanError
         If more than a fifth of the scans that are looked at cannot be read.
     """
-    road = road_in(scans, placed)
-    if road is None:
+    see = see_scans(scans, placed, lane_map.lines)
+    if not see.has_intensity and not any(line.kind in see.kinds for line in lane_map.lines):
         return None
+    check = check_lanes(see.lines, see.placed, see, map_sigma_m, see.kinds)
+    return Checked(check, draw_scans(see, check, lane_map))
+
+
+def see_scans(scans: ScanSequence, placed: Placed, lines: Sequence[LaneLine]) -> Seeing:
+    """Gather what a LiDAR saw of some lines; see `check_scans`."""
     ranging = PlacedRanging(placed.T_world_sensor, placed.covariance, placed.centre_world, placed.boxes)
-    tree = cKDTree(road.xy)
-    check = check_lanes(lane_map.lines, ranging, lambda sections: profiles_in_scans(road, tree, sections), map_sigma_m)
-    view = _view(road)
-    backdrop = view.backdrop(road)
-    return Checked(check, draw_check(backdrop, view.project, check, ranging, lane_map))
+    return Seeing(lines, ranging, surroundings_in(scans, placed))
 
 
-def road_in(scans: ScanSequence, placed: Placed) -> Road | None:
-    """Return the ground's points of some scans, or None if they have no intensity.
-
-    Raises
-    ------
-    ScanError
-    """
-    found, bright = [np.zeros((0, 2))], [np.zeros(0)]
-    has_intensity = False
-    for scan in scans.read(spread(range(len(scans)), SCANS), 1):
-        if scan is None or scan.intensity is None or np.ptp(scan.intensity) == 0:
-            continue
-        has_intensity = True
-        points = transform(placed.T_world_sensor, scan.points)
-        apart_m = np.linalg.norm(points[:, :2] - placed.origin[:2], axis=1)
-        ground = (np.abs(points[:, 2]) < GROUND_M) & (apart_m < FARTHEST_M)
-        found.append(points[ground, :2])
-        bright.append(scan.intensity[ground])
-    return Road(np.concatenate(found), np.concatenate(bright)) if has_intensity else None
+def draw_scans(see: Seeing, check: LaneCheck, lane_map: LaneMap) -> Raster:
+    """Draw a check from above, shape (height, width, 3), uint8."""
+    view = _view(see.around.points[:, :2])
+    return draw_check(view.backdrop(see.around), view.project, check, see.placed, lane_map, see.kinds)
 
 
-def profiles_in_scans(road: Road, tree: cKDTree, sections: Sections) -> Profiles:
-    """Average the road's intensity across sections of lines, over as much as lies between points.
-
-    Parameters
-    ----------
-    road : Road
-    tree : cKDTree
-        Of its points.
-    sections : Sections
-    """
+def find_paint(road: Surroundings, sections: Sections) -> Traces:
+    """Look for stripes in the road's intensity, averaged over as much as lies between points."""
     values = np.full((len(sections), len(OFFSETS_M)), np.nan)
     cells_m = np.full(len(sections), np.inf)
-    around = tree.query_ball_point(sections.xy, float(np.hypot(REACH_M, SECTION_M / 2))) if len(sections) else []
-    for number, indices in enumerate(around):
-        beside = road.xy[indices] - sections.xy[number]
-        across = beside @ sections.left[number]
-        inside = (np.abs(beside @ sections.ahead[number]) < SECTION_M / 2) & (np.abs(across) < REACH_M)
-        if inside.sum() < LEAST_POINTS:
+    for window in windows(road, sections):
+        cell_m = typical(gaps(window.across_m))
+        if cell_m > sections.width_m[window.number]:
             continue
-        cell_m = _gap(across[inside])
-        cells_m[number] = cell_m
-        values[number] = _smoothed(across[inside], road.intensity[indices][inside], cell_m)
-    return Profiles(values, cells_m, in_image=False)
-
-
-def _gap(across_m: FloatArray) -> float:
-    """Return the mean length of the gap between points in which a place of the window lies."""
-    gaps = np.diff(np.concatenate([[-REACH_M], np.sort(across_m), [REACH_M]]))
-    return max(float((gaps**2).sum() / gaps.sum()), STEP_M)
-
-
-def _smoothed(across_m: FloatArray, values: FloatArray, cell_m: float) -> FloatArray:
-    """Return the mean of values about `OFFSETS_M`, with Gaussian weights as wide as a cell; NaN where none is near."""
-    weights = np.exp(-0.5 * ((OFFSETS_M[:, None] - across_m) / (cell_m / 2)) ** 2)
-    total = weights.sum(axis=1)
-    near = total > np.exp(-2.0)  # a point within a cell
-    smoothed: FloatArray = np.where(near, weights @ values / np.maximum(total, 1e-12), np.nan)
-    return smoothed
+        cells_m[window.number] = cell_m
+        values[window.number] = smoothed(window.across_m, window.around.intensity, cell_m)
+    return find_stripes(Profiles(values, cells_m, in_image=False), sections.line)
 
 
 @dataclass(frozen=True)
@@ -171,21 +161,23 @@ class _View:
             for piece in clip_slab(part, 1, self.low[1], self.high[1])
         ]
 
-    def backdrop(self, road: Road) -> Raster:
-        """Draw the road's intensity, shape (height, width), uint8."""
+    def backdrop(self, around: Surroundings) -> Raster:
+        """Draw the intensity, or the height where there is none, shape (height, width), uint8."""
+        told = np.isfinite(around.intensity)
+        values = np.where(told, around.intensity, 0.0) if told.any() else around.points[:, 2]
         width, height = np.ceil((self.high - self.low) * self.scale_px).astype(int) + 1
-        column, row = np.rint(self.pixels(road.xy)).astype(int).T
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        column, row = np.rint(self.pixels(around.points[:, :2])).astype(int).T
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (told | ~told.any())
         flat = row[inside] * width + column[inside]
         count = np.bincount(flat, minlength=width * height)
-        mean = np.bincount(flat, road.intensity[inside], minlength=width * height) / np.maximum(count, 1)
-        dark, bright = np.quantile(road.intensity, [0.02, 0.98])
+        mean = np.bincount(flat, values[inside], minlength=width * height) / np.maximum(count, 1)
+        dark, bright = np.quantile(values[inside], [0.02, 0.98]) if inside.any() else (0.0, 1.0)
         grey = 60.0 + 195.0 * np.clip((mean - dark) / max(bright - dark, 1e-9), 0.0, 1.0)
         return np.where(count > 0, grey, 25.0).astype(np.uint8).reshape(height, width)
 
 
-def _view(road: Road) -> _View:
-    low, high = np.quantile(road.xy, [0.01, 0.99], axis=0) if len(road.xy) else (-np.ones(2), np.ones(2))
+def _view(xy: FloatArray) -> _View:
+    low, high = np.quantile(xy, [0.01, 0.99], axis=0) if len(xy) else (-np.ones(2), np.ones(2))
     extent = np.maximum(high - low, 10.0)
     middle = (low + high) / 2
     return _View(middle - extent / 2, middle + extent / 2, min(PIXELS_PER_M, MOST_PIXELS / float(extent.max())))

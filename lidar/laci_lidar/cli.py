@@ -117,8 +117,9 @@ def check(
 ) -> None:
     """Check a LiDAR's calibration against a lane map.
 
-    CALIBRATION is a result folder or its calibration.json, SCANS a recording, of any day, whose points have an
-    intensity: the lines' paint is looked for in it.
+    CALIBRATION is a result folder or its calibration.json, SCANS a recording, of any day. Paint is looked for in the
+    points' intensity, where they have one; kerbs as steps in the ground; walls, fences and rails where points are
+    above each other.
 
     Exit codes: 0 pass or cannot tell; 1 fail; 2 the input cannot be read or makes no sense.
     """
@@ -129,7 +130,10 @@ def check(
     say_notes(stored, lines)
     checked = check_scans(open_scans(scans, topic), placed_by(stored), lines, map_sigma)
     if checked is None:
-        raise ScanError(f"{scans}: the points have no intensity; needed is one, for paint is seen by it")
+        raise ScanError(
+            f"{scans}: the points have no intensity, and the map has no kerbs or walls; needed is an intensity, for "
+            "paint is seen by it, or a map with these"
+        )
     deliver(checked, map_sigma, picture, json_file)
 
 

@@ -9,9 +9,9 @@ from functools import cached_property, partial
 import cv2
 import numpy as np
 
+from laci_stereo.check.images import paint_in_image
 from laci_stereo.check.lanes import LaneCheck, check_lanes
 from laci_stereo.check.placed import Placed
-from laci_stereo.check.profiles import profiles_in_image
 from laci_stereo.core.frames import FloatArray, Raster, invert, planar, rigid, rotation_z, transform
 from laci_stereo.io.lane_map import LaneLine
 from laci_stereo.io.stereo_calibration import Lens
@@ -107,7 +107,7 @@ class Painted:
         """Check a calibration that is off by a transform of the world."""
         T = self.T_world_camera if T_error is None else T_error @ self.T_world_camera
         placed = Placed(T, covariance, CENTRE, self.boxes)
-        see = partial(profiles_in_image, self.image, Camera(self.lens, invert(T)))
+        see = partial(paint_in_image, self.image, Camera(self.lens, invert(T)))
         return check_lanes(self.lines if lines is None else lines, placed, see, map_sigma_m)
 
 

@@ -8,11 +8,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from laci_stereo.check.align import align
-from laci_stereo.check.fit import Offsets, covariance_of, fit_planar
+from laci_stereo.check.fit import Offsets, PlanarError, covariance_of, fit_planar
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import OFFSETS_M, Profiles
-from laci_stereo.check.ridges import find_stripes, middle_of
+from laci_stereo.check.ridges import find_stripes
 from laci_stereo.check.sections import Sections, sections_of
+from laci_stereo.check.verdict import Evidence, judge
 from laci_stereo.core.frames import FloatArray, rigid, rotate_xy, transform
 from tests.check.support import CENTRE, CLAIMED, CROSSING, line, looking_north
 
@@ -79,7 +80,7 @@ def test_middle_of_a_stripe_is_found_between_samples(width_m: float, at_m: float
     stripes = find_stripes(Profiles(rows, np.full(6, 0.02), True), np.zeros(6, dtype=np.int64))
     best = int(stripes.sigmas[2].argmax())
     assert stripes.evidence[2, best] == 1.0
-    assert middle_of(rows[2], best, float(stripes.width_m[2, best])) == pytest.approx(at_m, abs=0.01)
+    assert stripes.left_m[2, best] == pytest.approx(at_m, abs=0.01)
 
 
 def test_step_is_no_stripe() -> None:
@@ -101,25 +102,25 @@ def test_alignment_is_found(east: float, north: float, turn: float) -> None:
     wanted = np.einsum("ij,ij->i", moved, sections.left)
     found = align(stripes_at(wanted), np.full(len(sections), 0.06), sections)
     assert found.offsets(sections) == pytest.approx(wanted, abs=0.12)
-    assert found.rival < 0.5
+    assert not found.rivals
 
 
 def test_alignment_has_a_rival_where_everything_is_there_twice() -> None:
     sections = sections_of(CROSSING, np.zeros(2))
     along = np.einsum("ij,j->i", sections.left, [0.5, 0.5])
     both = np.maximum(stripes_at(along), stripes_at(-along))
-    assert align(both, np.full(len(sections), 0.06), sections).rival > 0.9
+    assert align(both, np.full(len(sections), 0.06), sections).rivals[0].share > 0.9
 
 
 def test_planar_error_is_as_uncertain_as_it_says() -> None:
     """Offsets drawn from what is assumed of map, road and calibration give chi-squares of three degrees of freedom."""
     rng = np.random.default_rng(11)
     here, sections = placed(), sections_of(CROSSING, np.zeros(2))
-    still = Offsets(sections, np.zeros(len(sections)), np.full(len(sections), 0.03))
+    still = Offsets(sections, np.zeros(len(sections)), np.full(len(sections), 0.03), np.zeros(len(sections)))
     claimed = np.einsum("ij,ijk->ik", sections.left, here.jacobian(sections.xy))
     whole = covariance_of(still, here, 0.05) + claimed @ CLAIMED @ claimed.T
     draws = rng.multivariate_normal(np.zeros(len(sections)), whole, 400)
-    found = [fit_planar(Offsets(sections, each, still.cell_m), here, 0.05).chi_square for each in draws]
+    found = [fit_planar(Offsets(sections, each, still.cell_m, still.loose_m), here, 0.05).chi_square for each in draws]
     assert np.mean(found) == pytest.approx(3.0, abs=5 * np.sqrt(6.0 / 400))
     assert np.mean(np.array(found) > chi2.isf(0.05, 3)) < 0.10
 
@@ -130,13 +131,13 @@ def test_planar_error_is_recovered() -> None:
     arm = sections.xy - sections.xy.mean(axis=0)
     moved = value[:2] + value[2] * np.column_stack([-arm[:, 1], arm[:, 0]])
     left_m = np.einsum("ij,ij->i", moved, sections.left)
-    error = fit_planar(Offsets(sections, left_m, np.full(len(sections), 0.03)), here, 0.05)
+    error = fit_planar(Offsets(sections, left_m, np.full(len(sections), 0.03), np.zeros(len(sections))), here, 0.05)
     assert error.value == pytest.approx(value, rel=0.02, abs=1e-4)
 
 
 def test_open_direction_is_as_uncertain_as_the_search_is_wide() -> None:
     parallel = sections_of([line((x, 5.0), (x, 45.0)) for x in (-3.0, 3.0)], np.zeros(2))
-    still = Offsets(parallel, np.zeros(len(parallel)), np.full(len(parallel), 0.03))
+    still = Offsets(parallel, np.zeros(len(parallel)), np.full(len(parallel), 0.03), np.zeros(len(parallel)))
     sigma = np.sqrt(np.diag(fit_planar(still, placed(), 0.05).covariance))
     assert sigma[0] < 0.1
     assert sigma[1] == pytest.approx(1.0, rel=0.01)
@@ -147,3 +148,12 @@ def test_sections_can_be_chosen() -> None:
     chosen = sections[sections.line == 2]
     assert isinstance(chosen, Sections)
     assert set(chosen.line.tolist()) == {2}
+
+
+def test_what_is_open_in_one_direction_is_no_shift_that_way() -> None:
+    """Far off along the only direction that nothing tells, and a little, but surely, off in the others."""
+    covariance = np.diag([0.9, 0.01, 1e-4]) ** 2
+    open_ = PlanarError(np.zeros(2), np.array([0.38, 0.04, 5e-4]), covariance, 100.0 * covariance)
+    assert judge(Evidence(5, 5, 0.0), open_).outcome == "cannot tell"
+    told = PlanarError(np.zeros(2), np.array([0.04, 0.38, 5e-4]), covariance, 100.0 * covariance)
+    assert judge(Evidence(5, 5, 0.0), told).outcome == "fail"

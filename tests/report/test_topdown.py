@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, FloatArray, Raster
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, FloatArray, Raster, planar
 from laci_stereo.core.result import Calibration
 from laci_stereo.report.mapview import MapView, map_view, nice_step
 from laci_stereo.report.style import BLACK, LIGHT_GREY, VERMILLION
-from laci_stereo.report.topdown import PLOT, SIZE, draw_topdown, position_covariance
+from laci_stereo.report.summary import summarise
+from laci_stereo.report.topdown import PLOT, SIZE, draw_topdown, facts, position_covariance
 from tests.report.support import CORNER, SENSOR_XY, YAW_RAD, calibration, drive, lane, lane_map
 
 
@@ -133,3 +135,15 @@ def test_ticks_are_round_and_as_many_as_fit(span: float, count: int) -> None:
     assert min(abs(mantissa - nice) for nice in (1.0, 2.0, 5.0)) < 1e-6
     assert span / step <= count * (1 + 1e-6)
     assert span / (step / 2.5) > count * (1 - 1e-6)
+
+
+def test_the_sensor_stands_where_the_summary_says() -> None:
+    """A kilometre from the track, where a rigid transform into the grid is off by decimetres."""
+    away = replace(
+        calibration(), T_world_sensor=planar(0.0, np.array([1000.0, -1000.0])) @ calibration().T_world_sensor
+    )
+    words = summarise(away, "", "")
+    for fact in facts(away)[:2]:
+        number = re.search(r"(?:E|N) (\d+\.\d\d) m", fact)
+        assert number is not None
+        assert number[1] in words

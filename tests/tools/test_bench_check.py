@@ -36,7 +36,7 @@ def test_scaled_lens_sees_the_same_in_a_smaller_image(lens: object) -> None:
 
 def test_what_is_tried_is_as_wrong_as_it_is_called() -> None:
     T = looking_north()
-    shown = Shown(np.zeros((600, 800), np.uint8), LENS, LaneMap((), ()), T, np.zeros((0, 6)), CENTRE)
+    shown = Shown(LaneMap((), ()), T, np.zeros((0, 6)), CENTRE, np.zeros((600, 800), np.uint8), LENS)
     tried = list(errors_of(shown, 5))
     assert [name for name, _ in tried].count("right") == RIGHT
     for name, wrong in tried:

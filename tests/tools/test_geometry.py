@@ -73,6 +73,22 @@ def test_triangles_are_told_within_their_own_body():
     np.testing.assert_allclose(corners[:, 2], 1.5)
 
 
+def test_how_far_it_is_to_what_moves_is_what_a_cast_at_that_alone_finds():
+    rng = np.random.default_rng(2)
+    origins, directions = rng.uniform([10.0, -8.0, 0.0], [34.0, 12.0, 3.0], (3000, 3)), some_directions(4)
+    caster, reach_m = scene(), 6.0
+    alone = RayCaster([body for body in caster.bodies if not body.static])
+    for time_s in (0.0, 0.4, 0.0):
+        found = caster.to_moving(origins, directions, reach_m, time_s)
+        expected = np.column_stack(
+            [alone.cast(origins, np.tile(each, (len(origins), 1)), time_s).distance_m for each in directions]
+        )
+        within = expected < reach_m
+        assert within.mean() > 0.01
+        np.testing.assert_array_equal(found[within], expected[within])
+        assert (found[~within] >= reach_m).all()
+
+
 def test_many_origins_are_as_good_as_one():
     directions, caster = some_directions(), scene()
     one = caster.cast(np.array([2.0, 1.0, 4.0]), directions, 0.4)

@@ -161,6 +161,20 @@ def test_only_what_is_touched_changes() -> None:
     assert 0.02 < changed.mean() < touched.mean() < 0.9
 
 
+@pytest.mark.parametrize("light", [CLEAR, replace(CLEAR, sun=np.zeros(3), sky=np.ones(3))], ids=["sun", "clouds"])
+def test_what_stands_is_darkened_as_if_it_were_rendered_anew(light: Light) -> None:
+    eye = eyes(ASKEW, MOUNT)[0]
+    darkened, anew = Renderer([ROAD, VAN], eye, light), Renderer([ROAD, VAN], eye, light)
+    anew._glossy = np.ones(anew.background.key.size, dtype=bool)  # what is glossy is rendered anew
+    found, expected = darkened.radiance(0.5), anew.radiance(0.5)
+    assert (np.abs(expected - darkened.background.radiance).max(axis=2) > 0.02 * expected.max(axis=2)).mean() > 0.1
+    apart = np.abs(found - expected).max(axis=2) / expected.max(axis=2)
+    # Between what is rendered anew and what is not there is an edge, over which the lens blurs.
+    inner = cv2.morphologyEx(darkened.touched(0.5).astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((7, 7), np.uint8)) == 0
+    assert inner.mean() > 0.8
+    assert apart[inner].max() < 0.005
+
+
 def test_the_sun_casts_the_shadow_away_from_it() -> None:
     eye = Eye(LENSES["ideal"], looking(np.array([0.0, 0.0, 14.0]), 0.0, np.pi / 2 - 1e-3))
     light = replace(CLEAR, to_sun=sun_at(90.0, 45.0))

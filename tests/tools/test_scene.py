@@ -16,6 +16,7 @@ from tools.scenes.disparity import SURFACES, Mounted, StereoFlaws, match_frame, 
 from tools.scenes.geometry import Body, Material, Mesh, RayCaster
 from tools.scenes.scene import Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
 from tools.scenes.sensors import LIDARS, LidarFlaws, lidar, sweep
+from tools.scenes.traffic import collide
 from tools.scenes.world import LAYOUTS, draw_road, still
 from tools.scenes.write import pcd, write_scene
 
@@ -123,6 +124,31 @@ def test_what_is_set_is_so():
     assert up[2] == pytest.approx(np.cos(np.radians(10.0)))
     # Hung upside down, the sensor's own z points down.
     assert scene.T_world_sensor[2, 2] < 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_company_comes_near_the_sender(seed):
+    scene = draw_scene(seed, "lidar_16", vehicles=1, walkers=2, cyclists=0, near_m=2.0)
+    times = np.arange(scene.times_s[0], scene.times_s[-1], 0.02)
+    assert len(scene.others) >= 2
+    for mover in scene.others:
+        assert collide(mover, scene.sender, times, 2.0)
+        assert not collide(mover, scene.sender, times[::10], 0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_shrubs_stand_beside_the_road_and_lean_in_gusts_alone(seed):
+    scene = draw_scene(seed, "lidar_16", shrubs=4, **QUIET)
+    shrubs = [body for body in scene.bodies if body.name.startswith("shrub")]
+    assert shrubs
+    way = scene.sender.track(scene.times_s)[0]
+    for shrub in shrubs:
+        poses = np.stack([shrub.pose(time_s) for time_s in np.arange(0.0, 60.0, 0.1)])
+        assert not scene.site.road.on_carriageway(poses[:, :2, 3]).any()
+        assert np.linalg.norm(way - poses[0, :2, 3], axis=1).min() < 8.0
+        upright = (poses[:, :3, :3] == poses[0, :3, :3]).all(axis=(1, 2)) | (poses[:, 2, 2] == 1.0)
+        assert 0.5 < upright.mean() < 0.9
+        assert np.degrees(np.arccos(poses[:, 2, 2])).max() < 4.0
 
 
 def test_an_impossible_scene_is_refused(monkeypatch):
@@ -304,14 +330,14 @@ def test_a_data_set_is_what_was_simulated(tmp_path: Path):
     np.testing.assert_allclose(log.latitude_deg, scene.messages.latitude_deg, atol=1e-9)
     np.testing.assert_array_equal(log.stamps_ns, scene.messages.stamps_ns)
     world = world_around(log, scene.crs)
-    assert len(read_lane_map(tmp_path / "map.osm", world).lines) == len(scene.site.lines)
+    assert len(read_lane_map(tmp_path / "map.osm", world).lines) == len(scene.site.lines) + len(scene.site.edges)
     truth = json.loads((tmp_path / "truth.json").read_text())
     np.testing.assert_allclose(truth["lidar"]["lidar_16"]["T_world_lidar_utm"], scene.T_utm_sensor)
 
 
 def test_pcd_holds_single_precision():
     content = pcd(np.arange(8.0).reshape(2, 4))
-    assert b"FIELDS x y z t" in content
+    assert b"FIELDS x y z intensity" in content
     np.testing.assert_array_equal(np.frombuffer(content[-32:], "<f4"), np.arange(8.0))
 
 

@@ -145,6 +145,7 @@ class RayCaster:
         self._still_body = np.repeat(np.array(still, dtype=np.int64), counts)
         self._still_first = np.repeat(np.cumsum([0, *counts])[:-1].astype(np.int64), counts)
         self._moving = [(index, _Target(body.mesh)) for index, body in enumerate(bodies) if not body.static]
+        self._posed_s, self._poses = np.nan, dict[int, FloatArray]()
         self.materials = np.concatenate([np.zeros(0, dtype=np.int64), *(body.mesh.material for body in bodies)])
         self._first_face = np.cumsum([0, *(len(body.mesh.material) for body in bodies)])[:-1].astype(np.int64)
 
@@ -185,7 +186,7 @@ class RayCaster:
         hits = Hits(still.distance_m.copy(), still.body.copy(), still.triangle.copy(), still.normal.copy())
         distance, body, triangle, normal = hits.distance_m, hits.body, hits.triangle, hits.normal
         for index, target in self._moving:
-            T_world_body = self.bodies[index].pose(time_s)
+            T_world_body = self._pose(index, time_s)
             near = target.near(T_world_body, origins, directions)
             rotation = T_world_body[:3, :3]
             starts = (origins if origins.ndim == 1 else origins[near]) - T_world_body[:3, 3]
@@ -196,6 +197,33 @@ class RayCaster:
             body[rays] = index
             normal[rays] = own_normal[nearer] @ rotation.T
         return hits
+
+    def _pose(self, index: int, time_s: float) -> FloatArray:
+        """Return a body's pose; of the latest time all are kept."""
+        if time_s != self._posed_s:
+            self._posed_s, self._poses = time_s, {}
+        if index not in self._poses:
+            self._poses[index] = self.bodies[index].pose(time_s)
+        return self._poses[index]
+
+    def to_moving(self, origins: FloatArray, directions: FloatArray, reach_m: float, time_s: float) -> FloatArray:
+        """Return how far it is from each of n origins in each of k directions to a body that moves, shape (n, k).
+
+        Infinite where none is met; those farther than ``reach_m`` may be left out.
+        """
+        nearest = np.full((len(origins), len(directions)), np.inf)
+        for index, target in self._moving:
+            T_world_body = self._pose(index, time_s)
+            R = T_world_body[:3, :3]
+            close = target.close(T_world_body, origins, reach_m)
+            starts = (origins[close] - T_world_body[:3, 3]) @ R
+            for number, direction in enumerate(directions):
+                ways = np.broadcast_to(direction, (len(close), 3))
+                near = target.near(T_world_body, origins[close], ways)
+                distance = target.cast(starts[near], ways[near] @ R)[0]
+                rays = close[near]
+                nearest[rays, number] = np.minimum(nearest[rays, number], distance)
+        return nearest
 
     def still(self, origins: FloatArray, directions: FloatArray) -> Hits:
         """Find what rays meet first of the bodies that stand; see `cast`."""
@@ -264,6 +292,12 @@ class _Target:
         self._scene = EmbreeScene()
         if len(mesh.material):
             TriangleMesh(self._scene, mesh.vertices.astype(np.float32), mesh.triangles.astype(np.int32))
+
+    def close(self, T_world_body: FloatArray, points: FloatArray, reach_m: float) -> IntArray:
+        """Return the points, in the world, from which the mesh's bounding sphere is not farther than ``reach_m``."""
+        middle = T_world_body[:3, :3] @ self._middle + T_world_body[:3, 3]
+        apart = points - middle
+        return np.flatnonzero(np.einsum("ij,ij->i", apart, apart) < (self._radius_m + reach_m) ** 2)
 
     def near(
         self, T_world_body: FloatArray, origins: FloatArray, directions: FloatArray, margin_m: float = 0.0

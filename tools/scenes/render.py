@@ -1,7 +1,7 @@
 """Stereo image pairs of a scene by ray casting: exact lenses, sun and sky, soft mirrors, and a sensor's noise.
 
 What stands still is rendered once for each camera; of each frame only the pixels that a moving body, its shadow or
-what it darkens can touch.
+what it darkens can touch. Of these, what is matt and stands is only darkened; the rest is rendered anew.
 """
 
 from __future__ import annotations
@@ -17,12 +17,17 @@ import numpy as np
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, invert, rigid
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
 from tools.scenes.cameras import rays, write_calibration
-from tools.scenes.geometry import Body, RayCaster
+from tools.scenes.geometry import Body, Hits, Material, RayCaster
 from tools.scenes.imager import GREY, Sensor, develop
-from tools.scenes.shading import AMBIENT_REACH_M, Light, Shader, sun_at
+from tools.scenes.shading import AMBIENT_REACH_M, Light, Lit, Shader, Surface, sun_at
+from tools.scenes.textures import mirror
 
-SUBSAMPLES = 13
+Lattice = tuple[int, int]
+STANDING_SAMPLES: Lattice = (13, 5)
 """In a pixel at an edge, a square lattice: no two in the same row, column or diagonal, for thirteen is prime."""
+
+MOVING_SAMPLES: Lattice = (5, 2)
+"""The same where something moves: the next frame has other samples of the same edge."""
 
 GROUPS = 4
 """Of samples; each asks another part of the sky."""
@@ -40,6 +45,9 @@ LENS_BLUR_PX = 0.45
 """Together with the pixel's own square and the textures' filter a contrast of about 0.2 at the finest pattern."""
 
 CHUNK = 1 << 17
+
+OTHER_KEYS = 1 << 32
+"""Bodies are numbered anew as soon as some move; by so much their keys differ."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +167,32 @@ class Renderer:
             np.zeros((height, width), np.float32),
             np.zeros((height, width, 3), np.float32),
         )
-        _paint(self._still, self.eye, empty, np.ones((height, width), dtype=bool), 0.0)
+        _sample(self._still, self.eye, empty, np.arange(width * height), 0.0)
+        _smooth(self._still, self.eye, empty, np.flatnonzero(_edges(empty)), 0.0, STANDING_SAMPLES)
         return empty
+
+    @cached_property
+    def _standing(self) -> tuple[Surface, Lit]:
+        """What stands still, pixel by pixel, and the light on it; of the sky it means nothing."""
+        flat = self.background.flat()
+        distance = np.where(flat.key >= 0, flat.distance_m, 0.0)
+        view = self.eye.middles
+        surface = Surface(
+            self.eye.origin + view * distance[:, None],
+            flat.normal.astype(np.float64),
+            view,
+            self.eye.spread * distance,
+            flat.key,
+        )
+        return surface, self._still.lit(surface, flat.key % 2 == 1)
+
+    @cached_property
+    def _glossy(self) -> BoolArray:
+        """Which pixels show what stands still and mirrors, shape (n,)."""
+        shiny = np.array([mirror(kind) > 0.0 for kind in Material])
+        key = self.background.flat().key
+        glossy: BoolArray = (key >= 0) & shiny[key // 2 % len(Material)]
+        return glossy
 
     def radiance(self, time_s: float) -> Raster:
         """Return the light on the sensor, red-green-blue, shape (height, width, 3), without vignetting."""
@@ -168,8 +200,27 @@ class Renderer:
         layer = self.background
         if touched.any():
             layer = layer.copy()
-            _paint(self._all, self.eye, layer, touched, time_s)
+            self._move(layer, touched, time_s)
         return cv2.GaussianBlur(layer.radiance, (5, 5), LENS_BLUR_PX)
+
+    def _move(self, layer: Layer, touched: BoolArray, time_s: float) -> None:
+        """Render what moves, and darken what it takes light from."""
+        flat, places = layer.flat(), np.flatnonzero(touched)
+        none = np.full(len(places), -1)
+        still = Hits(flat.distance_m[places].astype(np.float64), none, none, np.zeros((len(places), 3)))
+        anew = self._all.caster.before(still, self.eye.origin, self.eye.middles[places], time_s).body >= 0
+        anew |= self._glossy[places]
+        matt = places[~anew & (flat.key[places] >= 0)]
+        surface, lit = self._standing
+        share, sunlit = self._all.dimmed(surface.part(matt), lit[matt], time_s)
+        flat.radiance[matt] *= share
+        flat.key[matt] = flat.key[matt] // 2 * 2 + sunlit
+        _sample(self._all, self.eye, layer, places[anew], time_s)
+        flat.key[places[anew]] += OTHER_KEYS
+        changed = (layer.key != self.background.key).astype(np.uint8)
+        beside = cv2.dilate(changed, np.ones((3, 3), np.uint8)) > 0
+        edges = np.flatnonzero(_edges(layer) & beside & touched)
+        _smooth(self._all, self.eye, layer, edges, time_s, MOVING_SAMPLES)
 
     def touched(self, time_s: float) -> BoolArray:
         """Tell which pixels moving bodies, their shadows or their darkening can change, shape (height, width)."""
@@ -211,25 +262,29 @@ def _pierces(origins: FloatArray, directions: FloatArray, low: FloatArray, high:
     return through
 
 
-def _paint(shader: Shader, eye: Eye, layer: Layer, where: BoolArray, time_s: float) -> None:
-    """Render the pixels in the mask: one sample each, several where an edge passes."""
-    width = eye.lens.size[0]
-    places = np.flatnonzero(where)
+def _sample(shader: Shader, eye: Eye, layer: Layer, places: IntArray, time_s: float) -> None:
+    """Render pixels by one sample each."""
     flat = layer.flat()
     for chunk in _chunks(places, CHUNK):
         found = shader.trace(eye.origin, eye.middles[chunk], eye.spread, time_s)
         flat.radiance[chunk], flat.key[chunk] = found.radiance, found.key
         flat.distance_m[chunk], flat.normal[chunk] = found.distance_m, found.normal
-    edges = np.flatnonzero(_edges(layer) & where)
+
+
+def _smooth(shader: Shader, eye: Eye, layer: Layer, edges: IntArray, time_s: float, lattice: Lattice) -> None:
+    """Render pixels through which an edge passes, by several samples each."""
+    width = eye.lens.size[0]
+    flat = layer.flat()
     flat.radiance[edges] = 0.0
-    along = np.arange(SUBSAMPLES)
-    shifts = (np.column_stack([along, 5 * along % SUBSAMPLES]) + 0.5) / SUBSAMPLES - 0.5
+    count, step = lattice
+    along = np.arange(count)
+    shifts = (np.column_stack([along, step * along % count]) + 0.5) / count - 0.5
     for number in range(GROUPS):
         group, part = shifts[number::GROUPS], replace(shader, ambient=(number, GROUPS))
         for chunk in _chunks(edges, CHUNK // len(group)):
             fine = (_pixels(chunk, width)[:, None] + group).reshape(-1, 2)
             light = part.trace(eye.origin, eye.directions(fine), eye.spread, time_s).radiance
-            flat.radiance[chunk] += light.reshape(len(chunk), -1, 3).sum(axis=1) / SUBSAMPLES
+            flat.radiance[chunk] += light.reshape(len(chunk), -1, 3).sum(axis=1) / count
 
 
 def _chunks(items: IntArray, size: int) -> Iterator[IntArray]:

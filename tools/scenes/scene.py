@@ -49,7 +49,7 @@ from tools.scenes.places import PLACES, Place
 from tools.scenes.sensors import LIDARS, Lidar, LidarFlaws, LidarName, Swept, lidar, sweep
 from tools.scenes.traffic import Mover, draw_traffic, park, place_drive, possible, vehicle_mover
 from tools.scenes.vehicles import KINDS, Vehicle, VehicleKind, draw_vehicle
-from tools.scenes.world import LAYOUTS, LayoutKind, Site, build_site, draw_road
+from tools.scenes.world import LAYOUTS, LayoutKind, Site, build_site, draw_road, shrubs
 
 SensorKind = Literal[LidarName, StereoName]
 SENSORS: tuple[SensorKind, ...] = (*LIDARS, *STEREOS)
@@ -102,6 +102,10 @@ class Factors:
     density : float
         Scales how much stands around.
     vehicles, walkers, cyclists, parked : int
+    near_m : float
+        So near the first three come to the sender; None is wherever they go.
+    shrubs : int
+        Hedges at the kerbs that it passes, in gusts of wind.
     height_m, tilt_deg, roll_deg : float
         Of the sensor: over the road, and how it looks.
     away_m : float
@@ -138,6 +142,8 @@ class Factors:
     walkers: int | None = None
     cyclists: int | None = None
     parked: int | None = None
+    near_m: float | None = None
+    shrubs: int = 0
     height_m: float | None = None
     tilt_deg: float | None = None
     roll_deg: float | None = None
@@ -422,7 +428,9 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
         draw.given(factors.walkers, "walkers", lambda rng: int(rng.integers(0, 4))),
         draw.given(factors.cyclists, "cyclists", lambda rng: int(rng.integers(0, 2))),
     )
-    others = draw_traffic(draw.rng("traffic"), road, sender, counts, times, left_hand)
+    others = draw_traffic(draw.rng("traffic"), road, sender, counts, times, left_hand, factors.near_m)
+    way = sender.track(times)[0]
+    site = replace(site, bodies=(*site.bodies, *shrubs(draw.rng("shrubs"), road, way, factors.shrubs)))
     place = draw.choice(None, "place", PLACES)
     if factors.place is not None:
         place = next(known for known in PLACES if known.name == factors.place)
@@ -659,7 +667,7 @@ class Recorded:
 def _scan(scene: Scene, index: int) -> Scan:
     swept = swept_frame(scene, index)
     points = transform(own_axes(scene), swept.points)
-    return Scan(points, None, swept.offset_s if scene.lidar_flaws.point_times else None)
+    return Scan(points, swept.intensity, swept.offset_s if scene.lidar_flaws.point_times else None)
 
 
 def swept_frame(scene: Scene, index: int) -> Swept:

@@ -90,5 +90,11 @@ def rendered(scene: Scene, folder: Path, step: int = RENDERED_STEP) -> StereoRec
     write_stereo(
         scene.bodies, camera.rig, scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed
     )
+    return reopened(scene, folder)
+
+
+def reopened(scene: Scene, folder: Path) -> StereoRecording:
+    """Open images of a stereo camera that were rendered before."""
+    assert isinstance(scene.sensor, StereoCamera), scene.sensor_kind
     pairs = pair_images(ImageFolder.open(folder / "left"), ImageFolder.open(folder / "right"))
-    return StereoRecording(pairs.pairs, camera.rig, StereoSettings(workers=1))
+    return StereoRecording(pairs.pairs, scene.sensor.rig, StereoSettings(workers=1))

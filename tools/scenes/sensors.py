@@ -41,6 +41,13 @@ ROUGH_COS, ROUGH_SIN2 = 0.784, 0.33
 """Their A and B for a roughness of 0.5 rad, seen from where the light comes: A cos + B sin^2."""
 
 
+SPECKLE = 0.15
+"""Standard deviation of an intensity, of its value: coherent light on a rough surface, over few speckles."""
+
+DROP = 0.05
+"""What a drop of rain throws back."""
+
+
 @dataclass(frozen=True)
 class Lidar:
     """A scanner; its own axes are x forward, y left, z up.
@@ -200,11 +207,14 @@ class Swept:
     offset_s : ndarray, shape (n,)
     body : ndarray of int64, shape (n,)
         What each point is on; -1 for rain.
+    intensity : ndarray, shape (n,)
+        255 is a white surface that is met squarely, whatever the distance, as scanners report it.
     """
 
     points: FloatArray
     offset_s: FloatArray
     body: IntArray
+    intensity: FloatArray
 
 
 def unit(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
@@ -243,7 +253,8 @@ def sweep(
     true = unit(azimuth + horizontal / np.cos(elevation), elevation + vertical) @ T_world_scanner[:3, :3].T
     times = first_s + index * scanner.period_s + scanner.offset_s
     hits = caster.sweep(T_world_scanner[:3, 3], true, times)
-    returned = rng.random(n) < _returned(scanner, caster, hits, true, seed)
+    reflected = _reflected(caster, hits, true, seed)
+    returned = rng.random(n) < _returned(scanner, hits, reflected)
     lasers = np.random.default_rng([seed, 7]).normal(size=int(scanner.layer.max()) + 1)
     range_m = hits.distance_m + flaws.noise * scanner.range_sigma_m * rng.normal(size=n)
     range_m = range_m + flaws.bias_m + flaws.layer_sigma_m * lasers[scanner.layer]
@@ -252,15 +263,16 @@ def sweep(
     range_m = np.where(drops, np.minimum(1.0 / rng.uniform(0.05, 1.0, n), range_m), range_m)
     keep = (returned | drops) & (range_m > 0.5)
     points = unit(azimuth[keep], elevation[keep]) * range_m[keep, None]
-    return Swept(points, scanner.offset_s[keep], np.where(drops[keep], -1, hits.body[keep]))
+    speckle = 1.0 + SPECKLE * np.random.default_rng([seed, index, 13]).normal(size=n)
+    intensity = np.clip(255.0 * np.where(drops, DROP, reflected) * speckle, 0.0, 255.0).round()
+    body = np.where(drops[keep], -1, hits.body[keep])
+    return Swept(points, scanner.offset_s[keep], body, intensity[keep])
 
 
-def _returned(
-    scanner: Lidar, caster: RayCaster, hits: Hits, directions: FloatArray, seed: int
-) -> FloatArray:  # fmt: skip
-    """Return the probability that a beam comes back: by the power that does, reflectivity * cos(angle) / distance^2."""
+def _reflected(caster: RayCaster, hits: Hits, directions: FloatArray, seed: int) -> FloatArray:
+    """Return what share of its light a surface throws back, against a white one that is met squarely, shape (n,)."""
     met = np.flatnonzero(hits.body >= 0)
-    body, distance_m = hits.body[met], hits.distance_m[met]
+    body = hits.body[met]
     material = caster.materials[caster.faces(hits)[met]]
     table = np.array([REFLECTIVITY[material] for material in Material])
     colour = np.random.default_rng([seed, 11]).uniform(*PAINT_REFLECTIVITY, len(caster.bodies))
@@ -268,7 +280,13 @@ def _returned(
     cosine = np.abs(np.einsum("ij,ij->i", hits.normal[met], directions[met]))
     rough = np.array([kind in ROUGH for kind in Material])[material]
     cosine = np.where(rough, ROUGH_COS * cosine + ROUGH_SIN2 * (1 - cosine**2), cosine)
-    power = np.zeros(len(hits.body))
-    power[met] = reflectivity * cosine / 0.1 * (scanner.reach_m / distance_m) ** 2
+    reflected = np.zeros(len(hits.body))
+    reflected[met] = reflectivity * cosine
+    return reflected
+
+
+def _returned(scanner: Lidar, hits: Hits, reflected: FloatArray) -> FloatArray:
+    """Return the probability that a beam comes back: by the power that does, reflectivity * cos(angle) / distance^2."""
+    power = reflected / 0.1 * (scanner.reach_m / hits.distance_m) ** 2
     # Half at the threshold; noise of the detector blurs it over a factor of two or so.
     return power**3 / (1.0 + power**3)

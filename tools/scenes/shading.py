@@ -94,6 +94,27 @@ class Samples:
 
 
 @dataclass(frozen=True)
+class Lit:
+    """The light on surfaces as long as nothing moves.
+
+    Attributes
+    ----------
+    light : ndarray, shape (n, 3)
+        Over that on a surface that faces the clear sun.
+    sunlit : ndarray of bool, shape (n,)
+    open_ : ndarray of bool, shape (n, AMBIENT_RAYS)
+        From this part of the sky light arrives.
+    """
+
+    light: FloatArray
+    sunlit: BoolArray
+    open_: BoolArray
+
+    def __getitem__(self, chosen: IntArray) -> Lit:
+        return Lit(self.light[chosen], self.sunlit[chosen], self.open_[chosen])
+
+
+@dataclass(frozen=True)
 class Shader:
     """The light along rays.
 
@@ -191,6 +212,32 @@ class Shader:
             from_there = (1.0 - hidden) * sky + hidden * GROUND_GLOW * self.light.level
             light[towards] += weight * cosine[towards, None] * from_there
         return light
+
+    def lit(self, surface: Surface, sunlit: BoolArray) -> Lit:
+        """Return the light on surfaces without what moves."""
+        directions = _upper_hemisphere(AMBIENT_RAYS)
+        free = [
+            self.caster.still(surface.above, np.tile(direction, (len(sunlit), 1))).body < 0 for direction in directions
+        ]
+        open_ = np.column_stack(free) & (surface.normal @ directions.T > 0.0)
+        return Lit(self._irradiance(surface, sunlit, 0.0), sunlit, open_)
+
+    def dimmed(self, surface: Surface, lit: Lit, time_s: float) -> tuple[FloatArray, BoolArray]:
+        """Return the share of the light that what moves leaves to what stands, shape (n, 3), and what is sunlit."""
+        light, sunlit = lit.light.astype(np.float64), lit.sunlit.copy()
+        directions = _upper_hemisphere(AMBIENT_RAYS)
+        if self.light.sun.any():
+            towards = np.flatnonzero(sunlit)
+            distance = self.caster.to_moving(surface.above[towards], self.light.to_sun[None], np.inf, time_s)[:, 0]
+            shaded = towards[np.isfinite(distance)]
+            sunlit[shaded] = False
+            light[shaded] -= (surface.normal[shaded] @ self.light.to_sun)[:, None] * self.light.sun
+        distance = self.caster.to_moving(surface.above, directions, AMBIENT_REACH_M, time_s)
+        hidden = np.clip(1.0 - distance / AMBIENT_REACH_M, 0.0, 1.0) * lit.open_
+        weight = 2.0 / AMBIENT_RAYS * (surface.normal @ directions.T)
+        light -= (hidden * weight) @ (self.light.of_sky(directions) - GROUND_GLOW * self.light.level)
+        share: FloatArray = light / np.maximum(lit.light, 1e-9)
+        return share, sunlit
 
     def _add_mirrored(
         self,

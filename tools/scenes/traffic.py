@@ -19,6 +19,9 @@ STEERING_RAD = 0.6
 
 CLEARANCE_M = 0.7
 
+TRIES, NEAR_TRIES = 25, 200
+"""To find room for someone; few ways lead past the sender."""
+
 
 @dataclass(frozen=True)
 class Mover:
@@ -114,13 +117,13 @@ def place_drive(
     return (drive.mirrored() if left_hand else drive).placed(quarter * np.pi / 2)
 
 
-def collide(one: Mover, other: Mover, times_s: FloatArray) -> bool:
-    """Tell whether two come nearer than `CLEARANCE_M` (separating axes of their rectangles)."""
+def collide(one: Mover, other: Mover, times_s: FloatArray, clearance_m: float = CLEARANCE_M) -> bool:
+    """Tell whether two come nearer than that (separating axes of their rectangles)."""
     (xy_a, yaw_a), (xy_b, yaw_b) = one.track(times_s), other.track(times_s)
     apart = xy_b - xy_a
     separate = np.zeros(len(times_s), dtype=bool)
     for yaw in (yaw_a, yaw_a + np.pi / 2, yaw_b, yaw_b + np.pi / 2):
-        reach = np.zeros(len(times_s)) + CLEARANCE_M
+        reach = np.zeros(len(times_s)) + clearance_m
         for mover, own in ((one, yaw_a), (other, yaw_b)):
             reach += np.abs(np.cos(own - yaw)) * mover.length_m / 2 + np.abs(np.sin(own - yaw)) * mover.width_m / 2
         separate |= np.abs(rotate_xy(-yaw, apart)[:, 0]) > reach
@@ -134,6 +137,7 @@ def draw_traffic(
     counts: tuple[int, int, int],
     times_s: FloatArray,
     left_hand: bool,
+    near_m: float | None = None,
 ) -> tuple[Mover, ...]:
     """Draw so many vehicles, walkers and cyclists; those for whom no room is found are left out.
 
@@ -146,13 +150,18 @@ def draw_traffic(
     times_s : ndarray, shape (n,)
         When they must not collide.
     left_hand : bool
+    near_m : float or None
+        So near all of them come to the sender in the middle half of that time.
     """
     movers: list[Mover] = [sender]
     checked = np.linspace(times_s[0] - 0.5, times_s[-1] + 0.5, 60)
+    meeting = checked[len(checked) // 4 : -len(checked) // 4]
     makers = [_other_vehicle] * counts[0] + [_walker] * counts[1] + [_cyclist] * counts[2]
     for number, maker in enumerate(makers):
-        for _ in range(25):
+        for _ in range(TRIES if near_m is None else NEAR_TRIES):
             mover = maker(rng, road, f"{maker.__name__.removeprefix('_')} {number}", times_s, left_hand)
+            if near_m is not None and not collide(mover, sender, meeting, near_m):
+                continue
             if not any(collide(mover, other, checked) for other in movers):
                 movers.append(mover)
                 break

@@ -5,12 +5,13 @@ The scene's frame is metric, z up along the normal of the road: z = 0 is the pla
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from laci_stereo.core.frames import BoolArray, FloatArray, planar, rigid, rotation_z
 from tools.scenes.geometry import Body, Material, Mesh, merged
@@ -142,6 +143,25 @@ class Line:
     width_m: float
     dashed: bool
 
+    @property
+    def kind(self) -> str:
+        """Lanelet2's type."""
+        return "line_thin" if self.width_m < 0.2 else "stop_line"
+
+    @property
+    def subtype(self) -> str:
+        """Lanelet2's subtype."""
+        return "dashed" if self.dashed else "solid"
+
+
+@dataclass(frozen=True)
+class Edge:
+    """What a map has beside paint: a polyline in the plan, shape (n, 2), metres, with Lanelet2's type and subtype."""
+
+    xy: FloatArray
+    kind: str
+    subtype: str = ""
+
 
 @dataclass(frozen=True)
 class Site:
@@ -152,11 +172,14 @@ class Site:
     road : Road
     lines : tuple of Line
     bodies : tuple of Body
+    edges : tuple of Edge
+        Kerbs, and the walls of what stands around.
     """
 
     road: Road
     lines: tuple[Line, ...]
     bodies: tuple[Body, ...]
+    edges: tuple[Edge, ...]
 
 
 def draw_road(rng: np.random.Generator, kind: LayoutKind, uneven: float = 1.0, land: float = 1.0) -> Road:
@@ -231,7 +254,29 @@ def build_site(rng: np.random.Generator, road: Road, keep_free: Sequence[tuple[f
             body = _thing(rng, spots, kind, f"{kind} {number}")
             if body is not None:
                 things.append(body)
-    return Site(road, lines, (ground, *things))
+    faces = (edge for thing in things if thing.name.startswith(("house", "wall")) for edge in _walls(thing))
+    return Site(road, lines, (ground, *things), (*_kerb_edges(road), *faces))
+
+
+def _kerb_edges(road: Road) -> Iterator[Edge]:
+    subtype = "high" if road.kerb_m > 0.1 else "low"
+    for kerb_xy, _ in _kerbs(road):
+        yield Edge(kerb_xy, "curbstone", subtype)
+    if road.island_m:
+        around = np.linspace(0.0, 2 * np.pi, 49)
+        yield Edge(road.island_m * np.column_stack([np.cos(around), np.sin(around)]), "curbstone", subtype)
+
+
+def _walls(body: Body) -> Iterator[Edge]:
+    """Yield what a map has of a box: the foot of its sides, or the middle line of one that is thin."""
+    T = body.pose(0.0)
+    foot = body.mesh.vertices[body.mesh.vertices[:, 2] < 0.0, :2]
+    (a, b), (c, d) = foot.min(axis=0), foot.max(axis=0)
+    corners = np.array([[a, b], [c, b], [c, d], [a, d], [a, b]])
+    if d - b < 0.5:
+        corners = np.array([[a, 0.0], [c, 0.0]])
+    for side in sliding_window_view(corners @ T[:2, :2].T + T[:2, 3], 2, axis=0):
+        yield Edge(side.T, "wall")
 
 
 def _thing(rng: np.random.Generator, spots: _Spots, kind: str, name: str) -> Body | None:
@@ -250,6 +295,44 @@ def _thing(rng: np.random.Generator, spots: _Spots, kind: str, name: str) -> Bod
         return rigid(rotation_z(float(yaw)) @ _leaning(lean), np.array([xy[0], xy[1], z]))
 
     return Body(name, mesh, pose, static=False)
+
+
+def shrubs(rng: np.random.Generator, road: Road, way_xy: FloatArray, count: int) -> tuple[Body, ...]:
+    """Draw hedges behind the kerbs that a vehicle passes on its way, shape (n, 2); where no room is, there is none.
+
+    They lean in gusts, a third of the time: what sways always is taken for noise, not for a change.
+    """
+    bodies = []
+    ahead = np.gradient(way_xy, axis=0)
+    moves = np.flatnonzero((np.linalg.norm(ahead, axis=1) > 0.05) & (np.linalg.norm(way_xy, axis=1) < FITTED_M / 2))
+    for number in range(count if len(moves) else 0):
+        at = int(rng.choice(moves))
+        yaw = float(np.arctan2(*ahead[at][::-1]))
+        a, b, high = rng.uniform(1.0, 3.0), rng.uniform(0.5, 1.0), rng.uniform(0.6, 1.6)
+        corners = planar(yaw, way_xy[at])[:2, :2] @ (np.array([[a, a, -a, -a], [b, -b, b, -b]]) / 2)
+        outward = rng.choice([-1.0, 1.0]) * np.array([-np.sin(yaw), np.cos(yaw)])
+        for apart in np.arange(1.5, 8.0, 0.25):
+            xy = way_xy[at] + apart * outward
+            if not road.on_carriageway(np.vstack([xy, xy + corners.T])).any():
+                z = float(road.land(xy[None])[0]) - 0.05
+                middles = rng.uniform(-0.5, 0.5, (int(350 * a * b * high), 3)) * [a, b, high] + [0.0, 0.0, high / 2]
+                gusts = rng.uniform(0.02, 0.06), rng.uniform(0.5, 1.5), rng.uniform(5.0, 10.0), rng.uniform(0.0, 10.0)
+                pose = _in_wind(rigid(rotation_z(yaw), np.append(xy, z)), *gusts)
+                bodies.append(Body(f"shrub {number}", leaves(middles, 0.12, rng), pose, static=False))
+                break
+    return tuple(bodies)
+
+
+def _in_wind(
+    T_world_body: FloatArray, lean_rad: float, rate_hz: float, period_s: float, start_s: float
+) -> Callable[[float], FloatArray]:
+    def pose(time_s: float) -> FloatArray:
+        # Positive for a third of the period, in the middle of which it is 1.
+        gust = float(np.clip(3.0 * np.cos(2 * np.pi * (time_s - start_s) / period_s) - 1.5, 0.0, 1.0))
+        lean = lean_rad * gust * (0.5 + 0.5 * np.sin(2 * np.pi * rate_hz * time_s))
+        return T_world_body @ rigid(_leaning(lean), np.zeros(3))
+
+    return pose
 
 
 def _leaning(angle_rad: float) -> FloatArray:
@@ -375,8 +458,8 @@ _BACK_M = (0.0, 0.12, 1.0, 2.5, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 26.0, 34.0, 45.
 _BACK_MATERIAL = (Material.KERB, *(Material.KERB,) * 2, *(Material.GRASS,) * 11)
 
 
-def _blocks(road: Road) -> list[Mesh]:
-    """Build what lies behind the kerbs: swept from the kerb's line away from the road."""
+def _kerbs(road: Road) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the lines of the kerbs at the road's sides, shape (n, 2), each with the direction away from the road."""
     h, r = road.half_m, road.corner_m
     far = np.arange(h + r, REACH_M, 2.0)[::-1]
     angle = np.linspace(0.0, np.pi / 2, 13)
@@ -393,9 +476,14 @@ def _blocks(road: Road) -> list[Mesh]:
     )
     straight = np.column_stack([np.arange(-REACH_M, REACH_M + 0.1, 2.0), np.full(int(REACH_M) + 1, h)])
     diagonal, sideways = np.array([1.0, 1.0]) / np.sqrt(2), np.array([0.0, 1.0])
-    corners = [_block(road, corner * sign, diagonal * sign) for sign in _signs(road)]
+    kerbs = [(corner * sign, diagonal * sign) for sign in _signs(road)]
     strips = {"street": (1.0, -1.0), "tee": (1.0,)}.get(road.kind, ())
-    corners += [_block(road, straight * [1.0, sign], sideways * sign) for sign in strips]
+    return kerbs + [(straight * [1.0, sign], sideways * sign) for sign in strips]
+
+
+def _blocks(road: Road) -> list[Mesh]:
+    """Build what lies behind the kerbs: swept from the kerb's line away from the road."""
+    corners = [_block(road, kerb_xy, away) for kerb_xy, away in _kerbs(road)]
     if road.island_m:
         high = float(road.height(np.zeros((1, 2)))[0]) + road.kerb_m
         island = turned_solid(

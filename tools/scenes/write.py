@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -15,7 +16,7 @@ from tools.scenes.cams import EPOCH_NS
 from tools.scenes.disparity import StereoCamera
 from tools.scenes.places import Place
 from tools.scenes.scene import Recorded, Scene
-from tools.scenes.world import Line
+from tools.scenes.world import Edge, Line
 
 CAM_HEADER = (
     "timestamp", "station_id", "latitude", "longitude", "altitude", "heading", "speed", "vehicle_length",
@@ -34,7 +35,7 @@ def write_scene(scene: Scene, out: Path) -> None:
     if not isinstance(scene.sensor, StereoCamera):
         write_scans(scene, out / scene.sensor_kind)
     write_cams(scene.messages, out / "cam.csv")
-    write_map(scene.site.lines, scene.place, out / "map.osm")
+    write_map((*scene.site.lines, *scene.site.edges), scene.place, out / "map.osm")
     (out / "truth.json").write_text(json.dumps(truth(scene), indent=1))
 
 
@@ -44,13 +45,13 @@ def write_scans(scene: Scene, folder: Path) -> None:
     recorded = Recorded(scene)
     for index, stamp_ns in enumerate(scene.stamps_ns.tolist()):
         scan = recorded.scan(index)
-        columns = [scan.points] if scan.offset_s is None else [scan.points, scan.offset_s[:, None]]
-        (folder / f"{stamp_ns}.pcd").write_bytes(pcd(np.column_stack(columns)))
+        columns = [scan.points, scan.intensity, scan.offset_s]
+        (folder / f"{stamp_ns}.pcd").write_bytes(pcd(np.column_stack([each for each in columns if each is not None])))
 
 
 def pcd(columns: FloatArray) -> bytes:
-    """Return a PCD file with x, y, z, and a fourth column as each point's time, ``t``."""
-    names = ("x", "y", "z", "t")[: columns.shape[1]]
+    """Return a PCD file with x, y, z, a fourth column as intensity, and a fifth as each point's time, ``t``."""
+    names = ("x", "y", "z", "intensity", "t")[: columns.shape[1]]
     count = len(columns)
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -93,8 +94,8 @@ def write_cams(log: CamLog, path: Path) -> None:
             )
 
 
-def write_map(lines: tuple[Line, ...], place: Place, path: Path) -> None:
-    """Write the painted lines as ways of an OSM file, as Lanelet2 keeps them."""
+def write_map(lines: Sequence[Line | Edge], place: Place, path: Path) -> None:
+    """Write lines as ways of an OSM file, as Lanelet2 keeps them."""
     number = 0
     nodes, ways = [], []
     for line in lines:
@@ -105,8 +106,7 @@ def write_map(lines: tuple[Line, ...], place: Place, path: Path) -> None:
             nodes.append(f'  <node id="{number}" lat="{lat:.10f}" lon="{lon:.10f}"/>')
             refs.append(f'<nd ref="{number}"/>')
         number += 1
-        subtype = quoteattr("dashed" if line.dashed else "solid")
-        tags = f'<tag k="type" v="line_thin"/><tag k="subtype" v={subtype}/>'
+        tags = f'<tag k="type" v={quoteattr(line.kind)}/><tag k="subtype" v={quoteattr(line.subtype)}/>'
         ways.append(f'  <way id="{number}">{"".join(refs)}{tags}</way>')
     path.write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, *ways, "</osm>", ""]))
 

@@ -1,0 +1,91 @@
+"""How far something stands out from the texture of a road."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from laci_stereo.check.profiles import OFFSETS_M, STEP_M
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+
+NOISE_SCALE = 1.4826
+"""From the median absolute deviation to the standard deviation of normal numbers."""
+
+LEAST_KNOWN = 10
+"""Offsets from which a texture can be told."""
+
+
+def noise_of(response: FloatArray, line: IntArray, felt_m: float, least: FloatArray) -> FloatArray:
+    """Return the noise of a filter's responses, by what it answers where nothing is.
+
+    Parameters
+    ----------
+    response : ndarray, shape (n, m)
+        At `OFFSETS_M`; NaN where nothing was seen.
+    line : ndarray of int, shape (n,)
+        Which sections are of one line, in order: they share its noise.
+    felt_m : float
+        So far to either side the filter feels what it looks for.
+    least : ndarray, shape (n,)
+        What the noise is at least.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        One standard deviation; infinite where nothing is known.
+    """
+    noise = np.empty(response.shape)
+    for places, beside in _parts(felt_m):
+        own = np.fmax(_texture(response[:, beside], line), _unevenness(response[:, beside]))
+        noise[:, places] = np.maximum(_shared(own, line), least)[:, None]
+    return noise
+
+
+def _parts(felt_m: float) -> Iterator[tuple[slice, BoolArray]]:
+    """Cut the offsets into parts, each with those where nothing in it would be felt: they tell its noise.
+
+    What is felt at few offsets a median passes over.
+    """
+    felt, whole = round(felt_m / STEP_M), len(OFFSETS_M)
+    step = felt // 2 if 2 * felt + 1 > whole / 4 else whole
+    for start in range(0, whole, step):
+        beside = np.ones(whole, dtype=bool)
+        if step < whole:
+            beside[max(start - felt, 0) : start + step + felt] = False
+        yield slice(start, start + step), beside
+
+
+def _shared(noise: FloatArray, line: IntArray) -> FloatArray:
+    """Return each section's noise, or its line's median where that is greater; infinite where it is not known."""
+    shared = np.full(len(noise), np.inf)
+    for number in np.unique(line):
+        mine = line == number
+        known = noise[mine & np.isfinite(noise)]
+        if len(known):
+            shared[mine] = np.maximum(np.nan_to_num(noise[mine], nan=np.inf), np.median(known))
+    return shared
+
+
+def _unevenness(response: FloatArray) -> FloatArray:
+    """Return the robust standard deviation of each section's responses; NaN where unknown."""
+    spread = np.full(len(response), np.nan)
+    enough = np.isfinite(response).sum(axis=1) >= LEAST_KNOWN
+    if enough.any():
+        rows = response[enough]
+        middle = np.nanmedian(rows, axis=1, keepdims=True)
+        spread[enough] = NOISE_SCALE * np.nanmedian(np.abs(rows - middle), axis=1)
+    return spread
+
+
+def _texture(response: FloatArray, line: IntArray) -> FloatArray:
+    """Return the robust standard deviation of each section's responses against its neighbours'; NaN where unknown.
+
+    What runs along the line, paint above all, is the same in neighbours, so that it is no noise.
+    """
+    apart = np.abs(np.diff(response, axis=0))
+    steps = np.full(len(apart), np.nan)
+    enough = (np.diff(line) == 0) & (np.isfinite(apart).sum(axis=1) >= LEAST_KNOWN)
+    steps[enough] = NOISE_SCALE / np.sqrt(2.0) * np.nanmedian(apart[enough], axis=1)
+    texture: FloatArray = np.fmax(np.append(np.nan, steps), np.append(steps, np.nan))
+    return texture

@@ -1,0 +1,143 @@
+"""What stands and lies around a LiDAR, from some of its scans, and what of it is beside a map's lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from laci_lidar.sequence import ScanSequence
+from laci_stereo.check.placed import Placed
+from laci_stereo.check.profiles import OFFSETS_M, REACH_M, STEP_M
+from laci_stereo.check.sections import FARTHEST_M, SECTION_M, Sections
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, transform
+from laci_stereo.stereo.recording import spread
+
+SCANS = 20
+"""Evenly spread: the noise of their ranges fills what lies between beams, and what moves is in few of them."""
+
+LOWEST_M, HIGHEST_M = -0.5, 2.5
+"""Over the plane: roads are bent by less within sight, and the lowest walls of buildings have their eaves above."""
+
+WINDOW_M = float(np.hypot(REACH_M, SECTION_M / 2))
+"""From the middle of a section to a corner of what is looked at."""
+
+LEAST_POINTS = 10
+"""Across a section, from which a profile can be told."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Points of several scans.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3)
+        World.
+    intensity : ndarray, shape (n,)
+        In the sensor's own unit; NaN where it has none.
+    scan : ndarray of int, shape (n,)
+        Which scan they are of.
+    """
+
+    points: FloatArray
+    intensity: FloatArray
+    scan: IntArray
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of the points in the plan."""
+        return cKDTree(self.points[:, :2])
+
+    def beside(self, xy: FloatArray) -> Surroundings:
+        """Return the points within `WINDOW_M` of some places, shape (k, 2), at least, and few others."""
+        low = xy.min(axis=0, initial=0.0) - WINDOW_M
+        marked = ((xy - low) / WINDOW_M).astype(np.int64)
+        near = np.zeros(marked.max(axis=0, initial=0) + 2, dtype=bool)
+        for step in np.ndindex(3, 3):
+            near[tuple((marked + step - 1).T)] = True
+        column, row = ((self.points[:, :2] - low) / WINDOW_M).T
+        inside = (column >= 0) & (row >= 0) & (column < near.shape[0]) & (row < near.shape[1])
+        inside[inside] = near[column[inside].astype(np.int64), row[inside].astype(np.int64)]
+        return self[inside]
+
+    def __getitem__(self, chosen: BoolArray | IntArray) -> Surroundings:
+        return Surroundings(self.points[chosen], self.intensity[chosen], self.scan[chosen])
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is beside one section of a line.
+
+    Attributes
+    ----------
+    number : int
+        Of the section.
+    across_m : ndarray, shape (k,)
+        To the left of the line.
+    around : Surroundings
+    """
+
+    number: int
+    across_m: FloatArray
+    around: Surroundings
+
+
+def surroundings_in(scans: ScanSequence, placed: Placed) -> Surroundings:
+    """Gather some scans.
+
+    Raises
+    ------
+    ScanError
+        If more than a fifth of the scans that are looked at cannot be read.
+    """
+    found = [Surroundings(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))]
+    for number, scan in enumerate(scans.read(spread(range(len(scans)), SCANS), 1)):
+        if scan is None:
+            continue
+        points = transform(placed.T_world_sensor, scan.points)
+        apart_m = np.linalg.norm(points[:, :2] - placed.origin[:2], axis=1)
+        near = (points[:, 2] > LOWEST_M) & (points[:, 2] < HIGHEST_M) & (apart_m < FARTHEST_M)
+        told = scan.intensity is not None and np.ptp(scan.intensity) > 0
+        intensity = scan.intensity if scan.intensity is not None and told else np.full(len(points), np.nan)
+        found.append(Surroundings(points[near], intensity[near], np.full(int(near.sum()), number)))
+    return Surroundings(
+        np.concatenate([each.points for each in found]),
+        np.concatenate([each.intensity for each in found]),
+        np.concatenate([each.scan for each in found]),
+    )
+
+
+def windows(around: Surroundings, sections: Sections) -> Iterator[Window]:
+    """Yield what is within `REACH_M` to either side of sections."""
+    if len(sections) == 0:
+        return
+    for number, indices in enumerate(around.tree.query_ball_point(sections.xy, WINDOW_M)):
+        near = np.array(indices, dtype=np.int64)
+        beside = around.points[near, :2] - sections.xy[number]
+        across = beside @ sections.left[number]
+        inside = (np.abs(beside @ sections.ahead[number]) < SECTION_M / 2) & (np.abs(across) < REACH_M)
+        if inside.sum() >= LEAST_POINTS:
+            yield Window(number, across[inside], around[near[inside]])
+
+
+def gaps(across_m: FloatArray) -> FloatArray:
+    """Return the lengths of the gaps between points in the window."""
+    return np.diff(np.concatenate([[-REACH_M], np.sort(across_m), [REACH_M]]))
+
+
+def typical(lengths_m: FloatArray) -> float:
+    """Return the mean length of the gap in which a place lies."""
+    return max(float((lengths_m**2).sum() / max(lengths_m.sum(), 1e-9)), STEP_M)
+
+
+def smoothed(across_m: FloatArray, values: FloatArray, cell_m: float) -> FloatArray:
+    """Return the mean of values about `OFFSETS_M`, with Gaussian weights as wide as a cell; NaN where none is near."""
+    weights = np.exp(-0.5 * ((OFFSETS_M[:, None] - across_m) / (cell_m / 2)) ** 2)
+    total = weights.sum(axis=1)
+    near = total > np.exp(-2.0)  # a point within a cell
+    mean: FloatArray = np.where(near, weights @ values / np.maximum(total, 1e-12), np.nan)
+    return mean
