@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +10,30 @@ import pytest
 
 from laci_stereo.mask.apply import choose
 from laci_stereo.mask.picture import Crop
+from laci_stereo.mask.stage import VehicleMask
+from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.rectify import rectify
-from tools.bench_mask import FACTORS, SHIFT_PX, Simulated, TrueDetector, everything, false, missing, right, shifted
+from tests.mask.test_recording import TrueBoxes, frames
+from tests.stereo.rigs import RIGS
+from tools.bench_mask import (
+    CLOSE,
+    FACTORS,
+    SHIFT_PX,
+    MatchedOnce,
+    Row,
+    Simulated,
+    TrueDetector,
+    everything,
+    false,
+    missing,
+    read_rows,
+    right,
+    shifted,
+    small_and_calm,
+    write_rows,
+)
 from tools.bench_mask import true_boxes as projected_boxes
+from tools.scenes.disparity import StereoCamera
 from tools.scenes.scene import draw_scene
 
 
@@ -64,3 +86,38 @@ def test_spoilt_detectors_are_wrong_as_they_say() -> None:
     assert [len(each) for each in seen(missing)] == [0, 1, 1, 0, 1, 1]
     assert [len(each) for each in seen(false)] == [2] * 6
     assert [len(each) for each in seen(everything)] == [0, 2, 2, 0, 2, 2]
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_frames_matched_once_are_those_of_the_recording(masked: bool, tmp_path: Path) -> None:
+    pairs = frames("ideal", tmp_path)
+    recording = StereoRecording(pairs, RIGS["ideal"])
+    once = MatchedOnce.of(recording)
+    if masked:
+        recording.mask, once.mask = (VehicleMask(TrueBoxes("ideal", pairs), "truth") for _ in range(2))
+    assert len(once) == len(recording)
+    assert once.span_ns == recording.span_ns
+    for _ in range(2):  # they can be had again
+        for found, expected in zip(once, recording, strict=True):
+            assert found.stamp_ns == expected.stamp_ns
+            np.testing.assert_array_equal(found.points, expected.points)
+        for found, expected in zip(once.survey(), recording.survey(), strict=True):
+            np.testing.assert_array_equal(found.points, expected.points)
+
+
+def test_rendered_scenes_are_smaller_and_their_trees_stand_still() -> None:
+    scene = draw_scene(1, "stereo_05", **CLOSE)
+    small = small_and_calm(scene)
+    assert sum(not body.static for body in small.bodies) >= 1 + len(scene.others)
+    assert all(body.static for body in small.bodies if body.name.startswith(("tree", "hedge")))
+    assert any(not body.static for body in small.bodies if body.name.startswith("shrub"))
+    assert isinstance(small.sensor, StereoCamera)
+    assert isinstance(scene.sensor, StereoCamera)
+    field = [np.array(camera.size_px) / camera.focal_px for camera in (small.sensor, scene.sensor)]
+    np.testing.assert_allclose(field[0], field[1], rtol=2e-3)
+
+
+def test_what_a_run_has_left_is_read_again(tmp_path: Path) -> None:
+    rows = [Row(3, "without", "SceneError: none"), Row(4, "with", "", 3.25, 0.5, 1.5, 0.25, 10, 2, 1, 0)]
+    write_rows(tmp_path / "rows.csv", rows)
+    assert repr(read_rows(tmp_path / "rows.csv")) == repr(rows)  # NaN is not itself
