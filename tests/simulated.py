@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -194,7 +195,11 @@ def shrub(xy: tuple[float, float], presence: float = 0.4, size: float = 2.0) -> 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Rays in the sensor frame, and their noise: ``relative`` of 1 / depth, ``constant_m`` of range."""
+    """Rays in the sensor frame, and their noise: ``relative`` of 1 / depth, ``constant_m`` of range.
+
+    ``turn_s`` is how long a scanner's turn lasts that does not tell its points' times, negative if it turns clockwise;
+    it passes its forward axis at the stamp.
+    """
 
     kind: Literal["stereo", "lidar"]
     directions: FloatArray
@@ -203,6 +208,14 @@ class Sensor:
     relative: float
     constant_m: float
     bearing_rad: float
+    turn_s: float = 0.0
+
+    @cached_property
+    def late_s(self) -> FloatArray:
+        """When each ray is sent after the stamp, by steps of a millisecond, shape (n,)."""
+        azimuth = np.arctan2(self.directions[:, 1], self.directions[:, 0])
+        late_s: FloatArray = np.round(self.turn_s * azimuth / (2 * np.pi), 3)
+        return late_s
 
     def measure(self, distance: FloatArray, stamp_ns: int, rng: np.random.Generator) -> PointCloud:
         """Add noise to true distances; inf is nothing."""
@@ -221,6 +234,7 @@ class Sensor:
             self.relative * forward * measured**2 + self.constant_m,
             self.bearing_rad * measured,
             self.at_edge[seen][keep],
+            turn_s=abs(self.turn_s),
         )
 
 
@@ -316,14 +330,15 @@ class Recording:
     def frame(self, index: int) -> PointCloud:
         rng = np.random.default_rng([self.seed, index])
         distance = self._at_rest.copy()
-        time = self.times_s[index : index + 1]
+        late_s = np.unique(self.sensor.late_s)
+        at_once = [np.flatnonzero(self.sensor.late_s == late) for late in late_s]
         for mover in self.movers:
             if rng.random() > mover.presence:
                 continue
-            xy, yaw = mover.drive.at(time)
-            for part in mover.parts:
-                solid = part.moved(xy[0], yaw[0])
-                np.minimum(distance, solid.hit(self.T_world_sensor[:3, 3], self._directions), out=distance)
+            poses = zip(*mover.drive.at(self.times_s[index] + late_s), at_once, strict=True)
+            for (xy, yaw, rays), part in product(poses, mover.parts):
+                hit = part.moved(xy, yaw).hit(self.T_world_sensor[:3, 3], self._directions[rays])
+                distance[rays] = np.minimum(distance[rays], hit)
         return self.sensor.measure(distance, self.stamps_ns[index], rng)
 
     @cached_property

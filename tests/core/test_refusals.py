@@ -141,6 +141,29 @@ def test_positions_that_are_wrong() -> None:
     assert f"of {len(log)} messages of station 42 are left out" in found.remarks[0]
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_positions_of_another_point_than_was_said(side: float) -> None:
+    told = cam_log(ULM, TURNING.vehicle, 6.0, reference=(0.0, 0.7 * side))
+    found = calibrate(TURNING.recording, told, reference=CENTRE)
+    assert f"to the {'left' if side > 0 else 'right'} of where" in reason(found, "the messages' positions are 0.")
+
+
+def test_positions_that_their_sender_hardly_knows() -> None:
+    log = TURNING.messages
+    semi = np.full(len(log), 0.6 * np.sqrt(-2.0 * np.log(0.05)))  # of the ellipse that holds 95 %
+    found = calibrate(TURNING.recording, replace(log, semi_major_95_m=semi, semi_minor_95_m=semi))
+    assert "the CAMs' own positions are known to 0.60 m" in found.quality.advice
+    covered(TURNING, found)
+
+
+@pytest.mark.parametrize(("turn_s", "how"), [(-0.1, "turning clockwise"), (0.1, "turning counter-clockwise")])
+def test_a_scanner_that_turns_and_does_not_tell_the_points_times(turn_s: float, how: str) -> None:
+    made = scene(STRAIGHT, replace(lidar(), turn_s=turn_s))
+    found = calibrate(made.recording, made.messages)
+    assert found.remarks == (f"by the drive, the scanner takes a scan's points {how} (probability 100%)",)
+    covered(made, found)
+
+
 def test_messages_that_are_lost() -> None:
     log = TURNING.messages
     covered(TURNING, calibrate(TURNING.recording, log[np.random.default_rng(0).random(len(log)) < 0.5]))
