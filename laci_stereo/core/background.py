@@ -11,6 +11,7 @@ from laci_stereo.core.box import Box, fit_box
 from laci_stereo.core.cluster import ONE_COLUMN, cells_of, cluster
 from laci_stereo.core.errors import BackgroundError, BoxError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.free_space import places_of, seen_through
 from laci_stereo.core.settings import BackgroundSettings, BoxSettings, ClusterSettings
 
 
@@ -55,20 +56,23 @@ class Background:
 
 def learn_background(
     clouds_level: Sequence[FloatArray],
+    height_m: float,
     settings: BackgroundSettings | None = None,
     clusters: ClusterSettings | None = None,
     boxes: BoxSettings | None = None,
 ) -> Background:
     """Learn the static background from whole frames (paper section III-B).
 
-    What is occupied in at least half of the frames stays, unless its place is seen empty in others: that is where
-    traffic queues. Frames in which nothing of a vehicle's size stands elsewhere are quiet, and what is seen in two
-    quiet frames is background too, such as foliage that comes and goes. No frame needs to be quiet.
+    What is occupied in at least half of the frames stays, unless its place is seen empty in others, or is looked
+    through: that is where traffic queues. Frames in which nothing of a vehicle's size stands elsewhere are quiet, and
+    what is seen in two quiet frames is background too, such as foliage that comes and goes. No frame needs to be quiet.
 
     Parameters
     ----------
     clouds_level : sequence of ndarray, shape (n, 3)
         Level frame, metres; from different times.
+    height_m : float
+        Of the sensor above the level frame's origin.
     settings, clusters, boxes
         Of the three stages.
 
@@ -83,7 +87,7 @@ def learn_background(
         raise BackgroundError("the survey has 0 whole frames; needed is at least 1 to learn the background from")
     standing = [_standing(points, settings) for points in clouds_level]
     occupied = [np.unique(cells_of(points[:, :2], settings.cell_m)) for points in standing]
-    stays = _staying(occupied, [_empty(*frame, settings) for frame in zip(clouds_level, occupied, strict=True)])
+    stays = _staying(clouds_level, height_m, standing, occupied, settings)
     elsewhere = [points[~_near(stays, points, settings)] for points in standing]
     quiet = [not _moving(points, clusters) for points in elsewhere]
     at_rest = [cells for cells, is_quiet in zip(occupied, quiet, strict=True) if is_quiet]
@@ -100,16 +104,29 @@ def _standing(points: FloatArray, settings: BackgroundSettings) -> FloatArray:
     return points[(points[:, 2] > settings.min_height_m) & (points[:, 2] < settings.max_height_m)]
 
 
-def _empty(points: FloatArray, occupied: IntArray, settings: BackgroundSettings) -> IntArray:
-    """Return the cells in and around which ground is seen and nothing stands."""
+def _empty(points: FloatArray, through: IntArray, occupied: IntArray, settings: BackgroundSettings) -> IntArray:
+    """Return the cells in and around which ground is seen and nothing stands, and those that are looked through."""
     ground = points[np.abs(points[:, 2]) <= settings.min_height_m, :2]
-    return np.setdiff1d(_widened(cells_of(ground, settings.cell_m)), _widened(occupied), assume_unique=True)
+    free = np.setdiff1d(_widened(cells_of(ground, settings.cell_m)), _widened(occupied), assume_unique=True)
+    return np.union1d(free, np.setdiff1d(through, occupied))
 
 
-def _staying(occupied: Sequence[IntArray], empty: Sequence[IntArray]) -> IntArray:
+def _staying(
+    clouds: Sequence[FloatArray],
+    height_m: float,
+    standing: Sequence[FloatArray],
+    occupied: Sequence[IntArray],
+    settings: BackgroundSettings,
+) -> IntArray:
     """Return the cells that are occupied in at least half of the frames and empty in no more than a tenth."""
-    frames = len(occupied)
-    return np.setdiff1d(_in_at_least((frames + 1) // 2, occupied), _in_at_least(frames // 10 + 1, empty))
+    often = _in_at_least((len(clouds) + 1) // 2, occupied)
+    at_times = np.setdiff1d(often, _in_at_least(len(clouds), occupied))
+    places = places_of(np.concatenate(standing), at_times, settings.cell_m)
+    empty = [
+        _empty(points, seen_through(points, height_m, places, settings.cell_m), cells, settings)
+        for points, cells in zip(clouds, occupied, strict=True)
+    ]
+    return np.setdiff1d(often, _in_at_least(len(clouds) // 10 + 1, empty))
 
 
 def _in_at_least(count: int, frames: Sequence[IntArray]) -> IntArray:

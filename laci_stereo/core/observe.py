@@ -82,6 +82,7 @@ def observe(
     T_level_sensor = ground.T_level_sensor(source.axes)
     background = learn_background(
         [transform(T_level_sensor, cloud.points) for cloud in survey],
+        ground.height_m,
         settings.background,
         settings.cluster,
         settings.box,

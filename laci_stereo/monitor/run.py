@@ -234,7 +234,9 @@ class Monitor:
         try:
             scene = self.frames.learn(frames)
             clouds = [transform(self.plan.T_level_sensor, cloud.points) for cloud in scene.survey()]
-            background = learn_background(clouds, core.background, core.cluster, core.box)
+            background = learn_background(
+                clouds, float(self.plan.T_level_sensor[2, 3]), core.background, core.cluster, core.box
+            )
         except LaciError as problem:
             before = self._survey(frames.start)
             if before.start >= frames.start:

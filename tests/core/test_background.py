@@ -25,6 +25,7 @@ from tests.simulated import (
     stereo,
 )
 
+HEIGHT_M = 6.0
 SENSORS = [lidar(), stereo()]
 KINDS = pytest.mark.parametrize("sensor", SENSORS, ids=["lidar", "stereo"])
 
@@ -42,7 +43,7 @@ def T_level_sensor(recording: Recording) -> FloatArray:
 
 
 def learnt(made: Scene) -> Background:
-    return learn_background(clouds_level(made.recording))
+    return learn_background(clouds_level(made.recording), HEIGHT_M)
 
 
 def on_drive(made: Scene, width: float = 0.6) -> FloatArray:
@@ -115,7 +116,7 @@ def test_a_parked_car_is_background(sensor: Sensor) -> None:
 def test_an_l_shaped_building_does_not_cover_the_street() -> None:
     wings = (Solid((32.0, 0.0), 0.0, 2.0, 24.0, 0.0, 8.0), Solid((23.0, 11.0), 0.0, 16.0, 2.0, 0.0, 8.0))
     frames = clouds_level(replace(scene(static=wings, yaw_deg=0.0).recording, movers=()))
-    background = learn_background(frames)
+    background = learn_background(frames, HEIGHT_M)
     yard = np.stack(np.meshgrid(np.linspace(16.0, 29.5, 20), np.linspace(-10.0, 8.5, 20)), axis=-1).reshape(-1, 2)
     # A piece as small as a box may be fills the very corner.
     street = yard[np.any(yard < [28.0, 7.0], axis=1)]
@@ -126,7 +127,8 @@ def test_an_l_shaped_building_does_not_cover_the_street() -> None:
 def test_boxes_lie_where_the_solids_are() -> None:
     made = scene(static=(Solid((20.0, 3.0), 20.0, 5.0, 2.0, 0.0, 2.0),), yaw_deg=0.0)
     only = max(
-        learn_background(clouds_level(replace(made.recording, movers=()))).boxes, key=lambda static: static.box.length_m
+        learn_background(clouds_level(replace(made.recording, movers=())), HEIGHT_M).boxes,
+        key=lambda static: static.box.length_m,
     )
     assert only.box.centre == pytest.approx([20.0, 3.0], abs=0.3)
     assert sorted([only.box.length_m, only.box.width_m]) == pytest.approx([2.0, 5.0], abs=0.3)
@@ -161,18 +163,18 @@ def test_noise_far_below_and_far_away_changes_nothing() -> None:
     ]
     here = np.concatenate(frames)
     here = here[here[:, 0] < 45.0, :2]
-    same = learn_background(frames).covers(here) == learn_background(noisy).covers(here)
+    same = learn_background(frames, HEIGHT_M).covers(here) == learn_background(noisy, HEIGHT_M).covers(here)
     assert same.mean() > 0.995
 
 
 def test_an_empty_survey() -> None:
     with pytest.raises(BackgroundError, match="0 whole frames"):
-        learn_background([])
+        learn_background([], HEIGHT_M)
 
 
 def test_a_bare_road_has_no_background() -> None:
     made = scene(static=())
-    background = learn_background(clouds_level(replace(made.recording, movers=())))
+    background = learn_background(clouds_level(replace(made.recording, movers=())), HEIGHT_M)
     assert background.boxes == ()
     assert background.quiet_frames == len(clouds_level(made.recording))
     assert not background.covers(on_drive(made)).any()
@@ -183,5 +185,5 @@ def test_margin() -> None:
     frames = clouds_level(replace(made.recording, movers=()))
     edge = visible(made.recording.static[0], made).min(axis=0) - [0.5, 0.0]
     for margin, covered in ((0.3, False), (0.7, True)):
-        background = learn_background(frames, BackgroundSettings(margin_m=margin))
+        background = learn_background(frames, HEIGHT_M, BackgroundSettings(margin_m=margin))
         assert background.covers(np.array([[edge[0], 0.0]]))[0] == covered

@@ -86,7 +86,7 @@ def test_the_background_is_removed(sensor: Sensor) -> None:
     made = scene(standing(20.0, -1.0), sensor, last_s=0.5, yaw_deg=0.0)
     empty = replace(made.recording, movers=())
     T = T_level_sensor(empty)
-    background = learn_background([transform(T, cloud.points) for cloud in empty.survey()])
+    background = learn_background([transform(T, cloud.points) for cloud in empty.survey()], 6.0)
     largest = found(made, background)[0]
     assert np.linalg.norm(largest.box.centre - [20.0, -1.0]) < 2.4
     assert found(made)[0].count > 2 * largest.count

@@ -1,0 +1,89 @@
+"""Places that a sensor looks through: nothing stands there, even where the ground behind is too far to be seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from laci_stereo.core.cluster import cells_of
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+
+MOST_POINTS = 20_000
+"""Of a frame, which are looked through: a place of half a metre is passed by some of them up to 50 m away."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Cells of the ground plan in which something stands at times.
+
+    Attributes
+    ----------
+    cells : ndarray of int, shape (n,)
+        Ascending; see `cells_of`.
+    xy : ndarray, shape (n, 2)
+        The mean of what stands in each, level frame.
+    low_m, high_m : ndarray, shape (n,)
+        Between which heights half of its points are.
+    """
+
+    cells: IntArray
+    xy: FloatArray
+    low_m: FloatArray
+    high_m: FloatArray
+
+
+def places_of(points: FloatArray, cells: IntArray, cell_m: float) -> Places:
+    """Tell where and how high what stands in some cells is.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        All that stands, at any time, level frame.
+    cells : ndarray of int
+        Each of which has a point.
+    cell_m : float
+        Their side.
+    """
+    number = cells_of(points[:, :2], cell_m)
+    inside = np.isin(number, cells)
+    points, number = points[inside], number[inside]
+    order = np.lexsort((points[:, 2], number))
+    points, number = points[order], number[order]
+    found, first, count = np.unique(number, return_index=True, return_counts=True)
+    xy = np.add.reduceat(points[:, :2], first) / count[:, None] if len(found) else np.zeros((0, 2))
+    return Places(found, xy, points[first + count // 4, 2], points[first + 3 * count // 4, 2])
+
+
+def seen_through(points: FloatArray, height_m: float, places: Places, cell_m: float) -> IntArray:
+    """Return the cells that a ray crosses where at other times something stands, to end farther away.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Of one frame, level frame.
+    height_m : float
+        Of the sensor above the frame's origin.
+    places : Places
+    cell_m : float
+    """
+    points = points[:: max(1, len(points) // MOST_POINTS)]
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    order = np.argsort(azimuth)
+    azimuth, far_m = azimuth[order], np.hypot(points[order, 0], points[order, 1])
+    slope = (points[order, 2] - height_m) / np.maximum(far_m, 1e-9)
+    away_m, towards = np.hypot(*places.xy.T), np.arctan2(places.xy[:, 1], places.xy[:, 0])
+    # Through the middle of the cell: its half to either side of it.
+    width = np.arctan2(cell_m / 4, away_m)
+    first, last = np.searchsorted(azimuth, towards - width), np.searchsorted(azimuth, towards + width)
+    place = np.repeat(np.arange(len(first)), last - first)
+    ray = np.arange(len(place)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    above_m = height_m + slope[ray] * away_m[place]
+    crossed = (far_m[ray] > away_m[place] + cell_m) & _between(above_m, places, place)
+    cells: IntArray = places.cells[np.unique(place[crossed])]
+    return cells
+
+
+def _between(above_m: FloatArray, places: Places, place: IntArray) -> BoolArray:
+    between: BoolArray = (above_m > places.low_m[place]) & (above_m < places.high_m[place])
+    return between
