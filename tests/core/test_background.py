@@ -14,6 +14,7 @@ from tests.simulated import (
     STOP_AND_GO,
     STRAIGHT,
     Drive,
+    Mover,
     Recording,
     Scene,
     Sensor,
@@ -187,3 +188,14 @@ def test_margin() -> None:
     for margin, covered in ((0.3, False), (0.7, True)):
         background = learn_background(frames, HEIGHT_M, BackgroundSettings(margin_m=margin))
         assert background.covers(np.array([[edge[0], 0.0]]))[0] == covered
+
+
+def test_a_bus_that_hardly_leaves_its_place_is_no_background_where_the_road_behind_is_not_seen() -> None:
+    made = scene(Drive((21.0, 6.0), -90.0, speeds=((0.0, 1.8),)), lidar(layers=16), last_s=10.0)
+    bus = Mover(made.vehicle.drive, (Solid((0.0, 0.0), 0.0, 11.0, 2.5, 0.3, 3.0),))
+    recording = replace(made.recording, movers=(bus,), surveyed=20)
+    background = learn_background(clouds_level(recording), HEIGHT_M)
+    assert not background.covers(on_drive(replace(made, recording=recording), 2.4)).any()
+    empty = clouds_level(replace(recording, movers=()))[0]
+    standing = empty[(empty[:, 2] > 0.6) & (empty[:, 2] < 3.9)]
+    assert background.covers(standing[:, :2]).mean() > 0.97
