@@ -182,7 +182,7 @@ def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool,
     """Save a result and say what it is."""
     result.save(out, overwrite=overwrite, command=_command())
     if not quiet:
-        for note in notes:
+        for note in (*result.calibration.found, *notes):
             click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
         say_written(out)

@@ -80,7 +80,8 @@ def import_command(
         (folder / RESULT_FILE).write_text(to_text(document), encoding="utf-8")
     for note in imported.notes:
         click.echo(f"note: {note}", err=True)
-    (east, north), world = imported.siting.T_utm_sensor[:2, 3], imported.siting.world
+    world = imported.siting.world
+    east, north = world.to_utm(imported.siting.T_world_sensor[None, :2, 3])[0]
     angles = document["euler_deg"]
     click.echo(f"{'Sensor':<11}{imported.siting.name} ({imported.siting.kind})")
     click.echo(f"{'Position':<11}{east:.2f} m E, {north:.2f} m N ({world.crs}), {document['height_m']:.2f} m high")

@@ -152,8 +152,11 @@ def test_files_in_and_the_true_transform_out(
 ) -> None:
     ran = site.run(*([] if method is None else ["--method", method]), "--name", "mast 3")
     assert ran.code == 0, ran
-    (note,) = ran.err.splitlines()
-    assert "--sweep tells how it turns" in note
+    *found_so, of_the_scanner = ran.err.splitlines()
+    assert "--sweep tells it" in of_the_scanner
+    assert [note[:50] for note in found_so] == (
+        ["note: by the drive, the scanner takes a scan's poi"] if method is None else []
+    )
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
     found = document(site)
     assert found["method"] == (method or "joint")
@@ -245,7 +248,8 @@ def test_single_bad_scans_are_left_out_counted_and_named(site: Site, made: Scene
     assert ran.code == 0, ran
     assert "3 unreadable" in ran.out
     notes = ran.err.splitlines()
-    of_the_scanner, *left_out = notes
+    found_so, of_the_scanner, *left_out = notes
+    assert "by the drive, the scanner takes a scan's points all at once" in found_so
     assert "--sweep" in of_the_scanner
     assert len(left_out) == 3
     assert all(any(note.startswith(f"note: {path}") for note in left_out) for path in damaged)

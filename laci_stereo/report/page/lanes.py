@@ -67,11 +67,11 @@ def lane_facts(check: Document | None) -> LaneFacts | None:
 
 def _facts(check: Document) -> Iterator[Fact]:
     found = f"{check['lines_found']} of {check['lines_in_view']}"
-    yield Fact("Lines found", found, "of the map's painted lines that are in view")
+    yield Fact("Lines found", found, "of the map's lines that are in view")
     if check["residual_m"] is not None:
         pixels = "" if check["residual_px"] is None else f", {check['residual_px']:.1f} px"
         residual = f"{100 * check['residual_m']:.1f} cm{pixels}"
-        yield Fact("Residual", residual, "between map and paint, on the ground and in the image, root mean square")
+        yield Fact("Residual", residual, "between map and road, on the ground and in the image, root mean square")
     error = check["error"]
     if error is not None:
         east, north, turn = np.sqrt(np.diag(error["covariance"]))
