@@ -10,9 +10,9 @@ within what is claimed, are those of the accepted runs; "within 3 sigma" is of t
 column of yaw and tilt.
 
 "detections" are a detector's boxes of what moves around a lidar_32: 10 cm and 2 deg off, every fifth missing, no
-numbers of tracks. With --rendered N the first N seeds of each stereo camera are images, rendered at 5 Hz (5 s an image,
-so that a scene takes some ten minutes even so) and matched by the tool itself, in rows of their own; the other seeds
-are the fast simulation's. With --out the table, one line per run as CSV, written as they come, and pictures of the
+numbers of tracks. With --rendered N the first N seeds of each stereo camera are images, rendered at 5 Hz (seconds an
+image, so that a scene takes minutes) and matched by the tool itself, in rows of their own; the other seeds are the fast
+simulation's. With --out the table, one line per run as CSV, written as they come, and pictures of the
 worst are kept.
 """
 
