@@ -188,13 +188,15 @@ def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool,
         say_written(out)
 
 
-def say_written(*paths: Path, err: bool = False) -> None:
-    """Say which files were written, of folders those in them."""
-    click.echo(f"{'Written':<11}{', '.join(map(_with_content, paths))}", err=err)
+def say_written(*written: Path | str, err: bool = False) -> None:
+    """Say which files were written: of a folder's path those in it; words as they are."""
+    click.echo(f"{'Written':<11}{', '.join(map(_with_content, written))}", err=err)
 
 
-def _with_content(path: Path) -> str:
-    return f"{path}: {', '.join(sorted(each.name for each in path.iterdir()))}" if path.is_dir() else str(path)
+def _with_content(written: Path | str) -> str:
+    if isinstance(written, str) or not written.is_dir():
+        return str(written)
+    return f"{written}: {', '.join(sorted(each.name for each in written.iterdir()))}"
 
 
 def _command() -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from laci_stereo.asked import a_number, baseline_option, map_crs_option, say_written
+from laci_stereo.asked import PATH, a_number, baseline_option, map_crs_option, say_written
 from laci_stereo.check.describe import check_document, describe_check
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
@@ -30,17 +30,15 @@ UNCLAIMED = np.diag([0.0, 0.0, TOO_FAR_RAD**2, TOO_FAR_M**2, TOO_FAR_M**2, 0.0])
 """Covariance of a calibration that does not say how good it is: in the plane, what a pass rules out must be possible.
 Errors of its tilt and height move the lines on the ground as well, and are counted as such."""
 
-_PATH = click.Path(path_type=Path)
-
 
 def map_options(command: click.decorators.FC) -> click.decorators.FC:
     """Add the options that a check has, whatever the sensor."""
     for option in (
         click.option("--overwrite", is_flag=True, help="Replace files that are there already."),
         click.option(
-            "--picture", type=_PATH, default=Path("check.png"), show_default=True, help="File for the picture (PNG)."
+            "--picture", type=PATH, default=Path("check.png"), show_default=True, help="File for the picture (PNG)."
         ),
-        click.option("--json", "json_file", type=_PATH, help="File for all figures."),
+        click.option("--json", "json_file", type=PATH, help="File for all figures."),
         click.option(
             "--map-sigma",
             type=click.FloatRange(min=0.0, max=10.0),
@@ -51,7 +49,7 @@ def map_options(command: click.decorators.FC) -> click.decorators.FC:
             help="Error of a line's place in the map, one standard deviation.",
         ),
         map_crs_option,
-        click.option("--map", "lane_map", type=_PATH, help="Lane map [default: map.osm or the like beside the data]."),
+        click.option("--map", "lane_map", type=PATH, help="Lane map [default: map.osm or the like beside the data]."),
     ):
         command = option(command)
     return command
@@ -59,7 +57,7 @@ def map_options(command: click.decorators.FC) -> click.decorators.FC:
 
 stereo_option = click.option(
     "--stereo",
-    type=_PATH,
+    type=PATH,
     multiple=True,
     help="Stereo calibration: a file, a folder with one, or, given twice, two files that belong together (left and "
     "right, intrinsics and extrinsics) [default: found beside LEFT].",
@@ -67,8 +65,8 @@ stereo_option = click.option(
 
 
 @click.command()
-@click.argument("calibration", type=_PATH)
-@click.argument("left", type=_PATH)
+@click.argument("calibration", type=PATH)
+@click.argument("left", type=PATH)
 @map_options
 @stereo_option
 @click.option("--rectified", is_flag=True, help="The images are rectified already [default: as the calibration's].")

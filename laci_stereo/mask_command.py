@@ -12,6 +12,7 @@ import click
 import cv2
 import numpy as np
 
+from laci_stereo.asked import PATH, say_written
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import ImageFolder, read_image, write_picture
@@ -26,8 +27,6 @@ from laci_stereo.stereo.reader import EightBit
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 MASK_SHARE = 0.4
 """How strongly a mask colours the picture."""
-
-_PATH = click.Path(path_type=Path)
 
 
 def mask_options(command: click.decorators.FC) -> click.decorators.FC:
@@ -45,7 +44,7 @@ def mask_options(command: click.decorators.FC) -> click.decorators.FC:
             "--mask-contract",
             "--contract",
             "contract",
-            type=_PATH,
+            type=PATH,
             help="What the network expects and returns (JSON) [default: MODEL.contract.json beside it].",
         ),
     ):
@@ -79,10 +78,10 @@ class Look:
 
 
 @click.command()
-@click.argument("model", type=_PATH)
-@click.argument("left", type=_PATH)
+@click.argument("model", type=PATH)
+@click.argument("left", type=PATH)
 @mask_options
-@click.option("--out", type=_PATH, default=Path("mask"), show_default=True, help="Folder for the pictures (JPEG).")
+@click.option("--out", type=PATH, default=Path("mask"), show_default=True, help="Folder for the pictures (JPEG).")
 @click.option("--overwrite", is_flag=True, help="Replace pictures that are there already.")
 @click.option("--every", type=click.IntRange(min=1), default=1, show_default=True, help="Take every N-th image only.")
 def mask(
@@ -118,7 +117,7 @@ def mask(
     if not looks:
         raise ImageError(f"{left}: none of {len(files)} images can be read")
     click.echo(f"Vehicles in {found} of {looks} images; {1000 * float(np.median(seconds)):.0f} ms each (median)")
-    click.echo(f"{'Written':<11}{out}: {looks} pictures")
+    say_written(f"{out}: {looks} pictures")
 
 
 def looked_at(finder: NetworkFinder, files: tuple[Path, ...]) -> Iterator[Look]:

@@ -74,6 +74,6 @@ def _pairs(left: Path, right: Path) -> tuple[StereoPair, ...]:
         return pair_images(ImageFolder.open(left), ImageFolder.open(right)).pairs
     except ImageError:
         names = names_in(left, IMAGES)
-        if names != names_in(right, IMAGES):
+        if names != names_in(right, IMAGES) or left.resolve() == right.resolve():
             raise
         return tuple(StereoPair(0, left / name, right / name) for name in names)

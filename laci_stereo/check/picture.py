@@ -91,7 +91,7 @@ def _draw_legend(canvas: Canvas, bottom: float, lines: Sequence[FloatArray]) -> 
     entries = [
         Entry("line of the map", "line", LANE),
         Entry("the same, hidden by the background", "line", HIDDEN),
-        Entry("found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
+        Entry("where a line was found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
         Entry("found, off on its own", "dot", Stroke(VERMILLION, DOT_RADIUS)),
     ]
     margin = MARGIN * canvas.unit_px

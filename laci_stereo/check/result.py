@@ -13,11 +13,11 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import boxes_in_world
 
 Checking: TypeAlias = Callable[[Calibration], Checked | None]
-"""Holds the map against what one kind of sensor saw; None without a map, or where the sensor sees no paint."""
+"""Holds the map against what one kind of sensor saw; None without a map, or where the sensor cannot see lines."""
 
 
 def not_checked(_calibration: Calibration) -> Checked | None:
-    """Check nothing: there is no map, or the sensor sees no paint."""
+    """Check nothing: there is no map, or the sensor cannot see lines."""
     return None
 
 

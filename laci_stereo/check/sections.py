@@ -1,4 +1,4 @@
-"""A map's painted lines, cut into short sections."""
+"""A map's lines, cut into short sections."""
 
 from __future__ import annotations
 

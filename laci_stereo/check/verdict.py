@@ -69,7 +69,7 @@ def _lacking(evidence: Evidence) -> str:
     if evidence.found < FEWEST_LINES:
         return f"{found}; needed are at least {FEWEST_LINES}"
     if evidence.found < LEAST_SHARE * evidence.in_view:
-        return f"{found}; needed is at least half: the paint may be worn, or the map of another road"
+        return f"{found}; needed is at least half: they may be worn, or the map of another road"
     if evidence.rival >= RIVAL_SHARE:
         return "the lines fit about as well elsewhere, as on a kerb beside them"
     return ""

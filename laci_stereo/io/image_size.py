@@ -15,9 +15,12 @@ _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 PNM_HEADER = re.compile(
     rb"P([1-6])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:(?:\s|#[^\n]*\n)+(\d{1,6}))?\s"
 )
-_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
-_TIFF_WHOLE_NUMBERS = {3: "H", 4: "I", 16: "Q"}
+_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS = 256, 257, 258
+_TIFF_WHOLE_NUMBERS = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
 """Types of a TIFF's entries, and how struct names them."""
+_MOST_SAMPLES = 16
+"""Of a pixel, whose bits are looked at: colours and alpha are five at most."""
+_TIFF = rb"II[*+]\0|MM\0[*+]"
 
 
 def stated_size(content: bytes) -> Size | None:
@@ -38,6 +41,14 @@ def stated_size(content: bytes) -> Size | None:
         return None if read is None else read(content)
     except (struct.error, OverflowError):  # it is shorter than where its header leads
         return None
+
+
+def stated_bits(content: bytes) -> int:
+    """Return how many bits a TIFF states for a sample; 0 for none, and other formats, which have 16 at the most."""
+    try:
+        return _tiff_entries(content).get(_TIFF_BITS, 0) if re.match(_TIFF, content) else 0
+    except (struct.error, OverflowError):
+        return 0
 
 
 def jpeg_segments(content: bytes) -> Iterator[tuple[int, int]]:
@@ -66,6 +77,12 @@ def _jpeg(content: bytes) -> Size | None:
 
 
 def _tiff(content: bytes) -> Size | None:
+    told = _tiff_entries(content)
+    return (told[_TIFF_WIDTH], told[_TIFF_HEIGHT]) if {_TIFF_WIDTH, _TIFF_HEIGHT} <= told.keys() else None
+
+
+def _tiff_entries(content: bytes) -> dict[int, int]:
+    """Return what a TIFF states of its size and samples, by tag; of several values the greatest."""
     order = "<" if content.startswith(b"I") else ">"
     big = content[2:4] in (b"+\0", b"\0+")
     offset, count, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
@@ -74,12 +91,15 @@ def _tiff(content: bytes) -> Size | None:
     at += struct.calcsize(order + count)
     found: dict[int, int] = {}
     for _ in range(min(entries, (len(content) - at) // entry)):
-        tag, kind = struct.unpack_from(order + "HH", content, at)
-        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT) and kind in _TIFF_WHOLE_NUMBERS:
-            (value,) = struct.unpack_from(order + _TIFF_WHOLE_NUMBERS[kind], content, at + (12 if big else 8))
-            found[tag] = max(value, found.get(tag, 0))
+        tag, kind, values = struct.unpack_from(order + "HH" + offset, content, at)
+        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS) and kind in _TIFF_WHOLE_NUMBERS:
+            form = f"{order}{min(max(values, 1), _MOST_SAMPLES)}{_TIFF_WHOLE_NUMBERS[kind]}"
+            place = at + (12 if big else 8)
+            if struct.calcsize(form) > struct.calcsize(order + offset):  # they stand elsewhere
+                (place,) = struct.unpack_from(order + offset, content, place)
+            found[tag] = max(*struct.unpack_from(form, content, place), found.get(tag, 0))
         at += entry
-    return (found[_TIFF_WIDTH], found[_TIFF_HEIGHT]) if len(found) == 2 else None
+    return found
 
 
 def _bmp(content: bytes) -> Size | None:
@@ -107,7 +127,7 @@ def _pnm(content: bytes) -> Size | None:
 _HEADERS: tuple[tuple[bytes, Callable[[bytes], Size | None]], ...] = (
     (rb"\x89PNG\r\n\x1a\n", _png),
     (rb"\xff\xd8\xff", _jpeg),
-    (rb"II[*+]\0|MM\0[*+]", _tiff),
+    (_TIFF, _tiff),
     (rb"BM", _bmp),
     (rb"RIFF....WEBP", _webp),
     (rb"P[1-6]", _pnm),

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from laci_stereo.core.errors import ImageError, OutputError
 from laci_stereo.core.frames import IntArray, Raster
 from laci_stereo.io.image_integrity import damage
-from laci_stereo.io.image_size import stated_size
+from laci_stereo.io.image_size import stated_bits, stated_size
 from laci_stereo.io.output import write_file
 from laci_stereo.io.stamps import iso_text
 from laci_stereo.io.timed_files import FileKind, in_time, names_in
@@ -32,6 +32,9 @@ IMAGES = FileKind(
 MOST_PIXELS = 100_000_000
 """Of an image: four times what cameras beside roads have. With four channels of 16 bit it decodes into 0.8 GB; a header
 may promise any size in a few bytes."""
+
+MOST_BITS = 16
+"""Of a pixel's channel; TIFFs may have 64."""
 
 # A damaged image is one line of ours; OpenCV's own warnings say the same once more, with its source lines.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -100,8 +103,10 @@ def pair_images(left: ImageFolder, right: ImageFolder) -> Pairs:
     Raises
     ------
     ImageError
-        If one of the folders holds less than two images, or less than half of the images find a partner.
+        If both folders are one, one holds less than two images, or less than half of the images find a partner.
     """
+    if left.path.resolve() == right.path.resolve():
+        raise ImageError(f"{left.path} is given for the left and the right images; needed are two folders")
     for folder in (left, right):
         if len(folder) < 2:
             raise ImageError(f"{folder.path} holds {len(folder)} image; needed are at least 2")
@@ -163,6 +168,9 @@ def _decoded(path: Path, content: bytes) -> npt.NDArray[np.generic]:
             raise ImageError(
                 f"{path} has {size[0]} x {size[1]} pixels; needed are at most {MOST_PIXELS / 1e6:.0f} megapixels"
             )
+        bits = stated_bits(content)
+        if bits > MOST_BITS:
+            raise ImageError(f"{path} has pixels of {bits} bits; needed are 8 or 16 bit integers")
         try:
             image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.errors import CalibrationFileError
+from laci_stereo.core.errors import CalibrationFileError, SettingError
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.world import World
+from laci_stereo.core.world import World, utm_code
 from laci_stereo.io.calibration_file import Document, validate
 from laci_stereo.io.output import RESULT_FILE
 from laci_stereo.io.text_file import read_text
@@ -78,6 +78,8 @@ def read_calibration(result: Path) -> StoredCalibration:
         If it cannot be read, does not fit the schema, or its transform or covariance is none.
     """
     path = result / RESULT_FILE if result.is_dir() else result
+    if not path.exists():
+        raise CalibrationFileError(f"{path} does not exist; needed is a result's folder or its {RESULT_FILE}")
     text = read_text(path, CalibrationFileError)
     try:
         document = json.loads(text)
@@ -113,7 +115,7 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
         boxes=np.array(document["background_boxes"], dtype=np.float64).reshape(-1, 6),
         angles_deg=(angles["roll"], angles["down"], angles["yaw"]),
         rectified=images.get("rectified") is True,
-        baseline_m=baseline_m if isinstance(baseline_m, float) else None,
+        baseline_m=float(baseline_m) if isinstance(baseline_m, int | float) else None,
     )
 
 
@@ -124,6 +126,10 @@ def _covariance(rows: list[list[float]] | None) -> FloatArray:
 @np.errstate(over="ignore", invalid="ignore")  # what is beyond measure becomes infinite, which is refused
 def _check(stored: StoredCalibration) -> None:
     """Raise if what has the right shape makes no sense."""
+    try:
+        utm_code(stored.world.crs)
+    except SettingError as problem:
+        raise CalibrationFileError(f"{stored.path}: {problem}") from problem
     grid = (*stored.world.origin_utm, stored.world.grid_scale)
     if not all(np.isfinite(each).all() for each in (stored.T_world_sensor, stored.centre_world, stored.boxes, grid)):
         raise CalibrationFileError(f"{stored.path} holds a number that is not finite; needed are finite ones")

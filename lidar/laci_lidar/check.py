@@ -54,7 +54,7 @@ class Seeing:
     placed: PlacedRanging
     around: Surroundings
 
-    @property
+    @cached_property
     def has_intensity(self) -> bool:
         """Whether any scan has an intensity."""
         return bool(np.isfinite(self.around.intensity).any())

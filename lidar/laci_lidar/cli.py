@@ -13,7 +13,7 @@ from laci_lidar.monitor_command import monitor as monitor_command
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
-from laci_stereo.asked import Asked, calibrating, parse_background
+from laci_stereo.asked import PATH, Asked, calibrating, parse_background
 from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
@@ -34,8 +34,8 @@ def cli() -> None:
 
 
 @cli.command()
-@click.argument("scans", type=click.Path(path_type=Path))
-@click.argument("cam", type=click.Path(path_type=Path))
+@click.argument("scans", type=PATH)
+@click.argument("cam", type=PATH)
 @click.option("--topic", help="Topic with the point clouds, where a bag has several.")
 @click.option(
     "--axes",
@@ -100,8 +100,8 @@ def calibrate(
 
 
 @cli.command()
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("scans", type=click.Path(path_type=Path))
+@click.argument("calibration", type=PATH)
+@click.argument("scans", type=PATH)
 @map_options
 @click.option("--topic", help="Topic with the point clouds, where a bag has several.")
 def check(

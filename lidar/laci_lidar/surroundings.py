@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from laci_lidar.scan import Scan
 from laci_lidar.sequence import ScanSequence
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import OFFSETS_M, REACH_M, STEP_M
@@ -101,14 +102,21 @@ def surroundings_in(scans: ScanSequence, placed: Placed) -> Surroundings:
         points = transform(placed.T_world_sensor, scan.points)
         apart_m = np.linalg.norm(points[:, :2] - placed.origin[:2], axis=1)
         near = (points[:, 2] > LOWEST_M) & (points[:, 2] < HIGHEST_M) & (apart_m < FARTHEST_M)
-        told = scan.intensity is not None and np.ptp(scan.intensity) > 0
-        intensity = scan.intensity if scan.intensity is not None and told else np.full(len(points), np.nan)
-        found.append(Surroundings(points[near], intensity[near], np.full(int(near.sum()), number)))
+        found.append(Surroundings(points[near], _intensity(scan)[near], np.full(int(near.sum()), number)))
     return Surroundings(
         np.concatenate([each.points for each in found]),
         np.concatenate([each.intensity for each in found]),
         np.concatenate([each.scan for each in found]),
     )
+
+
+def _intensity(scan: Scan) -> FloatArray:
+    """Return the points' intensity; NaN where there is none, and for all where it is the same everywhere."""
+    unknown = np.full(len(scan.points), np.nan)
+    if scan.intensity is None:
+        return unknown
+    told = np.where(np.isfinite(scan.intensity), scan.intensity, np.nan)
+    return told if len(np.unique(told[np.isfinite(told)])) > 1 else unknown
 
 
 def windows(around: Surroundings, sections: Sections) -> Iterator[Window]:

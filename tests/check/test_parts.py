@@ -10,12 +10,14 @@ from scipy.stats import chi2
 from laci_stereo.check.align import align
 from laci_stereo.check.fit import Offsets, PlanarError, covariance_of, fit_planar
 from laci_stereo.check.placed import Placed
-from laci_stereo.check.profiles import OFFSETS_M, Profiles
+from laci_stereo.check.profiles import OFFSETS_M, STEP_M, Profiles, profiles_in_image
 from laci_stereo.check.ridges import find_stripes
 from laci_stereo.check.sections import Sections, sections_of
+from laci_stereo.check.texture import noise_of
 from laci_stereo.check.verdict import Evidence, judge
 from laci_stereo.core.frames import FloatArray, rigid, rotate_xy, transform
-from tests.check.support import CENTRE, CLAIMED, CROSSING, line, looking_north
+from laci_stereo.report.camera import Camera
+from tests.check.support import CENTRE, CLAIMED, CROSSING, LENS, line, looking_north
 
 
 def placed(boxes: FloatArray | None = None) -> Placed:
@@ -83,11 +85,33 @@ def test_middle_of_a_stripe_is_found_between_samples(width_m: float, at_m: float
     assert stripes.left_m[2, best] == pytest.approx(at_m, abs=0.01)
 
 
+def test_wide_paint_is_looked_for_where_thin_paint_melts_into_the_road() -> None:
+    camera, road = Camera(LENS, np.linalg.inv(looking_north())), np.full((600, 800), 90, dtype=np.uint8)
+    farthest_m = []
+    for kind, width_m in (("line_thin", 0.12), ("line_thick", 0.25), ("stop_line", 0.30)):
+        across = sections_of([line((-2.0, y), (2.0, y), kind=kind) for y in np.arange(8.0, 50.0)], np.zeros(2))
+        profiles = profiles_in_image(road, camera, across)
+        seen = np.isfinite(profiles.values).all(axis=1)
+        assert profiles.cell_m[seen].max() == pytest.approx(width_m, rel=0.1)
+        farthest_m.append(across.xy[seen, 1].max())
+    assert farthest_m == sorted(set(farthest_m))
+
+
 def test_step_is_no_stripe() -> None:
     rng = np.random.default_rng(1)
     rows = 80.0 + 100.0 * (OFFSETS_M > 0.2) + rng.normal(0.0, 1.0, (8, len(OFFSETS_M)))
     stripes = find_stripes(Profiles(rows, np.full(8, 0.02), True), np.zeros(8, dtype=np.int64))
     assert stripes.evidence.max() < 1.0
+
+
+def test_what_is_looked_for_is_not_its_own_noise() -> None:
+    """Not even where little but it is seen."""
+    at, felt = 40, 13
+    response = np.random.default_rng(3).normal(size=(6, len(OFFSETS_M)))
+    response += 100.0 * np.clip(1.0 - np.abs(np.arange(len(OFFSETS_M)) - at) / felt, 0.0, 1.0)
+    response[:, :18] = response[:, 67:] = np.nan
+    noise = noise_of(response, np.zeros(6, dtype=np.int64), felt * STEP_M, np.zeros(6))
+    assert 0.3 < noise[:, at].min() < noise[:, at].max() < 3.0
 
 
 def stripes_at(offsets_m: FloatArray) -> FloatArray:
@@ -110,6 +134,15 @@ def test_alignment_has_a_rival_where_everything_is_there_twice() -> None:
     along = np.einsum("ij,j->i", sections.left, [0.5, 0.5])
     both = np.maximum(stripes_at(along), stripes_at(-along))
     assert align(both, np.full(len(sections), 0.06), sections).rivals[0].share > 0.9
+
+
+def test_rivals_are_unlike_each_other() -> None:
+    sections = sections_of(CROSSING, np.zeros(2))
+    shifts = np.array([[0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
+    everywhere = np.maximum.reduce([stripes_at(sections.left @ shift) for shift in shifts])
+    found = align(everywhere, np.full(len(sections), 0.06), sections)
+    places = np.array([found.shift, *(rival.shift for rival in found.rivals)])
+    assert sorted(np.linalg.norm(shifts[:, None] - places, axis=2).min(axis=1)) == pytest.approx([0.0] * 3, abs=0.12)
 
 
 def test_planar_error_is_as_uncertain_as_it_says() -> None:
@@ -157,3 +190,10 @@ def test_what_is_open_in_one_direction_is_no_shift_that_way() -> None:
     assert judge(Evidence(5, 5, 0.0), open_).outcome == "cannot tell"
     told = PlanarError(np.zeros(2), np.array([0.04, 0.38, 5e-4]), covariance, 100.0 * covariance)
     assert judge(Evidence(5, 5, 0.0), told).outcome == "fail"
+
+
+@pytest.mark.parametrize(("sigma_rad", "outcome"), [(0.02, "cannot tell"), (1e-4, "fail")])
+def test_a_turn_that_nothing_tells_is_no_turn(sigma_rad: float, outcome: str) -> None:
+    covariance = np.diag([0.01, 0.01, sigma_rad]) ** 2
+    turned = PlanarError(np.zeros(2), np.array([0.04, 0.0, 0.015]), covariance, 1e5 * covariance)
+    assert judge(Evidence(5, 5, 0.0), turned).outcome == outcome

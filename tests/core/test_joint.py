@@ -158,17 +158,51 @@ def test_no_points_are_refused_in_words() -> None:
 def swept(drive: Drive, turn: float, late_s: float = 0.05) -> Evidence:
     """Return a drive as a scanner sees it that turns in a tenth of a second and does not tell the points' times."""
     seen = replace(evidence(drive), turn_s=0.1)
-    return replace(seen, stamps_s=seen.stamps_s - turn * seen.frames_late_s - late_s * abs(turn))
+    before, after = (drive.at(seen.stamps_s + shift)[0] for shift in (-1e-3, 1e-3))
+    velocity = rotate_xy(-TRUTH.yaw_rad, (after - before) / 2e-3)[seen.frame]
+    moved = np.column_stack([turn * seen.points_late_s[:, None] * velocity, np.zeros(len(velocity))])
+    stamps_s = seen.stamps_s - turn * seen.frames_late_s - late_s * abs(turn)
+    return replace(seen, points=seen.points + moved, stamps_s=stamps_s)
 
 
-@pytest.mark.parametrize("turn", [-1.0, 0.0, 1.0])
-@pytest.mark.parametrize("drive", [TURN, STRAIGHT, BRAKING], ids=["turn", "straight", "braking"])
+def test_a_scanner_that_turns_sees_what_is_farther_counter_clockwise_later() -> None:
+    """By as much of a turn as lies between."""
+    seen = replace(evidence(), turn_s=0.1)
+    azimuth, middle = (np.arctan2(xy[:, 1], xy[:, 0]) for xy in (seen.points, seen.middles))
+    assert np.ptp(azimuth) < np.pi  # it does not drive behind the sensor
+    late_s = (azimuth - middle.mean()) * 0.1 / (2 * np.pi)
+    assert seen.frames_late_s[seen.frame] + seen.points_late_s == pytest.approx(late_s, abs=1e-12)
+
+
+def within_three_sigma(fit: JointFit) -> bool:
+    return bool(error(fit) @ np.linalg.solve(fit.covariance, error(fit)) < 14.2)  # in three dimensions
+
+
+@pytest.mark.parametrize(
+    ("drive", "turn"),
+    [*((drive, turn) for drive in (TURN, STRAIGHT) for turn in (-1.0, 0.0, 1.0)), (BRAKING, 0.0), (BRAKING, 1.0)],
+)
 def test_how_a_scanner_turns_is_found(drive: Drive, turn: float) -> None:
     fit = fit_jointly([swept(drive, turn)], TRUTH)
     assert fit.turn == turn
     assert fit.turn_probability > 0.5
-    z2 = error(fit) @ np.linalg.solve(fit.covariance, error(fit))
-    assert z2 < 14.2  # three sigma in three dimensions
+    assert within_three_sigma(fit)
+
+
+def test_where_two_turns_fit_alike_the_result_is_as_uncertain_as_they_are_apart() -> None:
+    """Of a drive that brakes a little an offset of the clocks makes up for the turn."""
+    fit = fit_jointly([swept(BRAKING, -1.0)], TRUTH)
+    assert fit.turn_probability < 0.9
+    assert within_three_sigma(fit)
+    certain = fit_jointly([evidence(BRAKING)], TRUTH)
+    assert np.trace(fit.covariance[1:, 1:]) > 2.0 * np.trace(certain.covariance[1:, 1:])
+
+
+@pytest.mark.parametrize("turn", [-1.0, 1.0])
+def test_a_scanner_that_turns_is_as_exact_as_one_that_does_not_where_the_vehicle_turns(turn: float) -> None:
+    """Both ends of the vehicle are put where they were at one time."""
+    found, still = fit_jointly([swept(TURN, turn)], TRUTH), fit_jointly([evidence(TURN)], TRUTH)
+    assert error(found) == pytest.approx(error(still), abs=5e-3)
 
 
 def test_scans_at_once_are_no_worse_for_a_scanner_that_might_turn() -> None:

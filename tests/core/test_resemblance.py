@@ -72,6 +72,13 @@ def test_a_clock_that_contradicts_speaks_against_it() -> None:
     assert way(seen(), replace(vehicle, stamps_s=vehicle.stamps_s + 0.3)).way < way(seen()).way - np.log(50.0)
 
 
+@pytest.mark.parametrize("ahead_m", [-1.5, 1.5])
+def test_a_sender_that_is_mistaken_about_its_reference_point_is_no_stranger(ahead_m: float) -> None:
+    told = DRIVE.vehicle
+    off = rotate_xy(told.yaw_rad, np.tile([ahead_m, 0.0], (len(told.xy), 1)))
+    assert way(seen(), replace(told, xy=told.xy + off)).way > 0.0
+
+
 def test_what_shows_no_body_tells_nothing() -> None:
     bare = Track(tuple(replace(one, points=np.zeros((0, 3)), sigma_along_m=np.zeros(0), sigma_across_m=np.zeros(0))
                        for one in seen().sightings))  # fmt: skip

@@ -30,7 +30,7 @@ SLOPE = Slope(np.array([0.05, -0.02]), np.array([[1e-4, 2e-5], [2e-5, 3e-4]]), n
 
 
 def passage() -> Passage:
-    """A drive with every kind of value: points and none, each flaw, a radial speed and none."""
+    """A drive with every kind of value: points and none, each flaw, a radial speed and none; the scanner turns."""
     made = calibration().passages[0]
     rng = np.random.default_rng(0)
     sightings = list(made.track.sightings)
@@ -54,7 +54,8 @@ def passage() -> Passage:
         slope=SLOPE,
         altitude_told=True,
     )
-    return replace(made, track=Track(tuple(sightings)), vehicle=vehicle, time_offset_s=-0.012, name="monday")
+    track = Track(tuple(replace(each, turn_s=0.1) for each in sightings))
+    return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
 
 
 def kept() -> Kept:

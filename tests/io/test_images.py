@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from laci_stereo.core.errors import ImageError
-from laci_stereo.io.image_size import stated_size
+from laci_stereo.io.image_size import stated_bits, stated_size
 from laci_stereo.io.images import ImageFolder, pair_images, read_image
 from tests.io.images import png_bomb
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused, write_images
@@ -152,10 +152,22 @@ def test_alpha_is_dropped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(file), SCENE)
 
 
-def test_other_pixels_than_integers_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize(("kind", "bits"), [("float32", 32), ("float64", 64), ("int32", 32)])
+def test_longer_pixels_are_refused_before_they_are_decoded(
+    tmp_path: Path, kind: str, bits: int, channels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "x.tiff"
-    file.write_bytes(encoded(SCENE.astype(np.float32), ".tiff"))
-    with pytest.raises(ImageError, match=r"x\.tiff has pixels of type float32"):
+    file.write_bytes(encoded(SCENE[:, :, :channels].astype(kind), ".tiff"))
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("decoded"))
+    with pytest.raises(ImageError, match=rf"x\.tiff has pixels of {bits} bits; needed are 8 or 16 bit integers"):
+        read_image(file)
+
+
+def test_pixels_with_a_sign_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "x.tiff"
+    file.write_bytes(encoded(SCENE.astype(np.int16), ".tiff"))
+    with pytest.raises(ImageError, match=r"x\.tiff has pixels of type int16; needed are 8 or 16 bit integers"):
         read_image(file)
 
 
@@ -205,7 +217,9 @@ def test_the_size_that_a_tiff_states_in_all_its_ways(order: str, big: bool, kind
         + struct.pack(order + kind, value).ljust(8 if big else 4, b"\0")
         for tag, value in told.items()
     )
-    assert stated_size(head + struct.pack(order + ("Q" if big else "H"), len(told)) + entries) == (30_000, 40_000)
+    content = head + struct.pack(order + ("Q" if big else "H"), len(told)) + entries
+    assert stated_size(content) == (30_000, 40_000)
+    assert stated_bits(content) == 8
 
 
 STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0+\0\x08\0\0", b"BM", b"RIFFaaaaWEBPVP8X", b"P6 ")
@@ -222,6 +236,13 @@ def test_of_any_bytes_a_size_or_none_is_stated(suffix: str) -> None:
         assert size is None or min(size) >= 0
 
     check()
+
+
+def test_one_folder_is_no_pair(tmp_path: Path) -> None:
+    left = folder_at(tmp_path / "left", [START_NS, START_NS + PERIOD_NS])
+    again = folder_at(tmp_path / "x" / ".." / "left", [START_NS, START_NS + PERIOD_NS])
+    with pytest.raises(ImageError, match="is given for the left and the right images; needed are two folders"):
+        pair_images(left, again)
 
 
 def patched(content: bytes, size: tuple[int, ...], form: str, at: int) -> bytes:

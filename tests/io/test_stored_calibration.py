@@ -56,6 +56,8 @@ def test_whole_numbers_beyond_floats_are_refused(change: Any, tmp_path: Path) ->
         (lambda made: made.update(background_boxes=[[float("-inf")] * 6]), "not finite"),
         (lambda made: made["sensor"].update(kind="k" * 5000), "kkk.*"),
         (lambda made: made.update(covariance=[[0.5] * 6] * 2000), "covariance: "),
+        (lambda made: made["world"].update(crs="EPSG:4326"), "'EPSG:4326' is WGS 84; needed is a UTM zone"),
+        (lambda made: made["world"].update(crs="EPSG:32699"), "'EPSG:32699' is not known to PROJ"),
     ],
 )
 def test_numbers_beyond_measure_and_long_mistakes_are_one_line(change: Any, message: str, tmp_path: Path) -> None:
@@ -67,6 +69,20 @@ def test_numbers_beyond_measure_and_long_mistakes_are_one_line(change: Any, mess
         read_calibration(path)
     assert len(str(caught.value).splitlines()) == 1
     assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("result", ["none", "", "calibration.json"])
+def test_where_there_is_none_it_says_what_is_needed(result: str, tmp_path: Path) -> None:
+    with pytest.raises(CalibrationFileError, match=r"does not exist; needed is a result's folder or its calibration"):
+        read_calibration(tmp_path / result)
+
+
+@pytest.mark.parametrize(("told", "read"), [(1, 1.0), (0.6, 0.6), (None, None)])
+def test_a_baseline_may_be_a_whole_number(told: float | None, read: float | None, tmp_path: Path) -> None:
+    made = document(tmp_path)
+    made["config"]["stereo"] = {"baseline_m": told}
+    (tmp_path / "calibration.json").write_text(to_text(made))
+    assert read_calibration(tmp_path).baseline_m == read
 
 
 def test_a_sound_one_is_read(tmp_path: Path) -> None:

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from laci_lidar.check import check_scans, see_scans
-from laci_lidar.kerbs import SPARSEST_M
+from laci_lidar.kerbs import SPARSEST_M, find_kerbs
 from laci_lidar.scan import Scan
+from laci_lidar.surroundings import Surroundings
+from laci_lidar.walls import THICK_M, find_walls
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.sections import sections_of
-from laci_stereo.core.frames import FloatArray, IntArray, rigid, rotation_z, transform
+from laci_stereo.core.frames import FloatArray, rigid, rotation_z, transform
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 from tests.check.support import CLAIMED, line, moved_by, shift, turn_about
+from tests.lidar.scanner import Listed, listed
 from tools.scenes.geometry import Body, Material, RayCaster
 from tools.scenes.shapes import box
 from tools.scenes.world import standing, still
@@ -73,27 +75,7 @@ def walls(high_m: float) -> list[Body]:
     ]
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """Scans that are there already (implements `ScanSequence`)."""
-
-    scans: tuple[Scan, ...]
-    path: Path = Path("simulated")
-    skipped: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def stamps_ns(self) -> IntArray:
-        return 100_000_000 * np.arange(len(self))
-
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
-        return (self.scans[index] for index in indices)
-
-
-def scanned(*bodies: list[Body]) -> Simulated:
+def scanned(*bodies: list[Body]) -> Listed:
     """Cast 64 layers at what is there at one time after another: 2 cm of noise along the beam."""
     down, around = np.radians(np.linspace(3.0, 40.0, 64)), np.radians(np.arange(0.0, 360.0, 0.2))
     down, around = (each.ravel() for each in np.meshgrid(down, around))
@@ -103,23 +85,26 @@ def scanned(*bodies: list[Body]) -> Simulated:
         hits = RayCaster(there).cast(T[:3, 3], rays @ T[:3, :3].T, 0.0)
         met = np.isfinite(hits.distance_m)
         scans.append(Scan(rays[met] * (hits.distance_m + rng.normal(0.0, 0.02, len(rays)))[met, None]))
-    return Simulated(tuple(scans))
+    return listed(scans)
 
 
-def check(scans: Simulated, lines: Sequence[LaneLine], T_error: FloatArray | None = None) -> LaneCheck:
+def check(
+    scans: Listed, lines: Sequence[LaneLine], T_error: FloatArray | None = None, boxes: Sequence[Sequence[float]] = ()
+) -> LaneCheck:
     T = T_world_scanner() if T_error is None else T_error @ T_world_scanner()
-    checked = check_scans(scans, Placed(T, CLAIMED, CENTRE, np.zeros((0, 6))), LaneMap(tuple(lines), ()))
+    placed = Placed(T, CLAIMED, CENTRE, np.reshape(boxes, (-1, 6)))
+    checked = check_scans(scans, placed, LaneMap(tuple(lines), ()))
     assert checked is not None
     return checked.check
 
 
 @cache
-def crossing(kerb_m: float = KERB_M) -> Simulated:
+def crossing(kerb_m: float = KERB_M) -> Listed:
     return scanned(*[ground(kerb_m)] * SCANS)
 
 
 @cache
-def yard(high_m: float = 1.5) -> Simulated:
+def yard(high_m: float = 1.5) -> Listed:
     return scanned(*[ground(0.0) + walls(high_m)] * SCANS)
 
 
@@ -127,7 +112,7 @@ SEEN = [pytest.param(crossing, KERBS, id="kerbs"), pytest.param(yard, WALLS, id=
 
 
 @pytest.mark.parametrize(("scans", "lines"), SEEN)
-def test_truth_passes(scans: Callable[[], Simulated], lines: Sequence[LaneLine]) -> None:
+def test_truth_passes(scans: Callable[[], Listed], lines: Sequence[LaneLine]) -> None:
     found = check(scans(), lines)
     assert found.judgement.outcome == "pass", found.judgement
     assert found.lines_found == len(found.lines)
@@ -139,7 +124,7 @@ def test_truth_passes(scans: Callable[[], Simulated], lines: Sequence[LaneLine])
 @pytest.mark.parametrize(("scans", "lines"), SEEN)
 @pytest.mark.parametrize("eighth", range(8))
 def test_shift_of_30_cm_fails_and_is_measured(
-    scans: Callable[[], Simulated], lines: Sequence[LaneLine], eighth: int
+    scans: Callable[[], Listed], lines: Sequence[LaneLine], eighth: int
 ) -> None:
     east, north = 0.3 * np.cos(eighth * np.pi / 4), 0.3 * np.sin(eighth * np.pi / 4)
     found = check(scans(), lines, shift(east, north))
@@ -149,9 +134,7 @@ def test_shift_of_30_cm_fails_and_is_measured(
 
 @pytest.mark.parametrize(("scans", "lines"), SEEN)
 @pytest.mark.parametrize("degrees", [-0.5, 0.5])
-def test_turn_of_half_a_degree_is_seen(
-    scans: Callable[[], Simulated], lines: Sequence[LaneLine], degrees: float
-) -> None:
+def test_turn_of_half_a_degree_is_seen(scans: Callable[[], Listed], lines: Sequence[LaneLine], degrees: float) -> None:
     T_error = turn_about(T_world_scanner()[:2, 3], degrees)
     found = check(scans(), lines, T_error)
     assert found.judgement.outcome != "pass", found.judgement
@@ -175,7 +158,7 @@ def test_kerbs_may_be_low_or_high(kerb_m: float) -> None:
 @pytest.mark.parametrize(("scans", "lines"), [(yard, KERBS), (crossing, WALLS)])
 @pytest.mark.parametrize("T_error", [np.eye(4), shift(0.3, 0.2)])
 def test_what_is_not_there_is_not_found(
-    scans: Callable[[], Simulated], lines: Sequence[LaneLine], T_error: FloatArray
+    scans: Callable[[], Listed], lines: Sequence[LaneLine], T_error: FloatArray
 ) -> None:
     """A map with kerbs where only walls are, and one with walls where only kerbs are."""
     found = check(scans(), lines, T_error)
@@ -236,3 +219,52 @@ def test_heights_do_not_depend_on_where_the_world_begins() -> None:
     expected = T[:2, :2] @ plain.error.value[:2]
     assert other.error.value[:2] == pytest.approx(expected, abs=0.02)
     assert other.judgement.outcome == plain.judgement.outcome
+
+
+def test_walls_that_are_background_are_seen() -> None:
+    """As in every result: what stands is a box of the background, which does not hide itself."""
+    boxes = [(11.0, 12.0, 11.0, 0.6, 0.0, 1.5), (-7.0, 12.0, 0.6, 13.0, 0.0, 1.5), (16.0, 3.0, 0.6, 11.0, 0.0, 1.5)]
+    plain, boxed = (check(yard(), WALLS, boxes=each) for each in ((), boxes))
+    assert [(each.id, each.found_m) for each in boxed.lines] == [(each.id, each.found_m) for each in plain.lines]
+
+
+ONE_LINE = sections_of([line((0.0, -8.0), (0.0, 8.0), kind="wall")], np.zeros(2), ("wall",))
+
+
+def strewn(low: Sequence[float], high: Sequence[float], noise_m: float) -> Surroundings:
+    """Return points all over a box, off by noise in height, of three scans."""
+    rng = np.random.default_rng(6)
+    points = rng.uniform(low, high, (40_000, 3)) + noise_m * rng.normal(size=(40_000, 3)) * [0.0, 0.0, 1.0]
+    return Surroundings(points, np.full(len(points), np.nan), np.arange(len(points)) % 3)
+
+
+@pytest.mark.parametrize(("noise_m", "in_view"), [(0.002, True), (0.2, False)])
+def test_ground_on_which_a_kerb_would_be_missed_is_out_of_view(noise_m: float, in_view: bool) -> None:
+    placed = Placed(T_world_scanner(), CLAIMED, CENTRE, np.zeros((0, 6)))
+    traces = find_kerbs(strewn((-2.0, -9.0, 0.0), (2.0, 9.0, 0.0), noise_m), placed, ONE_LINE)
+    assert np.mean(np.isfinite(traces.cell_m)) == pytest.approx(float(in_view), abs=0.1)
+    assert np.mean(traces.evidence.max(axis=1) == 1.0) < 0.1
+
+
+def test_ground_that_slopes_is_no_kerb() -> None:
+    placed = Placed(T_world_scanner(), CLAIMED, CENTRE, np.zeros((0, 6)))
+    flat = strewn((-2.0, -9.0, 0.0), (2.0, 9.0, 0.0), 0.002)
+    slope = np.outer(flat.points[:, 0], [0.0, 0.0, 0.08])
+    traces = find_kerbs(replace(flat, points=flat.points + slope), placed, ONE_LINE)
+    assert np.isfinite(traces.cell_m).all()
+    assert not traces.evidence.any()
+
+
+@pytest.mark.parametrize(("half_m", "found"), [(0.05, True), (2.0, False)])
+def test_leaves_all_around_are_no_wall(half_m: float, found: bool) -> None:
+    placed = Placed(T_world_scanner(), CLAIMED, CENTRE, np.zeros((0, 6)))
+    traces = find_walls(strewn((-half_m, -9.0, 0.4), (half_m, 9.0, 1.6), 0.0), placed, ONE_LINE)
+    assert ((traces.evidence.max(axis=1) == 1.0) == found).all()
+
+
+@pytest.mark.parametrize(("scans", "lines", "loose_m"), [(crossing, KERBS, 0.0), (yard, WALLS, THICK_M)])
+def test_how_thick_walls_are_is_in_the_doubt(
+    scans: Callable[[], Listed], lines: Sequence[LaneLine], loose_m: float
+) -> None:
+    sigmas_m = [each.sigma_m for each in check(scans(), lines).lines]
+    assert all(sigma_m is not None and loose_m < sigma_m < loose_m + SPARSEST_M for sigma_m in sigmas_m)

@@ -79,11 +79,11 @@ def _facts(check: Document) -> Iterator[Fact]:
         yield Fact("Off to the east", _with_doubt(100 * error["east_m"], 100 * east, 1, " cm"), shift)
         yield Fact("Off to the north", _with_doubt(100 * error["north_m"], 100 * north, 1, " cm"), "the same")
         turned = _with_doubt(error["turn_deg"], float(np.degrees(turn)), 3, "°")
-        yield Fact("Turned", turned, "counter-clockwise about the middle of the paint found")
+        yield Fact("Turned", turned, "counter-clockwise about the middle of what was found")
 
 
 def _line(line: Document) -> LineFacts:
-    remark = "off on its own; left out" if line["astray"] else "" if line["found"] else "too little paint found"
+    remark = "off on its own; left out" if line["astray"] else "" if line["found"] else "too little found"
     if line["hidden_m"]:
         remark = "; ".join(filter(None, [remark, f"{line['hidden_m']:.0f} m hidden by the background"]))
     offsets = [(100, line["offset_m"], line["sigma_m"]), (1, line["offset_px"], line["sigma_px"])]
