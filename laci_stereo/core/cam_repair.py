@@ -44,6 +44,18 @@ WIDEST_M = 2.6
 USUAL_WIDTH_M, USUAL_WIDTH_SIGMA_M = 1.80, 0.08
 """Of passenger cars (the mean of those sold in Europe since 2018; 1.6 m is a small one, 2.0 m a large one)."""
 
+WIDER_PER_M, WIDTH_SIGMA_M = 0.16, 0.07
+"""How much wider longer cars are, and how they differ then: from 1.63 m at 3.6 m to vans' 2.02 m at 5.9 m."""
+
+MIRRORS_M, MIRRORS_SIGMA_M = 0.3, 0.1
+"""By how much both mirrors stand out: 0.15 to 0.28 m on cars, 0.33 to 0.46 m on vans."""
+
+OVER_MIRRORS = 0.2
+"""How likely a width is told over the mirrors: SAE J2735 counts all that the factory fits, as some papers do."""
+
+ROUNDED_M = 0.05
+"""Of a width that is told to 0.1 m, some by rounding upwards."""
+
 USUAL_LENGTH_M, USUAL_LENGTH_SIGMA_M = 4.4, 0.4
 """Of passenger cars: small ones are 3.6 m long, large ones 5.2 m."""
 
@@ -197,7 +209,32 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
             f"the mirrors: taken as {ALLOWED_WIDTH_M} +- {ALLOWED_WIDTH_SIGMA_M} m"
         )
         width, sigma[1] = ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M
+    elif sigma[0] == 0.0 and length <= LONGEST_CAR_M:
+        told, (width, sigma[1]) = width, _without_mirrors(length, width)
+        if width < told:
+            remarks.append(
+                f"the messages tell a width of {told:.2f} m, which a vehicle of {length:.2f} m has over its mirrors: "
+                f"taken as {width:.2f} +- {sigma[1]:.2f} m"
+            )
     return np.array([length, width]), sigma, tuple(remarks)
+
+
+def _without_mirrors(length_m: float, told_m: float) -> tuple[float, float]:
+    """Return the likelier of a car's width as told and its width if that is over the mirrors, and what it may be off.
+
+    By Bayes' rule between the two, from how wide cars of this length are; the other one counts in the variance.
+    """
+    usual_m = USUAL_WIDTH_M + WIDER_PER_M * (length_m - USUAL_LENGTH_M)
+    sigmas = np.hypot(WIDTH_SIGMA_M, (ROUNDED_M, math.hypot(ROUNDED_M, MIRRORS_SIGMA_M)))
+    away = (told_m - usual_m - np.array([0.0, MIRRORS_M])) / sigmas
+    as_told, over = np.array([1.0 - OVER_MIRRORS, OVER_MIRRORS]) * np.exp(-(away**2) / 2) / sigmas
+    is_over = float(over / max(as_told + over, 1e-300))
+    know = np.array([WIDTH_SIGMA_M, math.hypot(ROUNDED_M, MIRRORS_SIGMA_M)]) ** -2
+    body_m = float(know @ (usual_m, told_m - MIRRORS_M) / know.sum())
+    variance, apart = float(1.0 / know.sum()), (told_m - body_m) ** 2
+    if is_over > 0.5:
+        return body_m, math.sqrt(variance + (1.0 - is_over) * apart)
+    return told_m, math.sqrt(is_over * (variance + apart))
 
 
 def _told(values_m: FloatArray) -> float:

@@ -29,6 +29,13 @@ def track_of(log: CamLog, place: Place = ULM, reference: ReferencePoint = CENTRE
     return vehicle_track(log, World.around(place.latitude_deg, place.longitude_deg), EPOCH_NS, reference)
 
 
+def told(length_m: float, width_m: float) -> VehicleTrack:
+    log = log_of(TURN)
+    return track_of(
+        replace(log, length_m=np.full(len(log), round(length_m, 1)), width_m=np.full(len(log), round(width_m, 1)))
+    )
+
+
 def moved(log: CamLog, which: BoolArray, north_m: FloatArray | float, east_m: FloatArray | float) -> CamLog:
     """Shift the positions of some messages."""
     north, east = np.broadcast_to(north_m, len(log)), np.broadcast_to(east_m, len(log))
@@ -133,11 +140,9 @@ def test_a_lorry_without_width_is_as_wide_as_allowed() -> None:
 
 
 def test_a_width_over_the_mirrors_is_none_of_a_body() -> None:
-    log = log_of(TURN)
-    track = track_of(replace(log, width_m=np.full(len(log), 2.9)))
-    assert track.width_m == 2.55
-    assert "2.90 m, more than roads allow (2.6 m)" in track.remarks[0]
-    allowed = track_of(replace(log, width_m=np.full(len(log), 2.6)))
+    lorry, allowed = told(11.8, 2.9), told(11.8, 2.6)
+    assert lorry.width_m == 2.55
+    assert "2.90 m, more than roads allow (2.6 m)" in lorry.remarks[0]
     assert (allowed.width_m, allowed.guessed_m, allowed.remarks) == (2.6, (0.0, 0.0), ())
 
 
@@ -153,3 +158,48 @@ def test_a_wrong_row_does_not_change_the_dimensions() -> None:
     length = log.length_m.copy()
     length[3] = 42.0
     assert track_of(replace(log, length_m=length)).length_m == 4.4
+
+
+BODIES = [
+    ("Volkswagen Polo", 4.07, 1.751, 1.964),
+    ("Volkswagen Golf", 4.28, 1.789, 2.073),
+    ("Renault Clio", 4.05, 1.798, 1.988),
+    ("Ford Focus", 4.38, 1.825, 1.979),
+    ("Fiat 500", 3.57, 1.627, 1.893),
+    ("Volkswagen Tiguan", 4.51, 1.839, 2.099),
+    ("Tesla Model 3", 4.69, 1.849, 2.088),
+    ("Volvo XC60", 4.69, 1.902, 2.117),
+    ("Volkswagen Transporter", 4.90, 1.904, 2.297),
+    ("Mercedes Sprinter", 5.93, 2.020, 2.345),
+    ("Fiat Ducato", 5.41, 2.050, 2.508),
+    ("Ford Transit", 5.53, 2.059, 2.474),
+]
+"""Length, width and width over the mirrors, as the makers tell them."""
+
+
+@pytest.mark.parametrize(("name", "length_m", "width_m", "over_mirrors_m"), BODIES)
+def test_a_width_is_that_of_the_body_whether_mirrors_were_counted_or_not(
+    name: str, length_m: float, width_m: float, over_mirrors_m: float
+) -> None:
+    for width in (width_m, over_mirrors_m):
+        taken = told(length_m, width)
+        sigma_m = np.hypot(taken.guessed_m[1], 0.05)
+        assert abs(taken.width_m - width_m) < 2.5 * sigma_m < 0.4, name
+
+
+def test_a_usual_width_is_taken_as_it_is_told() -> None:
+    for _, length_m, width_m, _ in BODIES:
+        taken = told(length_m, width_m)
+        assert taken.width_m == round(width_m, 1)
+        assert taken.guessed_m[1] < 0.08
+        assert not taken.remarks
+
+
+def test_it_is_said_that_a_width_is_over_the_mirrors() -> None:
+    taken = told(4.2, 2.2)
+    assert abs(taken.width_m - 1.77) < 0.06
+    assert any("2.20 m" in remark and "over its mirrors" in remark for remark in taken.remarks)
+
+
+def test_a_bus_is_as_wide_as_it_tells() -> None:
+    assert (told(12.0, 2.5).width_m, told(12.0, 2.5).guessed_m[1]) == (2.5, 0.0)
