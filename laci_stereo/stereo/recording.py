@@ -33,8 +33,9 @@ log = logging.getLogger(__name__)
 LOOK_FRAMES = 31
 """Frames whose median is the scene at rest: a vehicle in fewer than half of them leaves no trace."""
 
-SURVEY_FRAMES = 10
-"""Whole frames that are matched for the ground and the background."""
+QUIET_FRAMES, FURTHER_FRAMES = 6, 4
+"""Whole frames that are matched for the ground and the background: those in which least moves show most of both;
+further ones, spread over the recording, show what only dwelt in its place."""
 
 SURVEY_STRIDE = 2
 """Of a whole frame, every second pixel in both directions: neighbours share the matcher's window anyway."""
@@ -59,13 +60,13 @@ class Scene:
     ----------
     look : Look
     road : RoadDisparity
-    quiet : tuple of StereoPair
-        Those in which least moves.
+    surveyed : tuple of StereoPair
+        Those in which least moves, and some of the others.
     """
 
     look: Look
     road: RoadDisparity
-    quiet: tuple[StereoPair, ...]
+    surveyed: tuple[StereoPair, ...]
 
 
 @dataclass(frozen=True)
@@ -172,8 +173,8 @@ class StereoRecording:
         self.reader.check(len(self.pairs))
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield whole frames, thinned, those in which the image differs least from the scene at rest."""
-        clouds = map_ahead(self._whole_cloud, self._scene.quiet, self._threads)
+        """Yield whole frames, thinned: those in which the image differs least from the scene at rest, and others."""
+        clouds = map_ahead(self._whole_cloud, self._scene.surveyed, self._threads)
         yield from (cloud for cloud in clouds if cloud is not None)
 
     def mask_rays(self, stamp_ns: int) -> GlimpseRays | None:
@@ -200,9 +201,8 @@ class StereoRecording:
         self.reader.check(len(candidates))
         usable = [(pair, image) for pair, image in read if image is not None]
         look = learn_look([image for _, image in usable])
-        ranked = sorted(usable, key=lambda item: float(look.changed(item[1]).mean()))
-        quiet = sorted((pair for pair, _ in ranked[:SURVEY_FRAMES]), key=lambda pair: pair.stamp_ns)
-        return Scene(look, self._first_look([pair for pair, _ in ranked]), tuple(quiet))
+        ranked = [pair for pair, _ in sorted(usable, key=lambda item: float(look.changed(item[1]).mean()))]
+        return Scene(look, self._first_look(ranked), tuple(surveyed(ranked, [pair.stamp_ns for pair in ranked])))
 
     def _shrunken(self, pair: StereoPair) -> Raster | None:
         image = self.reader.read(pair.left)
@@ -345,9 +345,30 @@ def _check_disparities(settings: StereoSettings, rig: StereoRig) -> None:
         raise SettingError(f"disparities are {smallest}..{largest}; needed is less than the images' width, {width}")
 
 
+def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:
+    """Take the first of what is ranked by how little moves, and some of the others, evenly spread over time.
+
+    Parameters
+    ----------
+    ranked : sequence
+    stamps : sequence of int
+        Of each item.
+
+    Returns
+    -------
+    list
+        In the order of time.
+    """
+    ordered = sorted(range(len(ranked)), key=lambda index: stamps[index])
+    others = [index for index in ordered if index >= QUIET_FRAMES]
+    taken = {*range(min(QUIET_FRAMES, len(ranked))), *spread(others, FURTHER_FRAMES)}
+    return [ranked[index] for index in ordered if index in taken]
+
+
 def spread(items: Sequence[Item], count: int) -> list[Item]:
     """Take at most ``count`` items, evenly spread."""
-    return [items[index] for index in np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))]
+    at = np.linspace(0, len(items) - 1, min(count, len(items)))
+    return [items[index] for index in np.unique(at.round().astype(int))]
 
 
 def _with_context(view: View, image: Raster, region: Region) -> Raster:

@@ -31,6 +31,7 @@ from laci_stereo.core.frames import (
     transform,
 )
 from laci_stereo.core.result import Calibration, Quality
+from laci_stereo.stereo.recording import surveyed
 from tools.scenes.cams import EPOCH_NS, CamFlaws, ReceiverName, Rounding, cam_log, together
 from tools.scenes.disparity import (
     STEREOS,
@@ -584,10 +585,6 @@ def _stereo_flaws(draw: Draw, factors: Factors) -> StereoFlaws:
     )
 
 
-SURVEYED = 10
-"""Whole frames of a stereo camera's survey."""
-
-
 @dataclass
 class Recorded:
     """What the sensor of a scene recorded (implements `PointCloudSource`); each frame is simulated once and kept.
@@ -626,8 +623,8 @@ class Recorded:
         """Yield some whole frames, spread over the recording."""
         if self.kind == "lidar":
             return self._adapter.survey()
-        quiet = sorted(range(len(self)), key=lambda index: int(self._matched(index).moving.sum()))[:SURVEYED]
-        return (self._cloud(index, whole=True) for index in sorted(quiet))
+        ranked = sorted(range(len(self)), key=lambda index: int(self._matched(index).moving.sum()))
+        return (self._cloud(index, whole=True) for index in surveyed(ranked, ranked))
 
     @cached_property
     def _adapter(self) -> PointCloudSource:
