@@ -40,6 +40,9 @@ IN_LINE = math.log(10.0)
 """One other vehicle in ten drives in line with the sender's, on its way and at its speed. By how much more exactly a
 track fits than boxes show then tells no more of which of two it is."""
 
+UNSEEN_S = 1.0
+"""What is not seen for so long may be something else when it is seen again."""
+
 HALF_LANE_M = 1.75
 """No farther from its way is what drives in line."""
 
@@ -200,8 +203,13 @@ def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> floa
 
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
     best = max(hypotheses, key=lambda one: one.value)
-    if best.account.path_m < scene.settings.min_path_m:
-        raise TrackError(_too_short(best.account, scene.settings))
+    track = _on_vehicle(scene, best)
+    path_m = _seen_path(scene, best, track)
+    if path_m < scene.settings.min_path_m:
+        raise TrackError(
+            f"the vehicle of station {best.account.station} moves {path_m:.1f} m while it is seen; needed are "
+            f"{scene.settings.min_path_m:.1f} m"
+        )
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
@@ -212,7 +220,6 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         if account is not best.account and mine & set(account.tracks)
     ]
     margin, second = min(claims, key=lambda claim: claim[0], default=(math.inf, None))
-    track = _on_vehicle(scene, best)
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
@@ -297,6 +304,19 @@ def _on_vehicle(scene: Scene, best: _Hypothesis) -> Track:
     return track.where(near | ~poses.known).without(best.strayed_s)
 
 
+def _seen_path(scene: Scene, best: _Hypothesis, track: Track) -> float:
+    """Return how far the vehicle drives while a track is seen, without what it drives meanwhile unseen.
+
+    While it stays within its own reach, whatever stands there would do as well: that does not count either.
+    """
+    sender = scene.senders[best.account.station]
+    stamps_s = np.array([one.stamp_s for one in track.usable])
+    poses = sender.at(stamps_s + best.motion.offset_s)
+    stretches = np.split(np.arange(len(stamps_s)), np.flatnonzero(np.diff(stamps_s) > UNSEEN_S) + 1)
+    moving = [stretch for stretch in stretches if extent(poses.xy[stretch]) > sender.reach_m]
+    return float(sum(np.ptp(poses.path_m[stretch]) for stretch in moving))
+
+
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:
     """Hold the seeds against the whole scene; what a better one says too is not repeated."""
     found: list[_Hypothesis] = []
@@ -352,13 +372,6 @@ def _tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
     return (
         f"{what} fit {'equally' if margin < scene.settings.least_log_odds else 'nearly as'} well (odds of "
         f"{math.exp(margin):.1f} to 1): name the sender's station, or record a drive with a turn or less traffic"
-    )
-
-
-def _too_short(best: Account, settings: MatchSettings) -> str:
-    return (
-        f"the vehicle of station {best.station} moves {best.path_m:.1f} m while it is seen; needed are "
-        f"{settings.min_path_m:.1f} m"
     )
 
 

@@ -69,8 +69,6 @@ class Account:
         Log likelihood, over that of all tracks being strangers'.
     way : float
         What of it the way tells, as far as boxes show it.
-    path_m : float
-        How far its vehicle drives from its first to its last sighting.
     coincidence : float
         Minus the log probability that a stranger is where the vehicle must be.
     """
@@ -81,7 +79,6 @@ class Account:
     typical: float
     value: float
     way: float
-    path_m: float
     coincidence: float
 
 
@@ -106,7 +103,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
     weight = path_shares(of_mine, knots.stamp_s[mine], settings)
     stretches = float(weight.sum())
     if stretches == 0.0:
-        return Account(sender.station, (), 0.0, math.inf, -missed, 0.0, 0.0, 0.0)
+        return Account(sender.station, (), 0.0, math.inf, -missed, 0.0, 0.0)
     q = (remains[mine] / sigma[mine]) ** 2
     odd = float(weight @ cost(_odd(knots[mine], of_mine, motion, sender)))
     sigma_m = float(np.sqrt(np.average(sigma[mine] ** 2, weights=weight)))
@@ -120,7 +117,6 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
         typical=math.sqrt(_median(q, weight)),
         value=evidence - odd - missed,
         way=evidence,
-        path_m=float(np.ptp(of_mine.path_m)),
         coincidence=max(0.0, -math.log(2 * math.pi * sigma_m**2 * scene.density)),
     )
 

@@ -320,6 +320,18 @@ def test_a_vehicle_that_hardly_moves_while_it_is_seen() -> None:
         choose_track([brief], {42: vehicle()}, MatchSettings(least_log_odds=-math.inf, min_path_m=10.0))
 
 
+def test_what_stands_where_a_vehicle_came_from_and_where_it_went_is_not_the_vehicle() -> None:
+    # A bus leaves after two seconds and is there four seconds later; meanwhile nothing of it is seen.
+    leaving = Drive((0.0, 0.0), 0.0, speeds=((0.0, 0.2), (2.0, 0.2), (3.0, 10.0), (5.0, 10.0), (6.0, 0.2), (8.0, 0.2)))
+    stamps = np.arange(0.0, 8.0, 0.1)
+    bus = vehicle(leaving, 9.0, (12.0, 2.5))
+    before, after = (seen(leaving, part, noise_m=0.05) for part in (stamps[stamps < 2.0], stamps[stamps > 6.0]))
+    permissive = MatchSettings(least_log_odds=-math.inf, least_seen_log_odds=-math.inf, min_frames=5)
+    with pytest.raises(TrackError, match=r"moves 0\.0 m while it is seen; needed are 5\.0 m"):
+        choose_track([before.joined(after)], {42: bus}, permissive)
+    assert choose_track([seen(leaving, stamps, noise_m=0.05)], {42: bus}, permissive).station == 42
+
+
 def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:
     # Two seconds later it is elsewhere on the circle, which the motion takes up.
     other = seen(replace(ROUND, start_s=2.0), STAMPS[25:])
