@@ -22,6 +22,9 @@ _CLOCK, _HEADING, _LEVER, _SHAPE = 5, 6, 7, 8
 _PARTIAL = _SHAPE + len(outline.SHAPE)
 _KNOTS = _PARTIAL + 1
 
+SAME_VIEW_M = 0.5
+"""What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
+
 RATE_S = 1.0
 """Speeds and turning rates are taken over so long before and after: over less, the noise of two messages, 2 cm and
 0.1 deg, would look like a manoeuvre that tells the clocks' offset, and a steady drive tells none."""
@@ -209,6 +212,7 @@ class DriveModel:
         )
         self.own = _KNOTS - FIRST_OWN + 2 * knots
         self.block = ((drive.stamps_s - first) // settings.block_s).astype(int)
+        self.worth = _worth(drive)
         self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, settings)
         self.base_sigmas = np.array(
             [
@@ -300,8 +304,8 @@ class DriveModel:
         rows = self.rows(x, chosen)
         sigma = np.sqrt(rows.variance + softening_m**2)
         group = rows.frame * outline.FACES + rows.face
-        mixed = mixture.weigh(rows.distance, sigma, group, shares)
-        weight = rows.share * mixed.surface / sigma**2
+        mixed = mixture.weigh(rows.distance, sigma, group, shares, rows.share)
+        weight = rows.share * mixed.surface / (sigma * shares[group, 2]) ** 2
         jacobian = self._by_all(rows)
         scores = jacobian * (mixed.slope * rows.share)[:, None]
         blocks = np.zeros((int(self.block.max(initial=0)) + 1, jacobian.shape[1]))
@@ -345,7 +349,7 @@ class DriveModel:
         together[:] = 0.0
         np.add.at(together, (drive.frame[points], side), 1.0)
         most = together[drive.frame[points], side]
-        return Chosen(points, 1.0 / (1.0 + (most - 1.0) * self.settings.shared_noise_share))
+        return Chosen(points, self.worth[drive.frame[points]] / (1.0 + (most - 1.0) * self.settings.shared_noise_share))
 
     def meet(self, x: FloatArray) -> tuple[IntArray, outline.Hits, FloatArray]:
         """Return which points the messages tell the vehicle's place for, what they meet, and where on the vehicle."""
@@ -468,6 +472,23 @@ class DriveModel:
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         return jacobian
+
+
+def _worth(drive: Evidence) -> FloatArray:
+    """Return how much each frame tells, shape (m,): those in which the vehicle is at one place show the same.
+
+    Each shares what it shows with those nearer than `SAME_VIEW_M` along the way, the more the nearer they are.
+    """
+    if not len(drive):
+        return np.ones(0)
+    xy = drive.vehicle.at(drive.stamps_s)[0]
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))) / SAME_VIEW_M
+    total = np.append(0.0, np.cumsum(way))
+    first, last, own = np.searchsorted(way, way - 1.0), np.searchsorted(way, way + 1.0), np.arange(len(way))
+    before = (own - first) * (1.0 - way) + total[own] - total[first]
+    after = (last - own) * (1.0 + way) - total[last] + total[own]
+    worth: FloatArray = 1.0 / (before + after)
+    return worth
 
 
 def _turned(xy: FloatArray) -> FloatArray:

@@ -15,6 +15,8 @@ from laci_stereo.core.settings import GroundSettings
 
 # Below this angle between forward and the normal, a tilt of 0.01 deg already turns the level frame by 0.5 deg.
 _MIN_FORWARD_ANGLE_DEG = 1.0
+# Between a share of azimuth and the logarithm of range, which is 1, and one of area, which is 3.
+_FARTHER = 2.0
 _DEFAULTS = GroundSettings()
 
 
@@ -140,6 +142,24 @@ def fit_ground(
     m = principal_axes(thinned, m, settings)
     fit = fit_inverse_range(rays, m, settings)
     return _plane(rays, fit, up_axis, settings)
+
+
+def fit_farther_ground(
+    points: FloatArray,
+    sigma_along_m: FloatArray,
+    sigma_across_m: FloatArray,
+    up: tuple[float, float, float],
+    settings: GroundSettings = _DEFAULTS,
+) -> GroundPlane:
+    """Fit the ground plane where what is farther away counts for more; parameters and errors are `fit_ground`'s.
+
+    A verge below the sensor fills more of the view than the road behind it, and with the near lane makes one plane that
+    is neither's. Principal axes would lead back to it, since they trust the nearest points most.
+    """
+    up_axis = _checked_up(up)
+    rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
+    m = robust_start(one_per_bearing(rays), up_axis, settings, farther=_FARTHER)
+    return _plane(rays, fit_inverse_range(rays, m, settings), up_axis, settings)
 
 
 def _checked_up(up: tuple[float, float, float]) -> FloatArray:

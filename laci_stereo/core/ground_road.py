@@ -19,17 +19,14 @@ from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, FloatArray, transform
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.ground_merge import Chart
-from laci_stereo.core.ground_uneven import CLASS_B_M
+from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
 
 log = logging.getLogger(__name__)
 
-REACHES_M = (8.0, 5.0)
-"""So far beside a way there is road: a carriageway of two lanes, or a lane and a half."""
-
-ONE_SURFACE_M = 2.0 * CLASS_B_M
-"""A paved road of class C by ISO 8608 is as uneven; what is more so is more than one surface."""
+REACHES_M = (8.0, 5.0, 3.0)
+"""So far beside a way there is road: a carriageway of two lanes, a lane and a half, or the lane."""
 
 STEP_M = 0.5
 

@@ -29,7 +29,7 @@ _SLICE = 8
 _THRESHOLDS = (2.0 * GATE, 1.5 * GATE, *(12 * [GATE]))
 
 
-def robust_start(rays: Rays, up: FloatArray, settings: GroundSettings) -> FloatArray:
+def robust_start(rays: Rays, up: FloatArray, settings: GroundSettings, *, farther: float = 0.0) -> FloatArray:
     """Return the plane through three random points that the rays speak for most.
 
     Parameters
@@ -39,6 +39,9 @@ def robust_start(rays: Rays, up: FloatArray, settings: GroundSettings) -> FloatA
     up : ndarray, shape (3,)
         Unit vector in the sensor frame.
     settings : GroundSettings
+    farther : float
+        By what power of its range each ray counts: 0 is a share of the view, 1 one of azimuth and the logarithm of
+        range, 3 one of area.
 
     Raises
     ------
@@ -54,18 +57,18 @@ def robust_start(rays: Rays, up: FloatArray, settings: GroundSettings) -> FloatA
     planes = planes[can_be_ground(planes, up, settings)]
     if len(planes) == 0:
         raise GroundError(f"planes through three points: none found {where_it_can_be(settings)}")
-    ranked = planes[np.argsort(-_scores(random_part(rays, _FEW_POINTS), planes, settings))]
+    ranked = planes[np.argsort(-_scores(random_part(rays, _FEW_POINTS), planes, settings, farther))]
     finalists = ranked[: max(1, round(_BEST_SHARE * len(ranked)))]
-    best: FloatArray = finalists[int(np.argmax(_scores(rays, finalists, settings)))]
+    best: FloatArray = finalists[int(np.argmax(_scores(rays, finalists, settings, farther)))]
     return best
 
 
-def _scores(rays: Rays, planes: FloatArray, settings: GroundSettings) -> FloatArray:
+def _scores(rays: Rays, planes: FloatArray, settings: GroundSettings, farther: float) -> FloatArray:
     slices = (planes[i : i + _SLICE] for i in range(0, len(planes), _SLICE))
-    return np.concatenate([_score(rays, part, settings) for part in slices])
+    return np.concatenate([_score(rays, part, settings, farther) for part in slices])
 
 
-def _score(rays: Rays, planes: FloatArray, settings: GroundSettings) -> FloatArray:
+def _score(rays: Rays, planes: FloatArray, settings: GroundSettings, farther: float) -> FloatArray:
     """Return the evidence for each plane, shape (k,): that of the rays on it less that of the rays that end below it.
 
     The evidence of a ray is the logarithm of how much likelier its height is on the plane than anywhere in the scene,
@@ -76,7 +79,8 @@ def _score(rays: Rays, planes: FloatArray, settings: GroundSettings) -> FloatArr
     squared = heights**2 / variance
     evidence = np.maximum(np.log(_SCENE_HEIGHT_M / np.sqrt(2.0 * np.pi)) - 0.5 * np.log(variance), 0.0)
     on = np.maximum(evidence - 0.5 * squared, 0.0)
-    score: FloatArray = np.where(squared > GATE**2, np.where(heights < 0.0, -evidence, 0.0), on).sum(axis=1)
+    each = np.where(squared > GATE**2, np.where(heights < 0.0, -evidence, 0.0), on)
+    score: FloatArray = each @ rays.range_m**farther * np.linalg.norm(planes, axis=1) ** farther
     return score
 
 

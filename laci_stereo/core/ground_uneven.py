@@ -18,6 +18,8 @@ from laci_stereo.core.frames import FloatArray
 REACH_M = 7.0
 # Class B, a good paved road: G = 64e-6 m^3.
 CLASS_B_M = float(np.sqrt(np.pi**2 * REACH_M * 0.1**2 * 64e-6))
+# A paved road of class C by ISO 8608 is as uneven; what is more so is more than one surface.
+ONE_SURFACE_M = 2.0 * CLASS_B_M
 # With each class G is four times as large. Paved roads are of class A to C, which is taken as one standard deviation.
 _CLASSES = np.arange(-3.0, 3.1, 0.5)
 _TRIED_M = CLASS_B_M * 2.0**_CLASSES

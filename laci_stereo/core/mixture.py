@@ -14,7 +14,12 @@ ELSEWHERE_M = 5.0
 
 MIN_DEPTH_M, MAX_DEPTH_M = 0.05, 3.0
 TRUST = 20.0
-"""The shares of a side in one frame are held at the whole drive's as if by so many points."""
+"""What is particular to a side in one frame is held at the whole drive's as if by so many independent points. There are
+never more than a few, since they have much of their noise in common: a frame whose noise may pass for what is behind
+the surface is free to shift it."""
+
+MOST_GROWTH = 4.0
+"""By so much may the noise of a side be larger than was told: where little can be matched, neighbours fill in."""
 
 _LOG_ROOT_TAU = 0.5 * np.log(2.0 * np.pi)
 
@@ -31,8 +36,9 @@ class Mixture:
         Derivative of the negative log-likelihood by the distance [1/m].
     log_likelihood : ndarray, shape (n,)
         Beyond that of what lies elsewhere.
-    shares : ndarray, shape (groups + 1, 2)
-        Of points behind and elsewhere in each group, for the next iteration; the last row holds the mean depth behind.
+    shares : ndarray, shape (groups + 1, 3)
+        Of points behind and elsewhere in each group, and by how much its noise is larger than was told, for the next
+        iteration; the last row holds the mean depth behind.
     """
 
     surface: FloatArray
@@ -44,12 +50,14 @@ class Mixture:
 
 def first_shares(groups: int) -> FloatArray:
     """Return the shares to begin with."""
-    shares = np.tile([0.2, 0.05], (groups + 1, 1))
+    shares = np.tile([0.2, 0.05, 1.0], (groups + 1, 1))
     shares[-1] = 0.5
     return shares
 
 
-def weigh(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray) -> Mixture:
+def weigh(
+    distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray, worth: FloatArray | None = None
+) -> Mixture:
     """Weigh distances by what they can come from, one step of expectation maximisation.
 
     A point of the surface is off by Gaussian noise. A line of sight that meets a window, a gap or a recess, or a match
@@ -62,11 +70,14 @@ def weigh(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: Floa
         Positive outside, metres.
     group : ndarray of int, shape (n,)
         Points that share their shares: one side in one frame.
-    shares : ndarray, shape (groups + 1, 2)
+    shares : ndarray, shape (groups + 1, 3)
         See `Mixture`.
+    worth : ndarray, shape (n,)
+        As how many independent points each counts for its group's shares; None: one.
     """
     depth = float(shares[-1, 0])
-    behind, elsewhere = shares[group].T
+    behind, elsewhere, growth = shares[group].T
+    sigma = sigma * growth
     z = distance / sigma
     argument = -(z + sigma / depth)
     tail = log_ndtr(argument)
@@ -86,11 +97,18 @@ def weigh(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: Floa
     slope = of_surface * z / sigma + of_behind * (hazard / sigma - 1.0 / depth)
     depths = sigma * hazard - distance - sigma**2 / depth
     groups = len(shares) - 1
-    count = np.bincount(group, minlength=groups) + TRUST
+    worth = np.ones(len(distance)) if worth is None else worth
     update = np.empty_like(shares)
-    for column, (each, most) in enumerate(((of_behind, 0.9), (of_elsewhere, 0.5))):
-        pooled = np.bincount(group, each, groups) + TRUST * (each.mean() if len(each) else 0.1)
-        update[:-1, column] = np.clip(pooled / count, 1e-3, most)
+    for column, (each, most, counts) in enumerate(
+        ((of_behind, 0.9, worth), (of_elsewhere, 0.5, np.ones(len(distance))))
+    ):
+        pooled = np.bincount(group, counts * each, groups) + TRUST * (each.mean() if len(each) else 0.1)
+        update[:-1, column] = np.clip(pooled / (np.bincount(group, counts, groups) + TRUST), 1e-3, most)
+    squares = of_surface * (z * growth) ** 2
+    usual = squares.sum() / max(float(of_surface.sum()), 1e-9)
+    variance = np.bincount(group, worth * squares, groups) + TRUST * usual
+    variance /= np.bincount(group, worth * of_surface, groups) + TRUST
+    update[:-1, 2] = np.sqrt(variance).clip(1.0, MOST_GROWTH)
     mean_depth = (of_behind * depths).sum() / max(float(of_behind.sum()), 1e-9)
     update[-1] = np.clip(mean_depth, MIN_DEPTH_M, MAX_DEPTH_M)
     return Mixture(of_surface, of_behind, slope, total + np.log(ELSEWHERE_M), update)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,8 +17,9 @@ from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, transform
-from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
 from laci_stereo.core.ground_road import road_ground
+from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
 from laci_stereo.core.tracking import Track, link_tracks
@@ -114,11 +115,12 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    # A stranger drives on the road as well.
-    any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
-    try:
-        track = choose_track(seen.tracks, vehicles, any_fit).track
-    except CalibrationError:
+    track = _driven(seen, vehicles, settings)
+    if track is None and seen.ground.unevenness_m > ONE_SURFACE_M:
+        other = _on_the_farther(seen, source, settings)
+        track = None if other is None else _driven(other, vehicles, settings)
+        seen = seen if other is None or track is None else other
+    if track is None:
         return seen  # and it will be said why
     ground = road_ground(seen.survey, seen.axes, seen.ground, track, settings.ground)
     if np.array_equal(ground.normal, seen.ground.normal):
@@ -126,15 +128,34 @@ def on_the_road(
     return observe(source, settings, ground)
 
 
+def _driven(seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings) -> Track | None:
+    """Return the track that fits a sender best, if any does: a stranger drives on the road as well."""
+    any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
+    try:
+        return choose_track(seen.tracks, vehicles, any_fit).track
+    except CalibrationError:
+        return None
+
+
+def _on_the_farther(seen: Observation, source: PointCloudSource, settings: Settings) -> Observation | None:
+    """Observe again on the ground farther away, if there is one."""
+    try:
+        return observe(source, settings, _ground(seen.survey, seen.axes, settings, fit_farther_ground))
+    except CalibrationError:
+        return None
+
+
 def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
     step = max(1, -(-sum(map(len, survey)) // GROUND_POINTS))
     return [cloud[np.arange(0, len(cloud), step)] for cloud in survey]
 
 
-def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
+def _ground(
+    survey: Sequence[PointCloud], axes: Axes, settings: Settings, fit: Callable[..., GroundPlane] = fit_ground
+) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    ground = fit_ground(
+    ground = fit(
         np.concatenate([cloud.points for cloud in survey]),
         np.concatenate([cloud.sigma_along_m for cloud in survey]),
         np.concatenate([cloud.sigma_across_m for cloud in survey]),

@@ -58,7 +58,7 @@ def test_what_lies_behind_does_not_pull_the_surface(sigma: float, behind: float)
 
 @given(st.floats(-3.0, 3.0), st.floats(0.01, 0.5), st.floats(0.05, 0.6), st.floats(0.01, 0.3), st.floats(0.05, 3.0))
 def test_the_slope_is_the_derivative(d: float, sigma: float, behind: float, elsewhere: float, depth: float) -> None:
-    shares = np.array([[behind, elsewhere], [depth, depth]])
+    shares = np.array([[behind, elsewhere, 1.0], [depth, depth, depth]])
     group = np.zeros(1, dtype=np.int64)
     step = 1e-5 * sigma
     more, less = (weigh(np.array([d + s]), np.array([sigma]), group, shares).log_likelihood[0] for s in (step, -step))
@@ -78,3 +78,24 @@ def test_groups_keep_their_own_shares_only_where_they_are_large() -> None:
     assert shares[0, 0] < 0.1
     assert shares[1, 0] > 0.6
     assert shares[0, 0] < shares[2, 0] < shares[1, 0]
+
+
+def test_noise_larger_than_told_does_not_pull_the_surface() -> None:
+    rng = np.random.default_rng(5)
+    distance = 0.3 * rng.normal(size=20_000)
+    assert fitted(distance, 0.1) == pytest.approx(0.0, abs=0.5 * 0.1)
+    assert settled(distance, 0.1).shares[0, 2] == pytest.approx(3.0, rel=0.1)
+
+
+def test_what_points_have_in_common_tells_a_group_nothing_of_its_own() -> None:
+    rng = np.random.default_rng(3)
+    distance = np.concatenate([0.05 * rng.normal(size=500), 0.05 * rng.normal(size=500) - rng.exponential(0.7, 500)])
+    group, sigma = np.repeat([0, 1], 500), np.full(1000, 0.05)
+    apart = []
+    for worth in (1.0, 4.0 / 500):
+        shares = first_shares(2)
+        for _ in range(40):
+            shares = weigh(distance, sigma, group, shares, np.full(1000, worth)).shares
+        apart.append(float(shares[1, 0] - shares[0, 0]))
+    assert apart[0] > 0.5
+    assert apart[1] < 0.2
