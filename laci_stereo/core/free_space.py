@@ -73,11 +73,13 @@ def seen_through(points: FloatArray, height_m: float, places: Places, cell_m: fl
     azimuth, far_m = azimuth[order], np.hypot(points[order, 0], points[order, 1])
     slope = (points[order, 2] - height_m) / np.maximum(far_m, 1e-9)
     away_m, towards = np.hypot(*places.xy.T), np.arctan2(places.xy[:, 1], places.xy[:, 0])
-    # Through the middle of the cell: its half to either side of it.
+    # Through the middle half of the cell; the rays go once more around, for cells that lie straight behind.
     width = np.arctan2(cell_m / 4, away_m)
-    first, last = np.searchsorted(azimuth, towards - width), np.searchsorted(azimuth, towards + width)
+    around, start = np.append(azimuth, azimuth + 2 * np.pi), towards - width
+    start = np.where(start < -np.pi, start + 2 * np.pi, start)
+    first, last = np.searchsorted(around, start), np.searchsorted(around, start + 2 * width)
     place = np.repeat(np.arange(len(first)), last - first)
-    ray = np.arange(len(place)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    ray = (np.arange(len(place)) - np.repeat(np.cumsum(last - first) - last, last - first)) % len(points)
     above_m = height_m + slope[ray] * away_m[place]
     crossed = (far_m[ray] > away_m[place] + cell_m) & _between(above_m, places, place)
     cells: IntArray = places.cells[np.unique(place[crossed])]
