@@ -5,7 +5,7 @@ import pytest
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import Axes, FloatArray
-from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
 from laci_stereo.core.ground_road import CROWN_RAD, road_ground
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
@@ -21,14 +21,30 @@ ROAD_Y_M = 15.0
 def seen(land_slope: float) -> PointCloud:
     """Return rays to a level road with land on either side of it that falls in one direction, as a LiDAR sees it."""
     rng = np.random.default_rng(0)
-    azimuth, down = np.meshgrid(np.radians(np.arange(-80.0, 81.0, 0.5)), np.radians(np.arange(6.0, 45.0, 0.4)))
-    azimuth, down = (angle.ravel() + rng.uniform(-0.003, 0.003, angle.size) for angle in (azimuth, down))
-    ray = np.column_stack([np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)])
+    ray = rays(np.arange(-80.0, 81.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
     # The land: z = slope (y - road); so the ray's height -H + slope ... is linear in the range.
     land = (HEIGHT_M + land_slope * ROAD_Y_M) / (land_slope * ray[:, 1] - ray[:, 2])
     road = -HEIGHT_M / ray[:, 2]
     on_road = np.abs(road * ray[:, 1] - ROAD_Y_M) < ROAD_HALF_M
-    range_m = np.where(on_road, road, land)
+    return measured(ray, np.where(on_road, road, land), rng)
+
+
+def seen_from_a_verge(slope: float, edge_m: float) -> PointCloud:
+    """Return rays to a level road, and to a bank that falls to its edge from below the sensor."""
+    rng = np.random.default_rng(0)
+    ray = rays(np.arange(40.0, 140.0, 0.5), np.arange(12.0, 60.0, 0.4), rng)
+    bank = (HEIGHT_M - slope * edge_m) / (-ray[:, 2] - slope * ray[:, 1])
+    road = -HEIGHT_M / ray[:, 2]
+    return measured(ray, np.where(road * ray[:, 1] < edge_m, bank, road), rng)
+
+
+def rays(azimuth_deg: FloatArray, down_deg: FloatArray, rng: np.random.Generator) -> FloatArray:
+    azimuth, down = (angle.ravel() for angle in np.meshgrid(np.radians(azimuth_deg), np.radians(down_deg)))
+    azimuth, down = (angle + rng.uniform(-0.003, 0.003, angle.size) for angle in (azimuth, down))
+    return np.column_stack([np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)])
+
+
+def measured(ray: FloatArray, range_m: FloatArray, rng: np.random.Generator) -> PointCloud:
     kept = (range_m > 3.0) & (range_m < 50.0)
     points = ray[kept] * (range_m[kept] + rng.normal(0.0, SIGMA_M, kept.sum()))[:, None]
     noise = np.full(len(points), SIGMA_M)
@@ -80,3 +96,13 @@ def test_where_no_road_is_seen_the_doubt_grows() -> None:
     kept = road_ground([cloud], AXES, ground, away, GroundSettings())
     assert (kept.normal == ground.normal).all()
     assert tilt_sigma_deg(kept) > np.degrees(CROWN_RAD)
+
+
+@pytest.mark.parametrize("slope", [0.04, 0.12])
+@pytest.mark.parametrize("edge_m", [10.0, 12.0])
+def test_the_road_behind_a_bank_is_found_by_what_is_farther_away(slope: float, edge_m: float) -> None:
+    cloud = seen_from_a_verge(slope, edge_m)
+    assert tilt_deg(fitted(cloud)) > 2.0  # the bank fills more of the view
+    road = fit_farther_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, AXES.up)
+    assert tilt_deg(road) < 0.05
+    assert road.height_m == pytest.approx(HEIGHT_M, abs=0.02)
