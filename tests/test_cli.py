@@ -486,14 +486,6 @@ def test_files_that_may_not_grow_leave_the_earlier_result(site: Site) -> None:
 # ------------------------------------------------------------------------------------- interrupts
 
 
-@pytest.fixture
-def interruptible() -> Iterator[None]:
-    """Children inherit an ignored SIGINT, as that of shells' background jobs, but not a handled one."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def until_logged(words: str) -> Callable[[subprocess.Popen[str], Site], None]:
     def wait(process: subprocess.Popen[str], _: Site) -> None:
         assert process.stderr is not None
@@ -518,7 +510,6 @@ def until_writing(process: subprocess.Popen[str], site: Site) -> None:
         pytest.param(signal.SIGTERM, until_writing, id="SIGTERM while it writes"),
     ],
 )
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_ends_it_and_leaves_everything_as_it_was(
     site: Site, ending: signal.Signals, wait: Callable[[subprocess.Popen[str], Site], None]
 ) -> None:
