@@ -62,11 +62,14 @@ class Scene:
     road : RoadDisparity
     surveyed : tuple of StereoPair
         Those in which least moves, and some of the others.
+    spare : tuple of StereoPair
+        The rest, those in which least moves first.
     """
 
     look: Look
     road: RoadDisparity
     surveyed: tuple[StereoPair, ...]
+    spare: tuple[StereoPair, ...]
 
 
 @dataclass(frozen=True)
@@ -174,8 +177,10 @@ class StereoRecording:
 
     def survey(self) -> Iterator[PointCloud]:
         """Yield whole frames, thinned: those in which the image differs least from the scene at rest, and others."""
-        clouds = map_ahead(self._whole_cloud, self._scene.surveyed, self._threads)
-        yield from (cloud for cloud in clouds if cloud is not None)
+        scene = self._scene
+        clouds = list(map_ahead(self._whole_cloud, scene.surveyed, self._threads))
+        clouds += map_ahead(self._whole_cloud, scene.spare[: clouds.count(None)], self._threads)
+        yield from sorted((cloud for cloud in clouds if cloud is not None), key=lambda cloud: cloud.stamp_ns)
 
     def mask_rays(self, stamp_ns: int) -> GlimpseRays | None:
         """Return what the mask did in a frame, as of the latest pass; None without a mask."""
@@ -202,7 +207,8 @@ class StereoRecording:
         usable = [(pair, image) for pair, image in read if image is not None]
         look = learn_look([image for _, image in usable])
         ranked = [pair for pair, _ in sorted(usable, key=lambda item: float(look.changed(item[1]).mean()))]
-        return Scene(look, self._first_look(ranked), tuple(surveyed(ranked, [pair.stamp_ns for pair in ranked])))
+        taken = surveyed(ranked, [pair.stamp_ns for pair in ranked])
+        return Scene(look, self._first_look(ranked), tuple(taken), tuple(pair for pair in ranked if pair not in taken))
 
     def _shrunken(self, pair: StereoPair) -> Raster | None:
         image = self.reader.read(pair.left)
