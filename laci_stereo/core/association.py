@@ -18,6 +18,7 @@ import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
+from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import Account, hold_against
@@ -49,7 +50,7 @@ HALF_LANE_M = 1.75
 OUTLINE_REACH = 10.0
 """What outlines can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
 
-MOST_OUTLINES = 4
+MOST_OUTLINES = 8
 """So many hypotheses are held against the outlines at the most: of those far down there are always more."""
 
 
@@ -98,6 +99,11 @@ class _Hypothesis:
     value: float
     way: float
     strayed_s: Times = ()
+    fit: PlanarMatch | None = None
+
+    def place(self, xy_level: FloatArray) -> FloatArray:
+        """Map points, shape (n, 2), from the level to the world frame, as exactly as is known."""
+        return self.motion.place(xy_level) if self.fit is None else self.fit(xy_level)
 
     @property
     def against_others(self) -> float:
@@ -117,11 +123,14 @@ class Resemblance:
         By how exactly its outline follows the sender's way; None where no outline was seen.
     strayed_s : tuple of (float, float)
         Times from which to which something else was seen with it or instead of it.
+    fit : PlanarMatch or None
+        The motion into the world by the outline, which is more exact than by boxes.
     """
 
     body: float = 0.0
     way: float | None = None
     strayed_s: Times = ()
+    fit: PlanarMatch | None = None
 
 
 Likeness = Callable[[Track, int, PlanarMatch, float], Resemblance]
@@ -172,7 +181,22 @@ def choose_track(
     if not hypotheses:
         raise MatchError(_no_fit(seeds, vehicles, settings))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
-    return _decide(scene, _weighed(scene, hypotheses, likeness), far)
+    weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
+    return _decide(scene, _of_moving(scene, weighed), far)
+
+
+def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
+    """Leave out those whose vehicle hardly moves while it is seen: whatever stands there would fit as well."""
+    least_m = scene.settings.min_path_m
+    paths_m = [_seen_path(scene, one, _on_vehicle(scene, one)) for one in hypotheses]
+    moving = [one for one, path_m in zip(hypotheses, paths_m, strict=True) if path_m >= least_m]
+    if not moving:
+        path_m, best = max(zip(paths_m, hypotheses, strict=True), key=lambda each: each[1].value)
+        raise TrackError(
+            f"the vehicle of station {best.account.station} moves {path_m:.1f} m while it is seen; needed are "
+            f"{least_m:.1f} m"
+        )
+    return moving
 
 
 def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness) -> list[_Hypothesis]:
@@ -186,7 +210,8 @@ def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness
             alike = likeness(track, one.account.station, fit, float(one.motion.offset_s))
             log.debug("station %d: %.1f by boxes, by outlines %s (log odds)", one.account.station, one.value, alike)
             way = one.way if alike.way is None else min(alike.way, _of_pieces(scene, one.account, track, alike.way))
-            one = replace(one, value=one.value + alike.body + way - one.way, way=way, strayed_s=alike.strayed_s)
+            value = one.value + alike.body + way - one.way
+            one = replace(one, value=value, way=way, strayed_s=alike.strayed_s, fit=alike.fit)
         weighed.append(one)
     return weighed
 
@@ -204,12 +229,6 @@ def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> floa
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
     best = max(hypotheses, key=lambda one: one.value)
     track = _on_vehicle(scene, best)
-    path_m = _seen_path(scene, best, track)
-    if path_m < scene.settings.min_path_m:
-        raise TrackError(
-            f"the vehicle of station {best.account.station} moves {path_m:.1f} m while it is seen; needed are "
-            f"{scene.settings.min_path_m:.1f} m"
-        )
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
@@ -273,7 +292,7 @@ def _agree(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> bool:
     if other.seed.station == best.seed.station and _is_part(scene, best, other.seed.track):
         return True
     xy = np.concatenate([scene.tracks[one.seed.track].centres for one in (best, other)])
-    apart = np.linalg.norm(best.motion.place(xy) - other.motion.place(xy), axis=1)
+    apart = np.linalg.norm(best.place(xy) - other.place(xy), axis=1)
     return bool(apart.max() < scene.senders[best.seed.station].width_m)
 
 

@@ -184,6 +184,8 @@ class RoughFit:
 
     Attributes
     ----------
+    match : PlanarMatch
+        From the level into the world frame.
     corrections : tuple of Correction
     knots_s : ndarray, shape (k,)
     information : ndarray, shape (2 k, 2 k)
@@ -193,6 +195,7 @@ class RoughFit:
         The information times the errors that are found.
     """
 
+    match: PlanarMatch
     corrections: tuple[Correction, ...]
     knots_s: FloatArray
     information: FloatArray
@@ -219,6 +222,7 @@ def fit_roughly(
     values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
     told = vectors[:, values > 0.0]
     return RoughFit(
+        match=_match(solved, centre),
         corrections=model.corrections(solved.x[own], solved.covariance[own, own]),
         knots_s=model.knots_s,
         information=(vectors * np.maximum(values, 0.0)) @ vectors.T,
@@ -412,13 +416,17 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     return _Turned(turn, x, float(evidence + np.log(TURNS[turn])))
 
 
-def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:
+def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
     yaw = float(wrap(solved.x[0]))
+    return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
+
+
+def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:
     weights = sum(each.weight for each in solved.fitness)
     squares = sum(each.squares for each in solved.fitness)
     sigma = np.sqrt(np.diag(solved.covariance))
     return JointFit(
-        match=PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre)),
+        match=_match(solved, centre),
         time_offsets_s=tuple(float(solved.x[own.start]) for own in solved.own),
         covariance=solved.covariance[:3, :3],
         centre_level=centre,

@@ -98,7 +98,7 @@ def resemblance(
     except MatchError:
         return Resemblance()
     (length,) = (correction for correction in fit.corrections if correction.what == "length")
-    return Resemblance(_odds(length, STRANGER_LENGTH_M), way, strayed_s)
+    return Resemblance(_odds(length, STRANGER_LENGTH_M), way, strayed_s, fit.match)
 
 
 def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: JointSettings) -> tuple[float, Times]:

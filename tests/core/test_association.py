@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.core.association import Choice, Resemblance, choose_track
+from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -120,6 +120,21 @@ def test_two_senders_that_agree_are_no_tie() -> None:
     behind = replace(DRIVE, start_s=2.0)
     tracks = [seen(), seen(behind, seed=1)]
     choice = choose_track(tracks, {7: vehicle(behind), 42: vehicle()})
+    assert choice.track is tracks[0 if choice.station == 42 else 1]
+
+
+def test_two_senders_that_agree_by_their_outlines_are_no_tie() -> None:
+    # Of the second one's boxes the centres are off by more than a vehicle's width, by its own outline it is not.
+    behind, way_off = replace(DRIVE, start_s=2.0), PlanarMatch(TRUTH.yaw_rad, TRUTH.shift - np.array([3.0, 0.0]))
+    tracks = [seen(), seen(behind, sensor=way_off, seed=1)]
+    vehicles = {7: vehicle(behind), 42: vehicle()}
+    with pytest.raises(MatchError, match="stations .* fit equally well"):
+        choose_track(tracks, vehicles, likeness=exactly)
+
+    def outlines(*_: object) -> Resemblance:
+        return replace(exactly(), fit=TRUTH)
+
+    choice = choose_track(tracks, vehicles, likeness=outlines)
     assert choice.track is tracks[0 if choice.station == 42 else 1]
 
 
@@ -298,6 +313,13 @@ def test_the_second_best_is_said_in_words() -> None:
     assert math.isfinite(choice.log_likelihood_margin)
 
 
+def better_for(station: int) -> Likeness:
+    def likeness(_track: Track, of: int, *_: object) -> Resemblance:
+        return Resemblance(0.0, 8.0 if of == station else 2.0)
+
+    return likeness
+
+
 BACK_AND_FORTH = Drive(
     (5.0, 0.0), 20.0, speeds=((0.0, 4.0), (2.0, 0.0), (3.0, -3.0), (4.5, -3.0), (5.0, 0.0), (6.0, 4.0))
 )
@@ -330,6 +352,14 @@ def test_what_stands_where_a_vehicle_came_from_and_where_it_went_is_not_the_vehi
     with pytest.raises(TrackError, match=r"moves 0\.0 m while it is seen; needed are 5\.0 m"):
         choose_track([before.joined(after)], {42: bus}, permissive)
     assert choose_track([seen(leaving, stamps, noise_m=0.05)], {42: bus}, permissive).station == 42
+    # Nor does it stand in the way of another station's, however well it fits.
+    elsewhere = PlanarMatch(TRUTH.yaw_rad + 1.0, TRUTH.shift + 40.0)
+    before, after = (
+        seen(leaving, part, 0.05, sensor=elsewhere) for part in (stamps[stamps < 2.0], stamps[stamps > 6.0])
+    )
+    tracks = [before.joined(after), seen(STEADY, STAMPS[:30], seed=1)]
+    other = {42: bus, 7: vehicle(STEADY)}
+    assert choose_track(tracks, other, permissive, likeness=better_for(42)).station == 7
 
 
 def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:
@@ -355,6 +385,20 @@ def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
     brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
     assert "by chance" in choose_track([brief], {42: vehicle()}).doubt
     assert choose_track([brief], {42: vehicle()}, likeness=exactly).doubt == ""
+
+
+def test_outlines_decide_between_many_that_boxes_do_not() -> None:
+    tracks = [
+        seen(DRIVE, STAMPS[:20], noise_m=0.2, seed=seed, sensor=PlanarMatch(seed, TRUTH.shift)) for seed in range(7)
+    ]
+    with pytest.raises(MatchError, match="fit equally well"):
+        choose_track(tracks, {42: vehicle()})
+    for right in tracks:
+
+        def outline(one: Track, *_: object, right: Track = right) -> Resemblance:
+            return exactly() if one is right else Resemblance(0.0, -4.0)
+
+        assert choose_track(tracks, {42: vehicle()}, likeness=outline).track is right
 
 
 def test_an_outline_on_another_way_speaks_against_it() -> None:

@@ -63,6 +63,8 @@ def test_the_start_need_not_be_exact() -> None:
     found = way(seen(), start=start)
     assert found.body > 0.0
     assert found.way > np.log(1000.0)
+    assert found.fit is not None
+    assert found.fit(DRIVE.middles) == pytest.approx(TRUTH(DRIVE.middles), abs=0.1)
 
 
 def test_a_clock_that_contradicts_speaks_against_it() -> None:
