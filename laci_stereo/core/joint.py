@@ -165,12 +165,13 @@ def fit_jointly(
     likeliest = max(turned, key=lambda each: each.log_probability)
     problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED))
     solved = problem.solve(likeliest.x)
-    # The result is as uncertain as the other turns are different and likely.
+    # The result is as uncertain as the other turns are different, uncertain by themselves, and likely.
     log_probabilities = np.array([each.log_probability for each in turned])
     probabilities = np.exp(log_probabilities - np.logaddexp.reduce(log_probabilities))
     off = np.array([each.x - likeliest.x for each in turned])
-    solved = replace(solved, covariance=solved.covariance + (off.T * probabilities) @ off)
-    fit = _fit(problem, solved, centre)
+    within = [solved.covariance if each is likeliest else each.covariance for each in turned]
+    covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
+    fit = _fit(problem, replace(solved, covariance=covariance), centre)
     return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
 
 
@@ -388,6 +389,7 @@ class _Turned:
 
     turn: float
     x: FloatArray
+    covariance: FloatArray
     log_probability: float
 
 
@@ -412,8 +414,10 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     after, sum_pull = prior + information, prior @ mean + pull
     at = np.linalg.solve(after, sum_pull)
     evidence = (sum_pull @ at - mean @ prior @ mean + np.linalg.slogdet(prior)[1] - np.linalg.slogdet(after)[1]) / 2
-    x = solved.x + solved.covariance[:, index] @ np.linalg.solve(covariance, at - solved.x[index])
-    return _Turned(turn, x, float(evidence + np.log(TURNS[turn])))
+    gain = np.linalg.solve(covariance, solved.covariance[index]).T
+    x = solved.x + gain @ (at - solved.x[index])
+    left = solved.covariance + gain @ (np.linalg.inv(after) - covariance) @ gain.T
+    return _Turned(turn, x, left, float(evidence + np.log(TURNS[turn])))
 
 
 def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:

@@ -218,3 +218,13 @@ def test_a_turn_that_is_not_told_leaves_a_steady_drive_open_along() -> None:
     along = np.array([np.cos(np.radians(-60.0)), np.sin(np.radians(-60.0))])
     # At 7 m/s, with nothing but the prior of the clocks: a turn over the root of six.
     assert np.sqrt(along @ fit.covariance[1:, 1:] @ along) == pytest.approx(7.0 * 0.1 / np.sqrt(6.0), rel=0.1)
+
+
+def test_a_turn_that_may_be_makes_the_result_as_uncertain_as_it_would_be() -> None:
+    """Of a vehicle that drives straight away nothing tells a turn, nor what the clocks then are."""
+    away = Drive((-5.0, 12.0), 0.0, speeds=((0.0, 7.0),))
+    fit = fit_jointly([swept(away, 0.0)], TRUTH)
+    assert fit.turn == 0.0
+    assert fit.turn_probability == pytest.approx(0.5, abs=0.1)
+    still, turning = (7.0 * np.hypot(0.01, sigma_s) for sigma_s in (0.0, 0.1 / np.sqrt(6.0)))
+    assert fit.covariance[1, 1] == pytest.approx((still**2 + turning**2) / 2, rel=0.25)
