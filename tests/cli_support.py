@@ -6,12 +6,14 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+
+from tests.forked import FORKS, run_forked
 
 COMMAND = Path(sys.executable).with_name("laci-stereo")
 DEMONSTRATION = Path(__file__).parents[1] / "calib_data"
@@ -85,12 +87,26 @@ class Site:
         rewrite(path, text.replace(old, new).encode())
 
 
-def run(arguments: Sequence[str], folder: Path, within: Sequence[str] = ()) -> Ran:
-    """Run the installed command in a folder, its temporary files below it, perhaps by another command."""
+def run(arguments: Sequence[str], folder: Path, command: Path = COMMAND) -> Ran:
+    """Run a command in a folder, its temporary files below it, in a process of its own."""
+    if not FORKS:
+        return run_installed(arguments, folder, command=command)
+    ended = run_forked(command, arguments, folder, environment(folder), LONGEST_RUN_S)
+    return Ran(ended.returncode, ended.stdout, ended.stderr)
+
+
+def run_installed(
+    arguments: Sequence[str],
+    folder: Path,
+    within: Sequence[str] = (),
+    command: Path = COMMAND,
+    env: Mapping[str, str] | None = None,
+) -> Ran:
+    """Run a command as a shell does, from its script on, perhaps by another command or with more in its environment."""
     ended = subprocess.run(
-        [*within, COMMAND, *arguments],
+        [*within, str(command), *arguments],
         cwd=folder,
-        env=environment(folder),
+        env=environment(folder) | dict(env or {}),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

@@ -11,7 +11,7 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from tests.cli_support import DEMONSTRATION, Finished, Site, link_recording, run, write_small_recording
+from tests.cli_support import DEMONSTRATION, Finished, Site, link_recording, run_installed, write_small_recording
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -42,4 +42,4 @@ def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     """The first command of the README."""
     folder = tmp_path_factory.mktemp("demonstration")
     arguments = ["calibrate", *(str(DEMONSTRATION / name) for name in ("left", "right", "cam.csv"))]
-    return Finished(run(arguments, folder), folder / "calibration")
+    return Finished(run_installed(arguments, folder), folder / "calibration")

@@ -26,6 +26,7 @@ from tests.cli_support import (
     refusal,
     rewrite,
     run,
+    run_installed,
     running,
     snapshot,
 )
@@ -478,7 +479,7 @@ def test_files_that_may_not_grow_leave_the_earlier_result(site: Site) -> None:
     before = snapshot(site.root)
     # 64 blocks of 512 or 1024 bytes: calibration.json fits, the pictures do not.
     limited = ("/bin/sh", "-c", 'ulimit -f 64; exec "$@"', "sh")
-    line = refusal(run(site.arguments("--overwrite"), site.root, within=limited), UNUSABLE)
+    line = refusal(run_installed(site.arguments("--overwrite"), site.root, within=limited), UNUSABLE)
     assert "result: cannot be written (File too large)" in line
     assert snapshot(site.root) == before
 

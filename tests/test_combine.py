@@ -19,7 +19,7 @@ from laci_stereo.core.passage import Passage
 from laci_stereo.io.calibration_file import schema
 from laci_stereo.io.evidence_file import read_evidence, write_evidence
 from laci_stereo.match import match
-from tests.cli_support import refusal, run, snapshot
+from tests.cli_support import refusal, run, run_installed, snapshot
 from tests.detections import cam_rows, detection_rows, traffic
 from tests.passages import misplaced, off_by, passages, recorded, save, with_passage
 
@@ -59,7 +59,7 @@ def site(tmp_path: Path) -> Site:
 
 def test_the_command_writes_a_whole_result(site: Site) -> None:
     runs = [site.lay(number) for number in range(3)]
-    ran = run(site.arguments(runs), site.root)
+    ran = run_installed(site.arguments(runs), site.root)
     assert ran.code == 0, ran
     assert sorted(path.name for path in site.out.iterdir()) == [
         "calibration.json",

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from laci_stereo.cli import cli
 from laci_stereo.io.calibration_file import to_document, to_text
 from laci_stereo.io.exports import FORMATS
-from tests.cli_support import Ran, Site, refusal, run, write_small_recording
+from tests.cli_support import Ran, Site, refusal, run, run_installed, write_small_recording
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
 
@@ -149,18 +149,24 @@ def test_a_map_in_metres_serves_as_well(calibrated: Calibrated) -> None:
     assert document["config"]["map_crs"] == "EPSG:32632"
 
 
+@pytest.fixture(scope="module")
+def exported(calibrated: Calibrated, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("exported")
+    ran = run_installed(["export", str(calibrated.site.out), "--to", "matrix", "--out", "T.txt"], folder)
+    assert ran.code == 0, ran
+    return folder / "T.txt"
+
+
 @pytest.mark.parametrize(("off_m", "code"), [(0.0, 0), (0.5, 1)])
 def test_imported_result_is_held_against_the_map(
-    calibrated: Calibrated, tmp_path: Path, off_m: float, code: int
+    calibrated: Calibrated, exported: Path, tmp_path: Path, off_m: float, code: int
 ) -> None:
     site = calibrated.site
-    exported = run(["export", str(site.out), "--to", "matrix", "--out", str(tmp_path / "T.txt")], tmp_path)
-    assert exported.code == 0, exported
-    T = np.loadtxt(tmp_path / "T.txt")
+    T = np.loadtxt(exported)
     T[1, 3] += off_m
     np.savetxt(tmp_path / "T.txt", T, fmt="%.12f")
     arguments = ["import", str(tmp_path / "T.txt"), "--kind", "stereo", "--crs", "EPSG:32632", "--out", "theirs"]
-    imported = run(arguments, tmp_path)
+    imported = run_installed(arguments, tmp_path)
     assert imported.code == 0, imported
     lines = ["--map", str(site.root / "lines.csv"), "--map-crs", "EPSG:32632"]
     checked = run(["check", "theirs", str(site.left), *lines, "--picture", str(tmp_path / "check.png")], tmp_path)

@@ -6,7 +6,6 @@ import json
 import os
 import pickle
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,8 @@ from pyproj import CRS
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from laci_stereo.core.frames import FloatArray, invert, transform
-from tests.cli_support import LONGEST_RUN_S, Ran, environment, link_recording, rewrite, snapshot
+from tests.cli_support import Ran, link_recording, rewrite, run_installed, snapshot
+from tests.cli_support import run as start
 from tests.detections import cam_rows
 from tests.lidar.support import (
     CLOUD,
@@ -44,18 +44,11 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell"
 
 
 def run(arguments: Sequence[str | Path], folder: Path, within: Sequence[str] = (), modules: Path | None = None) -> Ran:
-    """Run the installed command in a folder, perhaps by another command, or with modules that hide the installed."""
-    ended = subprocess.run(
-        [*within, str(COMMAND), *map(str, arguments)],
-        cwd=folder,
-        env=environment(folder) | ({} if modules is None else {"PYTHONPATH": str(modules)}),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_RUN_S,
-        check=False,
-    )
-    return Ran(ended.returncode, ended.stdout, ended.stderr)
+    """Run the command in a folder, perhaps by another command, or with modules that hide the installed."""
+    told = [*map(str, arguments)]
+    if not within and modules is None:
+        return start(told, folder, COMMAND)
+    return run_installed(told, folder, within, COMMAND, {} if modules is None else {"PYTHONPATH": str(modules)})
 
 
 @dataclass(frozen=True)

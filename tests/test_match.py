@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from laci_stereo.core.errors import GroundError, InputError
 from laci_stereo.io.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match
-from tests.cli_support import refusal, run, snapshot
+from tests.cli_support import refusal, run, run_installed, snapshot
 from tests.detections import EXACT, Noise, Passing, Rows, Traffic, cam_rows, detection_rows, errors, is_senders, traffic
 from tests.simulated import Drive
 
@@ -73,10 +73,13 @@ def matched(folder: Path, made: Traffic, options: MatchOptions | None = None, tr
 # ------------------------------------------------------------------------------------- how well it does
 
 
+@pytest.mark.parametrize("seeds", [SEEDS[:3], pytest.param(SEEDS, marks=pytest.mark.slow)], ids=len)
 @pytest.mark.parametrize("track_ids", [True, False])
-def test_one_vehicle_among_thirty_tells_where_the_sensor_is(tmp_path: Path, track_ids: bool) -> None:
+def test_one_vehicle_among_thirty_tells_where_the_sensor_is(
+    tmp_path: Path, track_ids: bool, seeds: Sequence[int]
+) -> None:
     found = []
-    for seed in SEEDS:
+    for seed in seeds:
         made = traffic(seed)
         calibration = matched(tmp_path, made, track_ids=track_ids).calibration
         assert is_senders(made, calibration)
@@ -156,7 +159,7 @@ def test_a_radar_with_neither_size_nor_height(tmp_path: Path) -> None:
 
 
 def test_the_command_writes_a_whole_result(site: Site) -> None:
-    ran = run(site.arguments("--name", "radar 3"), site.root)
+    ran = run_installed(site.arguments("--name", "radar 3"), site.root)
     assert ran.code == 0, ran
     assert "note: x, y and z taken for the centre of the boxes (see --box-origin)" in ran.err.splitlines()
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}

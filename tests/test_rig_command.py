@@ -22,7 +22,7 @@ from laci_stereo.rig_command import rig as rig_command
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.rectify import rectify
 from laci_stereo.stereo.settings import StereoSettings
-from tests.cli_support import DEMONSTRATION, refusal, run
+from tests.cli_support import DEMONSTRATION, refusal, run, run_installed
 from tests.io.images import png_bomb
 from tests.io.rig_writers import opencv_entries, ros, write_storage
 from tests.report.page_support import PROVENANCE
@@ -295,7 +295,7 @@ def test_what_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     entries = opencv_entries(RIGS["five"])
     entries["T"] = 1000.0 * RIGS["five"].t_right_left_m
     path = write_storage(tmp_path / "stereo.yaml", entries)
-    ran = run(arguments(path, tmp_path / "left", tmp_path / "right"), tmp_path)
+    ran = run_installed(arguments(path, tmp_path / "left", tmp_path / "right"), tmp_path)
     refusal(ran, 2, "stereo.yaml", "is 500.325 m", "millimetres")
 
 

@@ -85,16 +85,21 @@ class Painted:
         down = rays[:, 2] < -1e-3
         reach = np.where(down, -self.T_world_camera[2, 3] / np.where(down, rays[:, 2], -1.0), 0.0)
         xy = self.T_world_camera[:2, 3] + reach[:, None] * rays[:, :2]
-        return np.where(down, np.where(self.is_paint(xy), 190.0, 90.0), 230.0)
+        light = np.full(len(pixels), 230.0)
+        light[down] = np.where(self.is_paint(xy[down]), 190.0, 90.0)
+        return light
 
     def is_paint(self, xy: FloatArray) -> FloatArray:
         paint = np.zeros(len(xy), dtype=bool)
         for each in self.lines:
             (start, end), length = each.xy, np.linalg.norm(each.xy[1] - each.xy[0])
             ahead = (end - start) / length
-            along, across = (xy - start) @ ahead, (xy - start) @ np.array([-ahead[1], ahead[0]])
+            left = np.array([-ahead[1], ahead[0]])
+            across = xy @ left - start @ left
             for beside in self.beside_m:
-                paint |= (along > 0) & (along < length) & (np.abs(across - beside) < self.width_m / 2)
+                near = np.flatnonzero(np.abs(across - beside) < self.width_m / 2)
+                along = (xy[near] - start) @ ahead
+                paint[near] |= (along > 0) & (along < length)
         return paint
 
     def check(

@@ -14,7 +14,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from laci_stereo.io.calibration_file import schema
-from tests.cli_support import Ran, Site, link_recording, refusal, run, snapshot, write_small_recording
+from tests.cli_support import Ran, Site, link_recording, refusal, run, run_installed, snapshot, write_small_recording
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def test_one_bad_image_among_many_is_left_out(calibrated: Calibrated, tmp_path: 
     left = Path(shutil.copytree(calibrated.site.left, tmp_path / "left"))
     min(left.iterdir()).write_bytes(b"no image")
     beside = ("--map", calibrated.site.root / "map.osm", "--stereo", calibrated.site.stereo)
-    ran = run(
+    ran = run_installed(
         list(map(str, ("check", calibrated.result, left, *beside, "--picture", tmp_path / "check.png"))), tmp_path
     )
     assert ran.code == 0, ran

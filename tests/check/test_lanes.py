@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -22,10 +21,11 @@ from tests.check.support import (
     turn_about,
 )
 
+PAINTED = {"ideal": Painted(lens=LENS), "barrel": Painted(lens=BARREL)}
 
-@cache
+
 def crossing(lens_name: str = "ideal") -> Painted:
-    return Painted(lens={"ideal": LENS, "barrel": BARREL}[lens_name])
+    return PAINTED[lens_name]
 
 
 @pytest.mark.parametrize("lens_name", ["ideal", "barrel"])

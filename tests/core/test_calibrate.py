@@ -38,6 +38,8 @@ from tests.simulated import (
     together,
 )
 
+pytestmark = pytest.mark.usefixtures("observed_once")
+
 SHRUB = shrub((16.0, -6.0), 0.4, 0.8)
 PASSER_BY = pedestrian(Drive((14.0, -9.0), 90.0, speeds=((0.0, 1.4),)))
 OTHER_CAR = car(Drive((36.5, 16.0), -90.0, speeds=((0.0, 7.0),), start_s=0.5), 4.2, 1.75)
@@ -99,9 +101,13 @@ PAPER = Settings(method="paper")
 
 
 @cache
-def solved(name: str, method: Method = "joint") -> Calibration:
+def solved_by(method: Method, name: str) -> Calibration:
     made, crs = SCENES[name]
     return calibrate(made.recording, made.messages, Settings(method=method), crs=crs)
+
+
+def solved(name: str, method: Method = "joint") -> Calibration:
+    return solved_by(method, name)
 
 
 @pytest.mark.parametrize("method", ["joint", "paper"])

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from laci_stereo.core.combine import combine
+from laci_stereo.core.combine import Combined, combine
 from laci_stereo.core.errors import CombineError, EvidenceError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import JointSettings, Settings
@@ -13,8 +14,14 @@ from laci_stereo.core.world import World
 from tests.passages import misplaced, off_by, passages, recorded
 
 
+@cache
+def combined(*numbers: int) -> Combined:
+    """Return the result of some of the drives as they are."""
+    return combine([passages()[number] for number in numbers])
+
+
 def test_two_drives_of_different_vehicles_place_the_sensor_to_centimetres_and_are_surer_than_each() -> None:
-    found = combine(passages()[:2])
+    found = combined(0, 1)
     position_m, angle_deg = misplaced(found.calibration)
     assert position_m < 0.03
     assert angle_deg < 0.06
@@ -44,7 +51,7 @@ def test_one_drive_gives_what_it_gave() -> None:
 
 
 def test_the_order_of_the_drives_does_not_matter() -> None:
-    one, other = (combine(order).calibration for order in (passages(), passages()[::-1]))
+    one, other = (combined(*order).calibration for order in ((0, 1, 2), (2, 1, 0)))
     assert one.T_utm_sensor[:3, :3] == pytest.approx(other.T_utm_sensor[:3, :3], abs=1e-5)
     place = one.centre_world - one.T_world_sensor[:3, 3]
     there = [found.T_utm_sensor[:3, 3] + place for found in (one, other)]
@@ -59,7 +66,7 @@ def test_a_drive_whose_messages_are_a_metre_off_is_named_and_left_out(wrong: int
     assert [left.name for left in found.left_out] == [f"run {wrong}"]
     assert found.left_out[0].shift_m == pytest.approx(1.0, abs=0.15)
     assert f"run {wrong} left out" in str(found.left_out[0])
-    without = combine([drive for i, drive in enumerate(passages()) if i != wrong])
+    without = combined(*(number for number in range(3) if number != wrong))
     assert found.calibration.T_utm_sensor == pytest.approx(without.calibration.T_utm_sensor, abs=2e-3)
     assert misplaced(found.calibration)[0] < 0.05
 
@@ -93,7 +100,7 @@ def test_another_origin_of_the_world_changes_nothing() -> None:
         vehicle=replace(drives[1].vehicle, xy=xy),
         match=replace(drives[1].match, shift=shift[0]),
     )
-    here, there = (combine([drives[0], other]).calibration for other in (drives[1], moved))
+    here, there = (found.calibration for found in (combined(0, 1), combine([drives[0], moved])))
     assert here.T_utm_sensor == pytest.approx(there.T_utm_sensor, abs=1e-4)
 
 
@@ -125,8 +132,8 @@ def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
 
 @pytest.mark.slow
 def test_a_combined_result_can_be_combined_further() -> None:
-    first, second, third = passages()
-    stepwise = combine([*combine([first, second]).calibration.passages, third]).calibration
-    at_once = combine([first, second, third]).calibration
+    third = passages()[2]
+    stepwise = combine([*combined(0, 1).calibration.passages, third]).calibration
+    at_once = combined(0, 1, 2).calibration
     assert stepwise.T_utm_sensor == pytest.approx(at_once.T_utm_sensor, abs=5e-3)
     assert len(stepwise.passages) == 3

@@ -15,6 +15,8 @@ from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.core.test_calibrate import errors
 from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, cam_log, car, lidar, scene
 
+pytestmark = pytest.mark.usefixtures("observed_once")
+
 UNKNOWN_CLOCK = replace(
     Settings(), match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0)
 )  # fmt: skip

@@ -16,7 +16,7 @@ from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
-from tests.cli_support import run
+from tests.cli_support import run, run_installed
 from tests.io import cam_writers as writers
 from tests.io.cam_writers import START_NS, drive
 from tests.io.support import fuzz
@@ -25,7 +25,7 @@ from tests.io.test_cam_log import COMPLETE, POSITIONS, mixed
 
 def test_it_tells_what_a_log_holds(tmp_path: Path):
     path = writers.write_pcapng(tmp_path, mixed(drive(), drive(30, station=12)))
-    ran = run(["cam", str(path)], tmp_path)
+    ran = run_installed(["cam", str(path)], tmp_path)
     assert ran.code == 0
     assert ran.err == ""
     lines = ran.out.splitlines()
