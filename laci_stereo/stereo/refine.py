@@ -31,6 +31,14 @@ A mean over 2000 pixels of it is off by a fiftieth of the image's noise, while a
 the texture that is longer than the window. Vignetting changes by less than a tenth within it, evenly.
 """
 
+SMEAR = 3
+"""Side of the square whose pixels err together, pixels: a mosaic of colours is interpolated from three by three, a lens
+shows a point no smaller, and what a glossy side mirrors is as smooth.
+
+White noise of variance s^2 makes a sum over n of them vary by n s^2, noise in common by n^2 s^2; over n, the first is
+s^2 whatever n is, the second what it adds to the variance of a least-squares shift of texture that is as smooth.
+"""
+
 ROUNDING = 1 / 6
 """Variance of the difference of two grey values from their rounding alone."""
 
@@ -60,7 +68,8 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     image is first brought to the gain and the offset of the right one, both from a larger window.
 
     The variance is that of least squares, from the window's own residual: it tells the image's noise there, and also
-    occlusion, gloss and other surfaces.
+    occlusion, gloss and other surfaces. Neighbours have most of that in common, so it is taken from sums over so many
+    as do: what errs together is not averaged out, and noise that is each pixel's own counts as before.
 
     Parameters
     ----------
@@ -100,7 +109,8 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
         # A pixel's difference holds its own shift already; what is wanted is the shift of the whole window.
         shift = _sums(mean * apart + texture * held, side) / information
         held = np.where(straddles, 0, shift)
-    noise = np.maximum(_sums(apart * apart, side) / np.maximum(count, 1.0), ROUNDING)
+    common = _sums(apart, SMEAR)
+    noise = np.maximum(_sums(common * common, side) / np.maximum(SMEAR**2 * count, 1.0), ROUNDING)
     variance = noise * np.maximum(_sums(mean * mean, side), information) / information**2
     return _continued(Refined(start + shift, variance), coarse, found, straddles, jump, side)
 
