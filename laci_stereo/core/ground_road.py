@@ -7,7 +7,7 @@ driven through the scene it is known where the road is: below its wheels.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,16 +65,14 @@ def road_ground(
     fall = _turned_by(FALL_RAD, chart, ground, axes, way.mean(axis=0))
     crown = (CROWN_RAD / FALL_RAD) ** 2 * fall
     whole = chart.covariance(ground)
-    road = _along(way, survey, ground.T_level_sensor(axes), axes, settings)
+    road = _widest(_strips(way, survey, ground.T_level_sensor(axes), axes, settings), chart, crown)
     turned = 1.0
     if road is not None:
-        strip = chart.covariance(road)
-        value, of_road = chart.values([ground, road])
-        off = of_road - value
-        if off @ np.linalg.solve(whole + strip + crown, off) > chdtri(3, FALSE_ALARM):
+        if _differ(ground, road, chart, crown):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
-            return chart.plane(of_road, strip + fall)
-        turned = min(1.0, float(np.linalg.norm(off[:2])) / CROWN_RAD)
+            return chart.plane(chart.values([road])[0], chart.covariance(road) + fall)
+        value, of_road = chart.values([ground, road])
+        turned = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
     doubt = whole + turned**2 * fall
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
 
@@ -85,16 +83,16 @@ def _places(track: Track) -> FloatArray:
     return (np.unique(cells, axis=0) + 0.5) * STEP_M
 
 
-def _along(
+def _strips(
     way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: FloatArray, axes: Axes, settings: GroundSettings
-) -> GroundPlane | None:
-    """Fit a plane to what is near the way; None where too little is seen of it, or more than one surface."""
+) -> Iterator[GroundPlane]:
+    """Yield planes of what is near the way, of the narrowest strip first, where that is one even surface."""
     tree = cKDTree(way)
     away = [
         tree.query(transform(T_level_sensor, cloud.points)[:, :2], distance_upper_bound=max(REACHES_M))[0]
         for cloud in survey
     ]
-    for reach_m in REACHES_M:
+    for reach_m in sorted(REACHES_M):
         parts = [cloud[np.flatnonzero(each < reach_m)] for cloud, each in zip(survey, away, strict=True)]
         try:
             road = fit_ground(
@@ -108,8 +106,25 @@ def _along(
             log.debug("road within %g m of the way: %s", reach_m, error)
         else:
             if road.unevenness_m <= ONE_SURFACE_M:
-                return road
-    return None
+                yield road
+
+
+def _widest(strips: Iterable[GroundPlane], chart: Chart, crown: FloatArray) -> GroundPlane | None:
+    """Return the widest strip that is the same plane as the narrower ones: a raised pavement may pass for a slope."""
+    widest = None
+    for strip in strips:
+        if widest is not None and _differ(widest, strip, chart, crown):
+            break
+        widest = strip
+    return widest
+
+
+def _differ(one: GroundPlane, other: GroundPlane, chart: Chart, crown: FloatArray) -> bool:
+    """Tell whether two planes are farther apart than their doubt, and a lane and its carriageway, explain."""
+    value, of_other = chart.values([one, other])
+    off = of_other - value
+    covariance = chart.covariance(one) + chart.covariance(other) + crown
+    return bool(off @ np.linalg.solve(covariance, off) > chdtri(3, FALSE_ALARM))
 
 
 def _turned_by(angle_rad: float, chart: Chart, ground: GroundPlane, axes: Axes, middle: FloatArray) -> FloatArray:

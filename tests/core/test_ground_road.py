@@ -79,6 +79,18 @@ def test_land_is_not_taken_for_the_road(land_slope: float) -> None:
     assert tilt_sigma_deg(road) > np.degrees(CROWN_RAD)
 
 
+@pytest.mark.parametrize("slope", [0.04, 0.1])
+@pytest.mark.parametrize("edge_m", [12.0, 13.0])
+def test_a_bank_within_reach_of_the_way_is_not_taken_for_the_road(slope: float, edge_m: float) -> None:
+    # Within 8 m of the way most of what is seen is the bank, within 3 m the road.
+    cloud = seen_from_a_verge(slope, edge_m)
+    ground = fitted(cloud)
+    assert tilt_deg(ground) > 2.0
+    road = road_ground([cloud], AXES, ground, way(), GroundSettings())
+    assert tilt_deg(road) < 0.1
+    assert road.height_m == pytest.approx(HEIGHT_M, abs=0.02)
+
+
 def test_a_ground_that_is_the_road_stays() -> None:
     cloud = seen(0.0)
     ground = fitted(cloud)
