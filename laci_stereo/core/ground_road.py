@@ -25,8 +25,8 @@ from laci_stereo.core.tracking import Track
 
 log = logging.getLogger(__name__)
 
-REACHES_M = (8.0, 5.0, 3.0)
-"""So far beside a way there is road: a carriageway of two lanes, a lane and a half, or the lane."""
+REACHES_M = (3.0, 5.0, 8.0)
+"""So far beside a way there is road: the lane, a lane and a half, or a carriageway of two lanes."""
 
 STEP_M = 0.5
 
@@ -68,10 +68,10 @@ def road_ground(
     road = _widest(_strips(way, survey, ground.T_level_sensor(axes), axes, settings), chart, crown)
     turned = 1.0
     if road is not None:
+        value, of_road = chart.values([ground, road])
         if _differ(ground, road, chart, crown):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
-            return chart.plane(chart.values([road])[0], chart.covariance(road) + fall)
-        value, of_road = chart.values([ground, road])
+            return chart.plane(of_road, chart.covariance(road) + fall)
         turned = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
     doubt = whole + turned**2 * fall
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
@@ -92,7 +92,7 @@ def _strips(
         tree.query(transform(T_level_sensor, cloud.points)[:, :2], distance_upper_bound=max(REACHES_M))[0]
         for cloud in survey
     ]
-    for reach_m in sorted(REACHES_M):
+    for reach_m in REACHES_M:
         parts = [cloud[np.flatnonzero(each < reach_m)] for cloud, each in zip(survey, away, strict=True)]
         try:
             road = fit_ground(
