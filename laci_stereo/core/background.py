@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -48,10 +50,21 @@ class Background:
 
     def covers(self, xy: FloatArray) -> BoolArray:
         """Tell which points, level frame, shape (n, 2), lie in a background box."""
-        covered = np.zeros(len(xy), dtype=bool)
-        for static in self.boxes:
-            covered |= static.box.contains(xy, self.margin_m)
+        order = np.argsort(xy[:, 0])
+        ordered, inside = xy[order], np.zeros(len(xy), dtype=bool)
+        first, last = np.searchsorted(ordered[:, 0], self._between_x.T)
+        for static, begin, end in zip(self.boxes, first.tolist(), last.tolist(), strict=True):
+            inside[begin:end] |= static.box.contains(ordered[begin:end], self.margin_m)
+        covered = np.empty_like(inside)
+        covered[order] = inside
         return covered
+
+    @cached_property
+    def _between_x(self) -> FloatArray:
+        """Between which x each box is, margin and rounding included, shape (n, 2)."""
+        x = np.array([static.box.corners()[:, 0] for static in self.boxes]).reshape(-1, 4)
+        reach_m = math.sqrt(2.0) * self.margin_m + 1e-6
+        return np.column_stack([x.min(axis=1) - reach_m, x.max(axis=1) + reach_m])
 
 
 def learn_background(

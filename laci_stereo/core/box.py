@@ -96,7 +96,8 @@ class Box:
         ndarray of bool, shape (...)
         """
         offset = np.abs(rotate_xy(-self.yaw_rad, xy - self.centre))
-        inside: BoolArray = np.all(offset <= (self.length_m / 2 + margin_m, self.width_m / 2 + margin_m), axis=-1)
+        along, across = offset[..., 0], offset[..., 1]
+        inside: BoolArray = (along <= self.length_m / 2 + margin_m) & (across <= self.width_m / 2 + margin_m)
         return inside
 
 
