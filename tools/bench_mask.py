@@ -217,7 +217,7 @@ class Simulated:
         """Return what moves in a frame."""
         stamp_ns, camera = int(self.scene.stamps_ns[index]), self.camera
         matched = self._plain._matched(index)
-        cloud = PointCloud(stamp_ns, *reproject(camera, matched, matched.moving))
+        cloud = reproject(camera, stamp_ns, matched, matched.moving)
         keep = np.isfinite(matched.disparity_px) & matched.moving
         v, u = np.nonzero(keep)
         # The road is z = 0: a ray that falls by k for each metre of depth meets it in a depth of height / k.

@@ -34,6 +34,9 @@ class PointCloud:
     turn_s : float
         How long a turn of a scanner lasts that may turn, and of which neither this nor the points' times are known; 0
         where there is nothing to guess.
+    window_rad : float
+        Side of the square window, as an angle, over which a camera matches: points in one have their noise in common.
+        0: each has its own.
     """
 
     stamp_ns: int
@@ -43,6 +46,7 @@ class PointCloud:
     at_edge: BoolArray
     offset_s: FloatArray | None = None
     turn_s: float = 0.0
+    window_rad: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -62,6 +66,7 @@ class PointCloud:
             self.at_edge[keep],
             None if self.offset_s is None else self.offset_s[keep],
             self.turn_s,
+            self.window_rad,
         )
 
 

@@ -335,8 +335,9 @@ class DriveModel:
     def choose(self, x: FloatArray) -> Chosen:
         """Return which points meet the outline where it is upright, at some parameters, and how much each weighs.
 
-        Points on one side in one frame share a part of their noise, so that many weigh no more than a few
-        (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the side that most are of.
+        Points on one side in one frame share a part of their noise, and those in one window of a matcher all of it, so
+        that many weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the
+        side that most are of.
         """
         drive = self.drive
         points, hits, _ = self.meet(x)
@@ -346,10 +347,25 @@ class DriveModel:
         together = np.zeros((len(drive), outline.FACES))
         np.add.at(together, (drive.frame[points], face), 1.0)
         side = np.where(face < outline.SIDES, face, together[:, : outline.SIDES].argmax(axis=1)[drive.frame[points]])
-        together[:] = 0.0
-        np.add.at(together, (drive.frame[points], side), 1.0)
-        most = together[drive.frame[points], side]
-        return Chosen(points, self.worth[drive.frame[points]] / (1.0 + (most - 1.0) * self.settings.shared_noise_share))
+        group = drive.frame[points] * outline.SIDES + side
+        count = np.bincount(group)[group]
+        return Chosen(points, self.worth[drive.frame[points]] / (1.0 + (count - 1.0) * self._in_common(points, group)))
+
+    def _in_common(self, points: IntArray, group: IntArray) -> FloatArray:
+        """Return what part of its variance each point's noise has in common with the others of its group, on average.
+
+        Two windows that overlap share as much of their noise as of their pixels.
+        """
+        shared, drive = self.settings.shared_noise_share, self.drive
+        if drive.window_rad == 0.0 or not len(points):
+            return np.full(len(points), shared)
+        overlap = np.ones(len(points))
+        for seen_rad in (drive.beside_rad[points], drive.above_rad[points]):
+            least, most = np.full((2, int(group.max()) + 1), np.inf)
+            np.minimum.at(least, group, seen_rad)
+            np.minimum.at(most, group, -seen_rad)
+            overlap *= mean_overlap((-most - least)[group] / drive.window_rad)
+        return shared + (1.0 - shared) * overlap
 
     def meet(self, x: FloatArray) -> tuple[IntArray, outline.Hits, FloatArray]:
         """Return which points the messages tell the vehicle's place for, what they meet, and where on the vehicle."""
@@ -489,6 +505,18 @@ def _worth(drive: Evidence) -> FloatArray:
     after = (last - own) * (1.0 + way) - total[last] + total[own]
     worth: FloatArray = 1.0 / (before + after)
     return worth
+
+
+def mean_overlap(extent: FloatArray) -> FloatArray:
+    """Return by how much two windows overlap that begin anywhere along some extents, in windows, on average.
+
+    The mean of max(0, 1 - |s - t|) over s and t from 0 to an extent e: 1 - e / 3, and beyond one window
+    1 / e - 1 / (3 e^2).
+    """
+    within = np.minimum(extent, 1.0)
+    beyond = np.maximum(extent, 1.0)
+    overlap: FloatArray = np.where(extent < 1.0, 1.0 - within / 3.0, (1.0 - 1.0 / (3.0 * beyond)) / beyond)
+    return overlap
 
 
 def _turned(xy: FloatArray) -> FloatArray:

@@ -35,6 +35,8 @@ class Evidence:
     vehicle : VehicleTrack
     turn_s : float
         How long a turn of the scanner lasts if it turns, and the points' times are not known; else 0.
+    window_rad : float
+        Side of the window within which points have their noise in common; 0 if each has its own.
     """
 
     stamps_s: FloatArray
@@ -48,6 +50,7 @@ class Evidence:
     height_m: float
     vehicle: VehicleTrack
     turn_s: float = 0.0
+    window_rad: float = 0.0
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -60,11 +63,22 @@ class Evidence:
         return late_s
 
     @cached_property
+    def beside_rad(self) -> FloatArray:
+        """How far to the left of its frame's middle each point is seen, shape (n,)."""
+        (x, y), (u, v) = self.middles[self.frame].T, self.points[:, :2].T
+        beside_rad: FloatArray = np.arctan2(x * v - y * u, x * u + y * v)
+        return beside_rad
+
+    @cached_property
+    def above_rad(self) -> FloatArray:
+        """How far above the sensor's horizon each point is seen, shape (n,)."""
+        above_rad: FloatArray = np.arctan2(self.points[:, 2] - self.height_m, np.hypot(*self.points[:, :2].T))
+        return above_rad
+
+    @cached_property
     def points_late_s(self) -> FloatArray:
         """How much later than its frame's middle such a scanner sees each point, shape (n,)."""
-        (x, y), (u, v) = self.middles[self.frame].T, self.points[:, :2].T
-        late_s: FloatArray = np.arctan2(x * v - y * u, x * u + y * v) * (self.turn_s / (2 * np.pi))
-        return late_s
+        return self.beside_rad * (self.turn_s / (2 * np.pi))
 
     def thinned(self, rows: int) -> Evidence:
         """Return about so many of the points, spread evenly over all frames."""
@@ -107,4 +121,5 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         height_m=height_m,
         vehicle=vehicle,
         turn_s=track.turn_s,
+        window_rad=track.window_rad,
     )

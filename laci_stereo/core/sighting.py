@@ -51,7 +51,7 @@ class Sighting:
         How fast it moves away from the sensor, where that was measured.
     late_s : ndarray, shape (n,), or None
         By how much later than its stamp each point was taken; None: not at all.
-    turn_s : float
+    turn_s, window_rad : float
         See `PointCloud`.
     """
 
@@ -68,6 +68,7 @@ class Sighting:
     radial_mps: float | None = None
     late_s: FloatArray | None = None
     turn_s: float = 0.0
+    window_rad: float = 0.0
 
 
 def find_vehicles(
@@ -171,4 +172,5 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
         sigma_m=sigma_m,
         late_s=None if cloud.offset_s is None else cloud.offset_s[kept] - late_s,
         turn_s=cloud.turn_s,
+        window_rad=cloud.window_rad,
     )

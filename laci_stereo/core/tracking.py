@@ -68,6 +68,11 @@ class Track:
         """How long a turn of the scanner lasts if it turns and the points' times are not known, else 0."""
         return max((sighting.turn_s for sighting in self.sightings), default=0.0)
 
+    @cached_property
+    def window_rad(self) -> float:
+        """Side of the window within which points have their noise in common, 0 if each has its own."""
+        return max((sighting.window_rad for sighting in self.sightings), default=0.0)
+
     def flaws(self) -> Counter[str]:
         """Count the sightings that are left out, by reason."""
         return Counter(sighting.flaw for sighting in self.sightings if sighting.flaw is not None)

@@ -59,6 +59,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
     "slope": ("f", (8,)),  # gradient, covariance xx, xy, yy, pivot; all 0 for none; 1 if altitudes were told
     "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
+    "window": ("f", ()),  # side of a matcher's, within which points have their noise in common, rad; 0 for none
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
     "middles": ("f", ("frames", 2)),
@@ -236,6 +237,7 @@ def _to_arrays(passage: Passage) -> Arrays:
         "vehicle": np.array(size),
         "slope": _of_slope(vehicle),
         "turn": np.array([passage.track.turn_s, passage.turn]),
+        "window": np.array(passage.track.window_rad),
         "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
         "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
@@ -373,7 +375,7 @@ def _track(found: Arrays) -> Track:
     ends = np.append(0, np.cumsum(found["counts"][:, 1]))
     points, sigmas = (found[name].astype(np.float64) for name in ("points", "sigmas"))
     boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
-    turn_s = float(found["turn"][0])
+    turn_s, window_rad = float(found["turn"][0]), float(found["window"])
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
     return Track(
         tuple(
@@ -390,6 +392,7 @@ def _track(found: Arrays) -> Track:
                 sigma_m=noise[i][0],
                 radial_mps=None if np.isnan(noise[i][1]) else noise[i][1],
                 turn_s=turn_s,
+                window_rad=window_rad,
             )
             for i, (first, end) in enumerate(pairwise(ends))
         )

@@ -341,6 +341,7 @@ class StereoRecording:
             sigma_along_m=np.linalg.norm(points, axis=1) * pixels.sigma_px / d,
             sigma_across_m=depth * (POINTING_SIGMA_PX / plane.focal_px),
             at_edge=~inner,
+            window_rad=self.settings.refine_window_px / plane.focal_px,
         )
 
 

@@ -210,7 +210,7 @@ def facing_a_patchwork(material, flaws):
 
 def test_disparity_of_a_plane_is_exact_without_flaws():
     mounted, exact, _ = facing_a_patchwork(Material.WALL, SHARP)
-    points = reproject(mounted.camera, exact, np.ones_like(exact.moving))[0]
+    points = reproject(mounted.camera, 0, exact, np.ones_like(exact.moving)).points
     np.testing.assert_allclose(points[:, 2], 20.0, atol=1e-9)
     # Only what is to the left of the right image's border has no partner: 25 px.
     assert np.isfinite(exact.disparity_px[:, 9:]).mean() > 0.999

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtri
 
+from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
 from laci_stereo.stereo.recording import POINTING_SIGMA_PX
@@ -282,14 +283,14 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     return Matched(np.where(known, values, np.nan), np.where(known, told, np.nan), moving, body)
 
 
-def reproject(
-    camera: StereoCamera, matched: Matched, where: BoolArray
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Return points, their noise along and across the line of sight, and whether they are at the border.
+def reproject(camera: StereoCamera, stamp_ns: int, matched: Matched, where: BoolArray) -> PointCloud:
+    """Return the points of a frame.
 
     Parameters
     ----------
     camera : StereoCamera
+    stamp_ns : int
+        Unix time, nanoseconds.
     matched : Matched
     where : ndarray of bool, shape (rows, columns)
         Only these pixels.
@@ -301,8 +302,14 @@ def reproject(
     points = camera.rays[keep.ravel()] * depth[:, None]
     width, height = camera.size_px
     edge = (np.abs(u) > width / 2 - EDGE_PX) | (np.abs(v) > height / 2 - EDGE_PX) | (u - d < EDGE_PX - width / 2)
-    along = np.linalg.norm(points, axis=1) * sigma / d
-    return points, along, depth * (POINTING_SIGMA_PX / camera.focal_px), edge
+    return PointCloud(
+        stamp_ns,
+        points,
+        sigma_along_m=np.linalg.norm(points, axis=1) * sigma / d,
+        sigma_across_m=depth * (POINTING_SIGMA_PX / camera.focal_px),
+        at_edge=edge,
+        window_rad=StereoSettings().refine_window_px / camera.focal_px,
+    )
 
 
 def _surfaces(caster: RayCaster, faces: IntArray) -> tuple[FloatArray, ...]:

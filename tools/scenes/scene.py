@@ -658,7 +658,7 @@ class Recorded:
         matched = self._matched(index)
         assert isinstance(self.scene.sensor, StereoCamera)
         where = np.ones_like(matched.moving) if whole else matched.moving
-        return PointCloud(int(self.scene.stamps_ns[index]), *reproject(self.scene.sensor, matched, where))
+        return reproject(self.scene.sensor, int(self.scene.stamps_ns[index]), matched, where)
 
 
 def _scan(scene: Scene, index: int) -> Scan:
