@@ -25,6 +25,9 @@ _KNOTS = _PARTIAL + 1
 SAME_VIEW_M = 0.5
 """What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
 
+GRAZING = 0.3
+"""Where rays touch a corner, its own noise and not their angle says how far ranges differ: sqrt(2 x 0.03 m / 0.5 m)."""
+
 RATE_S = 1.0
 """Speeds and turning rates are taken over so long before and after: over less, the noise of two messages, 2 cm and
 0.1 deg, would look like a manoeuvre that tells the clocks' offset, and a steady drive tells none."""
@@ -107,6 +110,7 @@ class Fitness:
     block_scores : ndarray, shape (b, p)
         The gradient, by blocks of time.
     log_likelihood : float
+        Of the ranges; it can be compared with that of the same points only.
     shares : ndarray
         See `mixture.Mixture`.
     weight, squares : float
@@ -171,7 +175,10 @@ class Rows:
     Attributes
     ----------
     distance, variance : ndarray, shape (n,)
+    cos : ndarray, shape (n,)
+        By which ranges are longer than distances; 0 where there is no range.
     jacobian : ndarray, shape (n, 18)
+        Of the range, times the cosine: what is measured is the range, while the line of sight is known.
     face, frame : ndarray of int, shape (n,)
     share : ndarray, shape (n,)
         How much each weighs, since it shares its noise with others.
@@ -179,6 +186,7 @@ class Rows:
 
     distance: FloatArray
     variance: FloatArray
+    cos: FloatArray
     jacobian: FloatArray
     face: IntArray
     frame: IntArray
@@ -287,21 +295,20 @@ class DriveModel:
         """Return the mixture's shares to begin with."""
         return mixture.first_shares(len(self.drive) * outline.FACES)
 
-    def weigh(self, x: FloatArray, softening_m: float, shares: FloatArray, chosen: Chosen | None = None) -> Fitness:
-        """Return information and gradient at some parameters, shape (5 + own,).
+    def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
+        """Return information and gradient, shape (5 + own,), where some distances were taken.
+
+        The gradient takes the noise and the angles of incidence as they are there: were they free to change, a side
+        would turn away from the sensor until its points' distances, which are shorter than their ranges, fit.
 
         Parameters
         ----------
-        x : ndarray, shape (5 + own,)
+        rows : Rows
         softening_m : float
             Added to the noise.
         shares : ndarray
             See `mixture.Mixture`.
-        chosen : Chosen
-            The points that count; None: those that are on the wall at these parameters. Likelihoods can be compared
-            only if they are of the same points.
         """
-        rows = self.rows(x, chosen)
         sigma = np.sqrt(rows.variance + softening_m**2)
         group = rows.frame * outline.FACES + rows.face
         mixed = mixture.weigh(rows.distance, sigma, group, shares, rows.share)
@@ -315,7 +322,7 @@ class DriveModel:
             information=(jacobian * weight[:, None]).T @ jacobian,
             gradient=blocks.sum(axis=0),
             block_scores=blocks,
-            log_likelihood=float((rows.share * mixed.log_likelihood).sum()),
+            log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),
             shares=mixed.shares,
             weight=float(mixed.surface.sum()),
             squares=float((mixed.surface * rows.distance**2).sum()),
@@ -324,8 +331,19 @@ class DriveModel:
             frames=int(held.sum()),
         )
 
+    def log_likelihood(self, rows: Rows, held: Rows, shares: FloatArray) -> float:
+        """Return how likely the ranges are, with noise and angles of incidence held as they were for the same points.
+
+        Its derivative there is the gradient of `weigh`.
+        """
+        group = rows.frame * outline.FACES + rows.face
+        hit = (rows.cos > 0.0) & (held.cos > 0.0)
+        distance = rows.distance * np.where(hit, held.cos, 1.0) / np.where(hit, rows.cos, 1.0)
+        mixed = mixture.weigh(distance, np.sqrt(held.variance), group, shares, rows.share)
+        return float((rows.share * mixed.log_likelihood).sum())
+
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
-        """Return the distances at some parameters, of the points chosen, or of those on the wall."""
+        """Return the distances at some parameters, of the points chosen, or of those on the wall there."""
         poses = self._poses(x)
         if not len(self.drive.points):
             return self._centre_rows(x, poses)
@@ -436,13 +454,16 @@ class DriveModel:
 
     def _outline_rows(self, x: FloatArray, poses: _Poses, chosen: Chosen) -> Rows:
         points, frame = chosen.points, self.drive.frame[chosen.points]
-        hits, arm, (xy, _, yaw) = self._hits(x, poses, points)
+        hits, arm, (xy, origin, yaw) = self._hits(x, poses, points)
+        # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
+        arm = (arm + self.centre) * hits.reach[:, None] - self.centre
+        xy = origin + (xy - origin) * hits.reach[:, None]
         jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, hits.normal)
         sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
         jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
         jacobian[:, SWEEP] += self.drive.points_late_s[points] * jacobian[:, _CLOCK]
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
-        return Rows(hits.distance, hits.variance, jacobian, hits.face, frame, chosen.share)
+        return Rows(hits.distance, hits.variance, hits.cos, jacobian, hits.face, frame, chosen.share)
 
     def _centre_rows(self, x: FloatArray, poses: _Poses) -> Rows:
         """Return how far a detector's centres are from the vehicle's, along and across it."""
@@ -463,7 +484,8 @@ class DriveModel:
             distance = xy[:, axis] - middle[axis] - x[_PARTIAL] * nearer[:, axis]
             spread = 1.4826 * np.median(np.abs(distance - np.median(distance))) if len(distance) else 0.0
             variance = np.full(len(frame), max(spread, outline.OUTLINE_SIGMA_M) ** 2)
-            parts.append(Rows(distance, variance, jacobian, np.full(len(frame), axis), frame, np.ones(len(frame))))
+            one = np.ones(len(frame))
+            parts.append(Rows(distance, variance, one, jacobian, np.full(len(frame), axis), frame, one))
         return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
 
     def _jacobian(

@@ -8,7 +8,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from laci_stereo.core.drive_model import FIRST_OWN, SWEEP, Chosen, Correction, DriveModel, Fitness
+from laci_stereo.core.drive_model import FIRST_OWN, SWEEP, Chosen, Correction, DriveModel, Fitness, Rows
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
@@ -296,22 +296,23 @@ class _Problem:
         """Take a step at each softness, and tell how likely the place is that is reached."""
         shares = [model.shares() for model in self.models]
         for soft in softening_m:
-            information, gradient, fitness = self._sum(x, soft, shares)
+            information, gradient, fitness = self._sum(x, self._rows(x), soft, shares)
             x = x - np.linalg.solve(information, gradient)
             shares = [each.shares for each in fitness]
-        _, _, fitness = self._sum(x, softening_m[-1], shares)
-        return self._value(x, fitness), x
+        _, _, fitness = self._sum(x, self._rows(x), softening_m[-1], shares)
+        return sum(each.log_likelihood for each in fitness) + self._log_prior(x), x
 
     def solve(self, x: FloatArray) -> _Solved:
         """Descend to the end from a start nearby; which points are on the wall is told anew after each time."""
         shares: Sequence[FloatArray] = [model.shares() for model in self.models]
         for _ in range(ROUNDS):
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
+            rows = self._rows(x, chosen)
             for _ in range(SETTLING):
-                shares = [each.shares for each in self._sum(x, 0.0, shares, chosen)[2]]
+                shares = [each.shares for each in self._sum(x, rows, 0.0, shares)[2]]
             before = x
             x, shares = self._climb(x, shares, chosen)
-            information, _, fitness = self._sum(x, 0.0, shares, chosen)
+            information, _, fitness = self._sum(x, self._rows(x, chosen), 0.0, shares)
             if (x - before) @ information @ (x - before) < CONVERGED:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -325,42 +326,51 @@ class _Problem:
         Points at corners change sides, about which whole steps swing, and beyond which what a step promises does not
         hold; so a step that leads to a less likely place is shortened.
         """
-        highest, best, pace = -np.inf, (x, shares), 1.0
-        step: FloatArray = np.zeros(self.size)
+        rows, pace = self._rows(x, chosen), 1.0
         for _ in range(MAX_ITERATIONS):
-            information, gradient, fitness = self._sum(x, 0.0, shares, chosen)
-            value = self._value(x, fitness)
-            if value >= highest - TOLERATED:
-                shares = [each.shares for each in fitness]
-                highest, best = max(value, highest), (x, shares)
-                step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-                pace = min(1.0, 2.0 * pace)
-            else:
-                pace /= 4.0
-            if pace**2 * (step @ information @ step) < CONVERGED:
-                break
-            x = best[0] - pace * step
             self.loosen(x)
-        return best
+            information, gradient, fitness = self._sum(x, rows, 0.0, shares)
+            step = np.linalg.solve(information, gradient)
+            size = float(step @ information @ step)
+            here = self._value(x, rows, rows, shares)
+            while pace**2 * size >= CONVERGED:
+                there = self._rows(x - pace * step, chosen)
+                if self._value(x - pace * step, there, rows, shares) > here - TOLERATED:
+                    break
+                pace /= 4.0
+            else:
+                break
+            x, rows, shares = x - pace * step, there, [each.shares for each in fitness]
+            pace = min(1.0, 2.0 * pace)
+        return x, shares
 
-    def _value(self, x: FloatArray, fitness: Sequence[Fitness]) -> float:
-        """Return the log posterior."""
+    def _value(self, x: FloatArray, rows: Sequence[Rows], held: Sequence[Rows], shares: Sequence[FloatArray]) -> float:
+        """Return the log posterior, with the noise as it is elsewhere."""
+        drives = zip(self.models, rows, held, shares, strict=True)
+        points = sum(model.log_likelihood(its, before, share) for model, its, before, share in drives)
+        return points + self._log_prior(x)
+
+    def _log_prior(self, x: FloatArray) -> float:
         away = x - self.mean
-        return float(sum(each.log_likelihood for each in fitness) - away @ self.precision @ away / 2)
+        return -float(away @ self.precision @ away) / 2
 
     def _places(self) -> list[IntArray]:
         """Return where in the vector each drive's parameters are."""
         return [np.r_[:FIRST_OWN, own] for own in self.own]
 
+    def _rows(self, x: FloatArray, chosen: Sequence[Chosen] | None = None) -> list[Rows]:
+        each_chosen: Sequence[Chosen | None] = chosen or [None] * len(self.models)
+        each = zip(self.models, self._places(), each_chosen, strict=True)
+        return [model.rows(x[index], some) for model, index, some in each]
+
     def _sum(
-        self, x: FloatArray, soft: float, shares: Sequence[FloatArray], chosen: Sequence[Chosen] | None = None
+        self, x: FloatArray, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]
     ) -> tuple[FloatArray, FloatArray, list[Fitness]]:
         information = self.precision.copy()
         gradient = self.precision @ (x - self.mean)
         fitness = []
-        each_chosen: Sequence[Chosen | None] = chosen or [None] * len(self.models)
-        for model, index, share, some in zip(self.models, self._places(), shares, each_chosen, strict=True):
-            each = model.weigh(x[index], soft, share, some)
+        for model, index, its, share in zip(self.models, self._places(), rows, shares, strict=True):
+            each = model.weigh(its, soft, share)
             information[np.ix_(index, index)] += each.information
             gradient[index] += each.gradient
             fitness.append(each)

@@ -78,6 +78,8 @@ class Hits:
         0 rear, 1 front, 2 right, 3 left, 4 passed by.
     reach : ndarray, shape (n,)
         Distance from the sensor to the side, over the distance to the point.
+    cos : ndarray, shape (n,)
+        Of the angle between line of sight and normal, by which ranges are longer than distances; 0 where one passes by.
     """
 
     distance: FloatArray
@@ -86,6 +88,7 @@ class Hits:
     by_shape: FloatArray
     face: IntArray
     reach: FloatArray
+    cos: FloatArray
 
 
 def meet(
@@ -198,6 +201,7 @@ def meet(
         ),
         face=np.where(passes, _PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
         reach=np.where(passes, 1.0, enter / far),
+        cos=np.where(passes, 0.0, cos),
     )
 
 

@@ -41,7 +41,7 @@ def evidence(
 ) -> Evidence:
     """Return a drive whose sensor's stamps are ``offset_s`` early; a share ``behind`` of the points lies inside.
 
-    The vehicle's outline is the plain rectangle; the noise is along the line of sight.
+    The vehicle's outline is the plain rectangle; the noise is along the line of sight from `HEIGHT_M` above the ground.
     """
     rng = np.random.default_rng(seed)
     stamps = np.arange(0.5, last_s, 0.1)
@@ -54,9 +54,9 @@ def evidence(
         level = rotate_xy(-TRUTH.yaw_rad, world - TRUTH.shift)
         far = np.linalg.norm(level, axis=1, keepdims=True)
         deeper = np.where(rng.random((per_frame, 1)) < behind, rng.exponential(0.8, (per_frame, 1)), 0.0)
-        level = level * (1.0 + (sigma_m * rng.normal(size=(per_frame, 1)) + deeper) / far)
-        middles.append(np.median(level, axis=0))
-        points.append(np.column_stack([level, np.full(per_frame, 0.5)]))
+        longer = 1.0 + (sigma_m * rng.normal(size=(per_frame, 1)) + deeper) / far
+        middles.append(np.median(level * longer, axis=0))
+        points.append(np.hstack([level * longer, HEIGHT_M + (0.5 - HEIGHT_M) * longer]))
     return Evidence(
         stamps_s=stamps,
         middles=np.array(middles),

@@ -112,7 +112,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
     precision[0, 0] = 1.0 / model.settings.shared_noise_share
     pace, step = 1.0, np.zeros(model.own + 1)
     for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
-        fitness = model.weigh(x, soft, shares)
+        fitness = model.weigh(model.rows(x), soft, shares)
         shares = fitness.shares
         precision[1:, 1:], mean = model.prior(x[FIRST_OWN:])
         information = fitness.information[np.ix_(free, free)] + precision
