@@ -29,8 +29,8 @@ SETTLING = 3
 TOLERATED = 0.1
 """By so little may the log likelihood fall in a step: the shares of the mixture are taken from the step before."""
 
-CONVERGED = 1e-3
-"""Squared step, in standard deviations, at which the iteration ends: a thirtieth of the error that is claimed."""
+CONVERGED = 1e-4
+"""Squared step, in standard deviations, at which the iteration ends: a hundredth of the error that is claimed."""
 
 START_YAWS_DEG = (-4.0, 0.0, 4.0)
 SHIFTS_M = ((0.0, 0.0), (-0.9, -0.9), (-0.9, 0.9), (0.9, -0.9), (0.9, 0.9))
