@@ -54,7 +54,7 @@ def passage() -> Passage:
         slope=SLOPE,
         altitude_told=True,
     )
-    track = Track(tuple(replace(each, turn_s=0.1) for each in sightings))
+    track = Track(tuple(replace(each, turn_s=0.1, window_rad=0.011) for each in sightings))
     return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
 
 

@@ -115,6 +115,13 @@ def test_noise_is_along_the_line_of_sight(clouds: list[PointCloud]) -> None:
         assert np.isfinite(cloud.points).all()
 
 
+def test_clouds_tell_the_angle_of_a_matched_window(recording: StereoRecording, clouds: list[PointCloud]) -> None:
+    rays = recording.rectification.rays[SIZE[1] // 2, SIZE[0] // 2 :][: recording.settings.refine_window_px + 1]
+    cos = rays[0] @ rays[-1] / np.linalg.norm(rays[0]) / np.linalg.norm(rays[-1])
+    seen = [cloud.window_rad for cloud in clouds if len(cloud)]
+    assert seen == pytest.approx([np.arccos(cos)] * len(seen), rel=0.01)
+
+
 def test_the_survey_is_of_whole_quiet_frames_and_of_the_whole_recording(
     recording: StereoRecording, ideal: list[StereoPair]
 ) -> None:
