@@ -19,6 +19,8 @@ _FORMAT = "a GPX track"
 _TAGS: dict[str, Quantity] = {"ele": ALTITUDE, "speed": SPEED, "course": HEADING}
 """In a point (GPX 1.0), or in its extensions, whatever their namespace (GPX 1.1)."""
 
+_MAPS = ("osm", "OpenDRIVE")
+
 _DEEPEST = 3
 """A point's extensions hold a device's own element, and that its values."""
 
@@ -45,7 +47,8 @@ def read_cam_gpx(path: Path, text: str) -> CamRecording:
     except XmlError as problem:
         raise CamError(f"{path} cannot be read: {problem}") from problem
     if _name(root) != "gpx":
-        raise CamError(f"{path} is XML with the root element {quoted(_name(root))}; needed is gpx")
+        hint = " (a lane map is given with --map)" if _name(root) in _MAPS else ""
+        raise CamError(f"{path} is XML with the root element {quoted(_name(root))}, no log{hint}; needed is gpx")
     fixes, problems = {}, {}
     points = [element for element in root.iter() if _name(element) == "trkpt"]
     for place, point in enumerate(points, 1):

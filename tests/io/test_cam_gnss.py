@@ -163,7 +163,8 @@ def test_speed_and_course_of_extensions_are_used(tmp_path: Path):
 def test_xml_that_grows_or_is_no_track_is_refused(tmp_path: Path):
     bomb = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'
     assert "a document type" in refusal(tmp_path, gpx("&b;", bomb))
-    assert "root element 'kml'; needed is gpx" in refusal(tmp_path, "<kml></kml>")
+    assert "root element 'kml', no log; needed is gpx" in refusal(tmp_path, "<kml></kml>")
+    assert "a lane map is given with --map" in refusal(tmp_path, "<osm></osm>")
     assert "needed is well-formed XML" in refusal(tmp_path, "<gpx><trk>")
     assert "holds no position" in refusal(tmp_path, gpx(""))
     assert "point 1: it has no time" in refusal(tmp_path, gpx('<trkpt lat="1" lon="2"/>'))
