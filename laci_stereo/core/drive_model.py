@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -28,9 +28,10 @@ SAME_VIEW_M = 0.5
 GRAZING = 0.3
 """Where rays touch a corner, its own noise and not their angle says how far ranges differ: sqrt(2 x 0.03 m / 0.5 m)."""
 
-RATE_S = 1.0
-"""Speeds and turning rates are taken over so long before and after: over less, the noise of two messages, 2 cm and
-0.1 deg, would look like a manoeuvre that tells the clocks' offset, and a steady drive tells none."""
+RATE_S, NOW_S = 1.0, 0.01
+"""How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
+noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that tells the offset, and a steady drive tells
+none. Where the offset is depends on those of the messages' track at the moment."""
 
 TAIL = 4.0
 """So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
@@ -134,6 +135,14 @@ class Fitness:
 
 
 @dataclass(frozen=True)
+class _Rates:
+    """How fast the vehicle moves in the frames, (m, 2), and how fast its body turns, (m,)."""
+
+    velocity: FloatArray
+    yaw: FloatArray
+
+
+@dataclass(frozen=True)
 class _Poses:
     """The vehicle in the frames: position, heading and body's yaw, their rates, and where they are known."""
 
@@ -141,8 +150,8 @@ class _Poses:
     heading: FloatArray
     yaw: FloatArray
     by_lever: FloatArray
-    velocity: FloatArray
-    yaw_rate: FloatArray
+    rates: _Rates
+    now: _Rates
     known: BoolArray
 
 
@@ -179,18 +188,30 @@ class Rows:
         By which ranges are longer than distances; 0 where there is no range.
     jacobian : ndarray, shape (n, 18)
         Of the range, times the cosine: what is measured is the range, while the line of sight is known.
+    by_time : ndarray, shape (n,)
+        The same by the time of the messages, at that moment.
+    late_s : ndarray, shape (n,)
+        How much later than in the mean a scanner that turns counter-clockwise sees it.
     face, frame : ndarray of int, shape (n,)
     share : ndarray, shape (n,)
         How much each weighs, since it shares its noise with others.
+    point : ndarray of int, shape (n,)
+        Which of the drive's it is of.
     """
 
     distance: FloatArray
     variance: FloatArray
     cos: FloatArray
     jacobian: FloatArray
+    by_time: FloatArray
+    late_s: FloatArray
     face: IntArray
     frame: IntArray
     share: FloatArray
+    point: IntArray
+
+    def __getitem__(self, keep: IntArray) -> Rows:
+        return Rows(*(getattr(self, field.name)[keep] for field in fields(self)))
 
 
 class DriveModel:
@@ -314,7 +335,10 @@ class DriveModel:
         mixed = mixture.weigh(rows.distance, sigma, group, shares, rows.share)
         weight = rows.share * mixed.surface / (sigma * shares[group, 2]) ** 2
         jacobian = self._by_all(rows)
-        scores = jacobian * (mixed.slope * rows.share)[:, None]
+        pull = mixed.slope * rows.share
+        scores = jacobian * pull[:, None]
+        scores[:, _CLOCK] = pull * rows.by_time
+        scores[:, SWEEP] = scores[:, _CLOCK] * rows.late_s
         blocks = np.zeros((int(self.block.max(initial=0)) + 1, jacobian.shape[1]))
         np.add.at(blocks, self.block[rows.frame], scores)
         held = np.bincount(rows.frame, mixed.surface, len(self.drive)) > 1.0
@@ -331,16 +355,22 @@ class DriveModel:
             frames=int(held.sum()),
         )
 
-    def log_likelihood(self, rows: Rows, held: Rows, shares: FloatArray) -> float:
-        """Return how likely the ranges are, with noise and angles of incidence held as they were for the same points.
+    def gain(self, rows: Rows, before: Rows, shares: FloatArray) -> float:
+        """Return by how much likelier the ranges are than before, with noise and angles of incidence held as they were.
 
-        Its derivative there is the gradient of `weigh`.
+        Of the points for which the messages tell the vehicle's place both times; the derivative is what `weigh` tells.
         """
-        group = rows.frame * outline.FACES + rows.face
-        hit = (rows.cos > 0.0) & (held.cos > 0.0)
-        distance = rows.distance * np.where(hit, held.cos, 1.0) / np.where(hit, rows.cos, 1.0)
-        mixed = mixture.weigh(distance, np.sqrt(held.variance), group, shares, rows.share)
-        return float((rows.share * mixed.log_likelihood).sum())
+        if not np.array_equal(rows.point, before.point):
+            _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
+            rows, before = rows[now], before[then]
+        hit = (rows.cos > 0.0) & (before.cos > 0.0)
+        distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
+        sigma = np.sqrt(before.variance)
+        there, here = (
+            mixture.weigh(at, sigma, its.frame * outline.FACES + its.face, shares, before.share).log_likelihood
+            for its, at in ((rows, distance), (before, before.distance))
+        )
+        return float((before.share * (there - here)).sum())
 
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
         """Return the distances at some parameters, of the points chosen, or of those on the wall there."""
@@ -400,24 +430,33 @@ class DriveModel:
     def _poses(self, x: FloatArray) -> _Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
         xy, heading, known = self.drive.vehicle.at(at)
-        first, last = self.drive.vehicle.stamps_s[[0, -1]]
-        earlier, later = (np.clip(at + shift, first, last) for shift in (-RATE_S, RATE_S))
-        before, heading_before, known_before = self.drive.vehicle.at(earlier)
-        after, heading_after, known_after = self.drive.vehicle.at(later)
-        both = known_before & known_after & (later > earlier)
-        passed = np.where(both, later - earlier, 1.0)
         turned, by_lever = self.body.at(at, x[_LEVER])
-        rate = heading_after + self.body.at(later, x[_LEVER])[0]
-        rate -= heading_before + self.body.at(earlier, x[_LEVER])[0]
         return _Poses(
             xy=xy,
             heading=heading,
             yaw=heading + x[_HEADING] + turned,
             by_lever=by_lever,
-            velocity=np.where(both[:, None], after - before, 0.0) / passed[:, None],
-            yaw_rate=np.where(both, rate, 0.0) / passed,
+            rates=self._rates(at, heading, x[_LEVER], RATE_S),
+            now=self._rates(at, heading, x[_LEVER], NOW_S),
             known=known,
         )
+
+    def _rates(self, at: FloatArray, heading: FloatArray, lever: float, within_s: float) -> _Rates:
+        """Return the rates at some times, from the poses so long before and after, for a vehicle that turns evenly.
+
+        Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
+        """
+        first, last = self.drive.vehicle.stamps_s[[0, -1]]
+        earlier, later = (np.clip(at + shift, first, last) for shift in (-within_s, within_s))
+        before, heading_before, known_before = self.drive.vehicle.at(earlier)
+        after, heading_after, known_after = self.drive.vehicle.at(later)
+        both = known_before & known_after & (later > earlier)
+        passed = np.where(both, later - earlier, 1.0)
+        half = (heading_after - heading_before) / 2.0
+        arc = (after - before) / np.sinc(half / np.pi)[:, None]
+        velocity = rotate_xy(heading - heading_before - half, arc) / passed[:, None]
+        turned = heading_after + self.body.at(later, lever)[0] - heading_before - self.body.at(earlier, lever)[0]
+        return _Rates(np.where(both[:, None], velocity, 0.0), np.where(both, turned, 0.0) / passed)
 
     def _into_vehicle(self, x: FloatArray, poses: _Poses, frame: IntArray, arm: FloatArray) -> _Placed:
         """Map points, given from ``centre`` in level axes, into the vehicle frame.
@@ -446,7 +485,7 @@ class DriveModel:
         frame = self.drive.frame[points]
         arm = self.drive.points[points, :2] - x[BIAS] * along[:, None] * self.sight[points] - self.centre
         late_s = x[SWEEP] * self.drive.points_late_s[points]
-        moved = late_s[:, None] * rotate_xy(-x[0], poses.velocity)[frame]
+        moved = late_s[:, None] * rotate_xy(-x[0], poses.rates.velocity)[frame]
         placed = self._into_vehicle(x, poses, frame, arm - moved)
         xy, origin, _ = placed
         across = self.drive.sigma_across_m[points]
@@ -461,9 +500,21 @@ class DriveModel:
         jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, hits.normal)
         sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
         jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
-        jacobian[:, SWEEP] += self.drive.points_late_s[points] * jacobian[:, _CLOCK]
+        late_s = self.drive.frames_late_s[frame] + self.drive.points_late_s[points]
+        jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
-        return Rows(hits.distance, hits.variance, hits.cos, jacobian, hits.face, frame, chosen.share)
+        return Rows(
+            distance=hits.distance,
+            variance=hits.variance,
+            cos=hits.cos,
+            jacobian=jacobian,
+            by_time=_by_time(poses.now, frame, xy, yaw, hits.normal),
+            late_s=late_s,
+            face=hits.face,
+            frame=frame,
+            share=chosen.share,
+            point=points,
+        )
 
     def _centre_rows(self, x: FloatArray, poses: _Poses) -> Rows:
         """Return how far a detector's centres are from the vehicle's, along and across it."""
@@ -484,9 +535,23 @@ class DriveModel:
             distance = xy[:, axis] - middle[axis] - x[_PARTIAL] * nearer[:, axis]
             spread = 1.4826 * np.median(np.abs(distance - np.median(distance))) if len(distance) else 0.0
             variance = np.full(len(frame), max(spread, outline.OUTLINE_SIGMA_M) ** 2)
-            one = np.ones(len(frame))
-            parts.append(Rows(distance, variance, one, jacobian, np.full(len(frame), axis), frame, one))
-        return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
+            late_s = self.drive.frames_late_s[frame]
+            jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
+            parts.append(
+                Rows(
+                    distance=distance,
+                    variance=variance,
+                    cos=np.ones(len(frame)),
+                    jacobian=jacobian,
+                    by_time=_by_time(poses.now, frame, xy, yaw, normal),
+                    late_s=late_s,
+                    face=np.full(len(frame), axis),
+                    frame=frame,
+                    share=np.ones(len(frame)),
+                    point=frame + axis * len(self.drive),
+                )
+            )
+        return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
 
     def _jacobian(
         self,
@@ -498,14 +563,12 @@ class DriveModel:
         yaw: FloatArray,
         normal: FloatArray,
     ) -> FloatArray:
-        """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and heading lever."""
+        """Return the derivatives of normal . xy by yaw, x, y, clock offset, heading error and heading lever."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
         jacobian[:, 0] = (normal_world * _turned(rotate_xy(x[0], arm))).sum(axis=1)
         jacobian[:, 1:3] = normal_world
-        moved = (normal_world * poses.velocity[frame]).sum(axis=1)
-        jacobian[:, _CLOCK] = -moved - poses.yaw_rate[frame] * (normal * _turned(xy)).sum(axis=1)
-        jacobian[:, SWEEP] = self.drive.frames_late_s[frame] * jacobian[:, _CLOCK]
+        jacobian[:, _CLOCK] = _by_time(poses.rates, frame, xy, yaw, normal)
         about = -(normal * _turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
@@ -527,6 +590,13 @@ def _worth(drive: Evidence) -> FloatArray:
     after = (last - own) * (1.0 + way) - total[last] + total[own]
     worth: FloatArray = 1.0 / (before + after)
     return worth
+
+
+def _by_time(rates: _Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return the derivative of normal . xy by the time of the messages, shape (n,)."""
+    moved = (rotate_xy(yaw, normal) * rates.velocity[frame]).sum(axis=1)
+    by_time: FloatArray = -moved - rates.yaw[frame] * (normal * _turned(xy)).sum(axis=1)
+    return by_time
 
 
 def mean_overlap(extent: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ SETTLING = 3
 """So often the shares of the mixture are taken anew before the first step, which would else be one of the shares."""
 
 TOLERATED = 0.1
-"""By so little may the log likelihood fall in a step: the shares of the mixture are taken from the step before."""
+"""By so little may the log likelihood fall in a step: points that change sides make it jump."""
 
 CONVERGED = 1e-4
 """Squared step, in standard deviations, at which the iteration ends: a hundredth of the error that is claimed."""
@@ -332,10 +332,9 @@ class _Problem:
             information, gradient, fitness = self._sum(x, rows, 0.0, shares)
             step = np.linalg.solve(information, gradient)
             size = float(step @ information @ step)
-            here = self._value(x, rows, rows, shares)
             while pace**2 * size >= CONVERGED:
                 there = self._rows(x - pace * step, chosen)
-                if self._value(x - pace * step, there, rows, shares) > here - TOLERATED:
+                if self._gain(x - pace * step, there, x, rows, shares) > -TOLERATED:
                     break
                 pace /= 4.0
             else:
@@ -344,11 +343,18 @@ class _Problem:
             pace = min(1.0, 2.0 * pace)
         return x, shares
 
-    def _value(self, x: FloatArray, rows: Sequence[Rows], held: Sequence[Rows], shares: Sequence[FloatArray]) -> float:
-        """Return the log posterior, with the noise as it is elsewhere."""
+    def _gain(
+        self,
+        x: FloatArray,
+        rows: Sequence[Rows],
+        before: FloatArray,
+        held: Sequence[Rows],
+        shares: Sequence[FloatArray],
+    ) -> float:
+        """Return by how much likelier a place is than the one before."""
         drives = zip(self.models, rows, held, shares, strict=True)
-        points = sum(model.log_likelihood(its, before, share) for model, its, before, share in drives)
-        return points + self._log_prior(x)
+        points = sum(model.gain(its, as_were, share) for model, its, as_were, share in drives)
+        return points + self._log_prior(x) - self._log_prior(before)
 
     def _log_prior(self, x: FloatArray) -> float:
         away = x - self.mean

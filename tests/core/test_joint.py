@@ -216,7 +216,7 @@ def test_what_is_climbed_rises_as_its_gradient_says() -> None:
     fitness = model.weigh(rows, 0.0, shares)
     for index in (0, 1, 2, 5, 6):
         step = 1e-6 * np.eye(len(x))[index]
-        more, less = (model.log_likelihood(model.rows(each, chosen), rows, shares) for each in (x + step, x - step))
+        more, less = (model.gain(model.rows(each, chosen), rows, shares) for each in (x + step, x - step))
         scale = math.sqrt(fitness.information[index, index])
         assert (more - less) / 2e-6 / scale == pytest.approx(-fitness.gradient[index] / scale, abs=0.1)
 
