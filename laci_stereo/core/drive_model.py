@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -28,10 +29,18 @@ SAME_VIEW_M = 0.5
 GRAZING = 0.3
 """Where rays touch a corner, its own noise and not their angle says how far ranges differ: sqrt(2 x 0.03 m / 0.5 m)."""
 
-RATE_S, NOW_S = 1.0, 0.01
+RATE_S = 1.0
 """How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
-noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that tells the offset, and a steady drive tells
-none. Where the offset is depends on those of the messages' track at the moment."""
+noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that tells the offset, and a steady drive none."""
+
+SMOOTH_S, NOW_S = 0.5, 0.01
+"""The messages' track is a parabola over so long before and after, in which a vehicle changes neither its acceleration
+nor how it bends; as it is, that noise would pull the clocks' offset by more than the few milliseconds to which they are
+known. The second is what its slope is taken over."""
+
+_STEPS = np.arange(-5, 6)
+_PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
+"""Weights of the least-squares parabola's middle through eleven places (Savitzky and Golay, 1964)."""
 
 TAIL = 4.0
 """So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
@@ -156,6 +165,7 @@ class _Poses:
 
 
 _Placed = tuple[FloatArray, FloatArray, FloatArray]
+_Track = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
 
 
 @dataclass(frozen=True)
@@ -429,27 +439,40 @@ class DriveModel:
 
     def _poses(self, x: FloatArray) -> _Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
-        xy, heading, known = self.drive.vehicle.at(at)
+        xy, heading, known = self._smooth(at)
         turned, by_lever = self.body.at(at, x[_LEVER])
         return _Poses(
             xy=xy,
             heading=heading,
             yaw=heading + x[_HEADING] + turned,
             by_lever=by_lever,
-            rates=self._rates(at, heading, x[_LEVER], RATE_S),
-            now=self._rates(at, heading, x[_LEVER], NOW_S),
+            rates=self._rates(self.drive.vehicle.at, at, heading, x[_LEVER], RATE_S),
+            now=self._rates(self._smooth, at, heading, x[_LEVER], NOW_S),
             known=known,
         )
 
-    def _rates(self, at: FloatArray, heading: FloatArray, lever: float, within_s: float) -> _Rates:
+    def _smooth(self, at: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and beside gaps it is as it is."""
+        vehicle = self.drive.vehicle
+        first, last = vehicle.stamps_s[[0, -1]]
+        reach_s = np.minimum(at - first, last - at).clip(0.0, SMOOTH_S)
+        xy, heading, known = vehicle.at(at)
+        times = at + reach_s * _STEPS[:, None] / _STEPS[-1]
+        around = [values.reshape(len(_STEPS), len(at), -1) for values in vehicle.at(times.ravel())]
+        whole = known & around[2].all(axis=(0, 2))
+        xy[whole] = np.tensordot(_PARABOLA, around[0], 1)[whole]
+        heading[whole] = np.tensordot(_PARABOLA, around[1], 1)[whole, 0]
+        return xy, heading, known
+
+    def _rates(self, track: _Track, at: FloatArray, heading: FloatArray, lever: float, within_s: float) -> _Rates:
         """Return the rates at some times, from the poses so long before and after, for a vehicle that turns evenly.
 
         Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
         """
         first, last = self.drive.vehicle.stamps_s[[0, -1]]
         earlier, later = (np.clip(at + shift, first, last) for shift in (-within_s, within_s))
-        before, heading_before, known_before = self.drive.vehicle.at(earlier)
-        after, heading_after, known_after = self.drive.vehicle.at(later)
+        before, heading_before, known_before = track(earlier)
+        after, heading_after, known_after = track(later)
         both = known_before & known_after & (later > earlier)
         passed = np.where(both, later - earlier, 1.0)
         half = (heading_after - heading_before) / 2.0

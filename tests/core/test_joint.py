@@ -18,6 +18,9 @@ from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import BRAKING, STRAIGHT, TRUTH, TURN, evidence, told
 from tests.simulated import Drive
 
+CIRCLE = Drive((-16.0, 50.0), -60.0, ((200.0, 300.0),), start_s=-4.0)
+"""An even turn, in which the clocks' offset and the sensor's heading are told apart by nothing but their priors."""
+
 UNKNOWN_CLOCK = JointSettings(clock_sigma_s=1.0)
 
 
@@ -172,7 +175,7 @@ def test_at_the_truth_noise_pulls_no_way(sigma_m: float) -> None:
     # Ranges that vary by much more than the outline turn it, if the distances from it are taken for what was measured.
     pulls, information = [], np.zeros((8, 8))
     for seed in range(80):
-        model, x = at_the_truth(evidence(seed=seed, sigma_m=sigma_m))
+        model, x = at_the_truth(evidence(CIRCLE, seed=seed, sigma_m=sigma_m))
         rows = model.rows(x)
         jacobian = rows.jacobian[:, :8]
         weight = rows.share * (rows.cos > 0.0) / rows.variance
@@ -183,6 +186,22 @@ def test_at_the_truth_noise_pulls_no_way(sigma_m: float) -> None:
     assert np.abs(pull).max() < 0.2
     spread = np.std(pulls, axis=0)[free] / np.sqrt(np.diag(information)[free])
     assert spread.max() / math.sqrt(80) < 0.1  # or the mean would say nothing
+
+
+def test_messages_are_smoothed_along_an_arc() -> None:
+    exact = evidence(CIRCLE)
+    rng = np.random.default_rng(5)
+    noisy = replace(exact.vehicle, xy=exact.vehicle.xy + rng.normal(0.0, 0.02, exact.vehicle.xy.shape))
+    places, slopes = [], []
+    for vehicle in (exact.vehicle, noisy):
+        model = DriveModel(replace(exact, vehicle=vehicle), exact.middles.mean(axis=0), JointSettings())
+        at, later = model._smooth(exact.stamps_s)[0], model._smooth(exact.stamps_s + 0.01)[0]
+        places.append(at)
+        slopes.append((later - at) / 0.01)
+    true = exact.vehicle.at(exact.stamps_s)[0]
+    assert np.abs(places[0] - true).max() < 0.002
+    assert np.std(places[1] - true) < 0.5 * 0.02
+    assert np.std(slopes[1] - slopes[0]) < 0.05  # m/s; between two messages it is 0.28
 
 
 def test_windows_overlap_on_average_by_their_mean() -> None:
@@ -208,17 +227,29 @@ def test_what_is_matched_in_one_window_is_one_statement() -> None:
     assert weights[0].sum() < weights[1].sum() < weights[2].sum()
 
 
-def test_what_is_climbed_rises_as_its_gradient_says() -> None:
-    model, x = at_the_truth(evidence(sigma_m=0.3, behind=0.2))
+# The pull of the clock is that over half a second before and after, which is the same on an even turn.
+@pytest.mark.parametrize(("drive", "indices"), [(TURN, (0, 1, 2, 6, 7)), (CIRCLE, (0, 5, 6))])
+def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple[int, ...]) -> None:
+    model, x = at_the_truth(evidence(drive, sigma_m=0.3, behind=0.2))
     x[:3] += 0.01, 0.1, -0.1
     rows, shares = model.rows(x), model.shares()
     chosen = model.choose(x)
     fitness = model.weigh(rows, 0.0, shares)
-    for index in (0, 1, 2, 5, 6):
+    for index in indices:
         step = 1e-6 * np.eye(len(x))[index]
         more, less = (model.gain(model.rows(each, chosen), rows, shares) for each in (x + step, x - step))
         scale = math.sqrt(fitness.information[index, index])
         assert (more - less) / 2e-6 / scale == pytest.approx(-fitness.gradient[index] / scale, abs=0.1)
+
+
+@pytest.mark.parametrize("offset_s", [-0.08, 0.0, 0.08])
+def test_on_an_even_turn_the_clock_is_as_unknown_as_before(offset_s: float) -> None:
+    drive = evidence(CIRCLE, offset_s=offset_s)
+    fit = fit_jointly([drive], TRUTH, settings=JointSettings(clock_sigma_s=0.1))
+    assert fit.time_sigmas_s[0] > 0.05
+    off = np.abs(error(fit)) / np.sqrt(np.diag(fit.covariance))
+    assert off.max() < 3.0
+    assert abs(fit.time_offsets_s[0] - offset_s) < 3.0 * fit.time_sigmas_s[0]
 
 
 def test_no_points_are_refused_in_words() -> None:
