@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.drive_poses import Poses, by_time, poses_at, turned
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.settings import JointSettings, with_turn
@@ -28,19 +28,6 @@ SAME_VIEW_M = 0.5
 
 GRAZING = 0.3
 """Where rays touch a corner, its own noise and not their angle says how far ranges differ: sqrt(2 x 0.03 m / 0.5 m)."""
-
-RATE_S = 1.0
-"""How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
-noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that tells the offset, and a steady drive none."""
-
-SMOOTH_S, NOW_S = 0.5, 0.01
-"""The messages' track is a parabola over so long before and after, in which a vehicle changes neither its acceleration
-nor how it bends; as it is, that noise would pull the clocks' offset by more than the few milliseconds to which they are
-known. The second is what its slope is taken over."""
-
-_STEPS = np.arange(-5, 6)
-_PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
-"""Weights of the least-squares parabola's middle through eleven places (Savitzky and Golay, 1964)."""
 
 TAIL = 4.0
 """So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
@@ -143,29 +130,7 @@ class Fitness:
     frames: int
 
 
-@dataclass(frozen=True)
-class _Rates:
-    """How fast the vehicle moves in the frames, (m, 2), and how fast its body turns, (m,)."""
-
-    velocity: FloatArray
-    yaw: FloatArray
-
-
-@dataclass(frozen=True)
-class _Poses:
-    """The vehicle in the frames: position, heading and body's yaw, their rates, and where they are known."""
-
-    xy: FloatArray
-    heading: FloatArray
-    yaw: FloatArray
-    by_lever: FloatArray
-    rates: _Rates
-    now: _Rates
-    known: BoolArray
-
-
 _Placed = tuple[FloatArray, FloatArray, FloatArray]
-_Track = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
 
 
 @dataclass(frozen=True)
@@ -437,51 +402,11 @@ class DriveModel:
         hat = self.hat[rows.frame]
         return np.hstack([rows.jacobian, rows.jacobian[:, 1:2] * hat, rows.jacobian[:, 2:3] * hat])
 
-    def _poses(self, x: FloatArray) -> _Poses:
+    def _poses(self, x: FloatArray) -> Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
-        xy, heading, known = self._smooth(at)
-        turned, by_lever = self.body.at(at, x[_LEVER])
-        return _Poses(
-            xy=xy,
-            heading=heading,
-            yaw=heading + x[_HEADING] + turned,
-            by_lever=by_lever,
-            rates=self._rates(self.drive.vehicle.at, at, heading, x[_LEVER], RATE_S),
-            now=self._rates(self._smooth, at, heading, x[_LEVER], NOW_S),
-            known=known,
-        )
+        return poses_at(at, self.drive.vehicle, self.body, x[_HEADING], x[_LEVER])
 
-    def _smooth(self, at: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and beside gaps it is as it is."""
-        vehicle = self.drive.vehicle
-        first, last = vehicle.stamps_s[[0, -1]]
-        reach_s = np.minimum(at - first, last - at).clip(0.0, SMOOTH_S)
-        xy, heading, known = vehicle.at(at)
-        times = at + reach_s * _STEPS[:, None] / _STEPS[-1]
-        around = [values.reshape(len(_STEPS), len(at), -1) for values in vehicle.at(times.ravel())]
-        whole = known & around[2].all(axis=(0, 2))
-        xy[whole] = np.tensordot(_PARABOLA, around[0], 1)[whole]
-        heading[whole] = np.tensordot(_PARABOLA, around[1], 1)[whole, 0]
-        return xy, heading, known
-
-    def _rates(self, track: _Track, at: FloatArray, heading: FloatArray, lever: float, within_s: float) -> _Rates:
-        """Return the rates at some times, from the poses so long before and after, for a vehicle that turns evenly.
-
-        Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
-        """
-        first, last = self.drive.vehicle.stamps_s[[0, -1]]
-        earlier, later = (np.clip(at + shift, first, last) for shift in (-within_s, within_s))
-        before, heading_before, known_before = track(earlier)
-        after, heading_after, known_after = track(later)
-        both = known_before & known_after & (later > earlier)
-        passed = np.where(both, later - earlier, 1.0)
-        half = (heading_after - heading_before) / 2.0
-        arc = (after - before) / np.sinc(half / np.pi)[:, None]
-        velocity = rotate_xy(heading - heading_before - half, arc) / passed[:, None]
-        turned = heading_after + self.body.at(later, lever)[0] - heading_before - self.body.at(earlier, lever)[0]
-        return _Rates(np.where(both[:, None], velocity, 0.0), np.where(both, turned, 0.0) / passed)
-
-    def _into_vehicle(self, x: FloatArray, poses: _Poses, frame: IntArray, arm: FloatArray) -> _Placed:
+    def _into_vehicle(self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray) -> _Placed:
         """Map points, given from ``centre`` in level axes, into the vehicle frame.
 
         Returns
@@ -502,7 +427,7 @@ class DriveModel:
         origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre) + shift)
         return xy, origin[frame], yaw[frame]
 
-    def _hits(self, x: FloatArray, poses: _Poses, points: IntArray) -> tuple[outline.Hits, FloatArray, _Placed]:
+    def _hits(self, x: FloatArray, poses: Poses, points: IntArray) -> tuple[outline.Hits, FloatArray, _Placed]:
         """Return what some points meet, where they are from ``centre`` in level axes, and in the vehicle frame."""
         along = self.drive.sigma_along_m[points]
         frame = self.drive.frame[points]
@@ -514,7 +439,7 @@ class DriveModel:
         across = self.drive.sigma_across_m[points]
         return outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL]), arm, placed
 
-    def _outline_rows(self, x: FloatArray, poses: _Poses, chosen: Chosen) -> Rows:
+    def _outline_rows(self, x: FloatArray, poses: Poses, chosen: Chosen) -> Rows:
         points, frame = chosen.points, self.drive.frame[chosen.points]
         hits, arm, (xy, origin, yaw) = self._hits(x, poses, points)
         # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
@@ -531,7 +456,7 @@ class DriveModel:
             variance=hits.variance,
             cos=hits.cos,
             jacobian=jacobian,
-            by_time=_by_time(poses.now, frame, xy, yaw, hits.normal),
+            by_time=by_time(poses.now, frame, xy, yaw, hits.normal),
             late_s=late_s,
             face=hits.face,
             frame=frame,
@@ -539,7 +464,7 @@ class DriveModel:
             point=points,
         )
 
-    def _centre_rows(self, x: FloatArray, poses: _Poses) -> Rows:
+    def _centre_rows(self, x: FloatArray, poses: Poses) -> Rows:
         """Return how far a detector's centres are from the vehicle's, along and across it."""
         frame = np.flatnonzero(poses.known)
         arm = self.drive.middles[frame] - self.centre
@@ -566,7 +491,7 @@ class DriveModel:
                     variance=variance,
                     cos=np.ones(len(frame)),
                     jacobian=jacobian,
-                    by_time=_by_time(poses.now, frame, xy, yaw, normal),
+                    by_time=by_time(poses.now, frame, xy, yaw, normal),
                     late_s=late_s,
                     face=np.full(len(frame), axis),
                     frame=frame,
@@ -579,7 +504,7 @@ class DriveModel:
     def _jacobian(
         self,
         x: FloatArray,
-        poses: _Poses,
+        poses: Poses,
         frame: IntArray,
         arm: FloatArray,
         xy: FloatArray,
@@ -589,10 +514,10 @@ class DriveModel:
         """Return the derivatives of normal . xy by yaw, x, y, clock offset, heading error and heading lever."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
-        jacobian[:, 0] = (normal_world * _turned(rotate_xy(x[0], arm))).sum(axis=1)
+        jacobian[:, 0] = (normal_world * turned(rotate_xy(x[0], arm))).sum(axis=1)
         jacobian[:, 1:3] = normal_world
-        jacobian[:, _CLOCK] = _by_time(poses.rates, frame, xy, yaw, normal)
-        about = -(normal * _turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
+        jacobian[:, _CLOCK] = by_time(poses.rates, frame, xy, yaw, normal)
+        about = -(normal * turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         return jacobian
@@ -615,13 +540,6 @@ def _worth(drive: Evidence) -> FloatArray:
     return worth
 
 
-def _by_time(rates: _Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return the derivative of normal . xy by the time of the messages, shape (n,)."""
-    moved = (rotate_xy(yaw, normal) * rates.velocity[frame]).sum(axis=1)
-    by_time: FloatArray = -moved - rates.yaw[frame] * (normal * _turned(xy)).sum(axis=1)
-    return by_time
-
-
 def mean_overlap(extent: FloatArray) -> FloatArray:
     """Return by how much two windows overlap that begin anywhere along some extents, in windows, on average.
 
@@ -632,8 +550,3 @@ def mean_overlap(extent: FloatArray) -> FloatArray:
     beyond = np.maximum(extent, 1.0)
     overlap: FloatArray = np.where(extent < 1.0, 1.0 - within / 3.0, (1.0 - 1.0 / (3.0 * beyond)) / beyond)
     return overlap
-
-
-def _turned(xy: FloatArray) -> FloatArray:
-    """Return vectors, shape (n, 2), turned by a right angle to the left."""
-    return np.column_stack([-xy[:, 1], xy[:, 0]])

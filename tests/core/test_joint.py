@@ -188,22 +188,6 @@ def test_at_the_truth_noise_pulls_no_way(sigma_m: float) -> None:
     assert spread.max() / math.sqrt(80) < 0.1  # or the mean would say nothing
 
 
-def test_messages_are_smoothed_along_an_arc() -> None:
-    exact = evidence(CIRCLE)
-    rng = np.random.default_rng(5)
-    noisy = replace(exact.vehicle, xy=exact.vehicle.xy + rng.normal(0.0, 0.02, exact.vehicle.xy.shape))
-    places, slopes = [], []
-    for vehicle in (exact.vehicle, noisy):
-        model = DriveModel(replace(exact, vehicle=vehicle), exact.middles.mean(axis=0), JointSettings())
-        at, later = model._smooth(exact.stamps_s)[0], model._smooth(exact.stamps_s + 0.01)[0]
-        places.append(at)
-        slopes.append((later - at) / 0.01)
-    true = exact.vehicle.at(exact.stamps_s)[0]
-    assert np.abs(places[0] - true).max() < 0.002
-    assert np.std(places[1] - true) < 0.5 * 0.02
-    assert np.std(slopes[1] - slopes[0]) < 0.05  # m/s; between two messages it is 0.28
-
-
 def test_windows_overlap_on_average_by_their_mean() -> None:
     rng = np.random.default_rng(0)
     extents = np.array([0.0, 0.3, 1.0, 2.5, 20.0])

@@ -1,0 +1,157 @@
+"""Where the messages put a vehicle in the frames of a drive, how its body stands, and how fast both change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.tractrix import BodyYaw
+
+RATE_S = 1.0
+"""How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
+noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that tells the offset, and a steady drive none."""
+
+SMOOTH_S, NOW_S = 0.5, 0.01
+"""The messages' track is a parabola over so long before and after, in which a vehicle changes neither its acceleration
+nor how it bends; as it is, that noise would pull the clocks' offset by more than the few milliseconds to which they are
+known. The second is what its slope is taken over."""
+
+_STEPS = np.arange(-5, 6)
+_PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
+"""Weights of the least-squares parabola's middle through eleven places (Savitzky and Golay, 1964)."""
+
+_Track: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How fast a vehicle moves in the world, shape (m, 2), and how fast its body turns, shape (m,)."""
+
+    velocity: FloatArray
+    yaw: FloatArray
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A vehicle in m frames.
+
+    Attributes
+    ----------
+    xy : ndarray, shape (m, 2)
+        World frame.
+    heading, yaw : ndarray, shape (m,)
+        Of its motion, and of its body.
+    by_lever : ndarray, shape (m,)
+        Derivative of the body's yaw by the heading lever.
+    rates, now : Rates
+        Over `RATE_S`, and at the moment itself.
+    known : ndarray of bool, shape (m,)
+        The messages tell it.
+    """
+
+    xy: FloatArray
+    heading: FloatArray
+    yaw: FloatArray
+    by_lever: FloatArray
+    rates: Rates
+    now: Rates
+    known: BoolArray
+
+
+def poses_at(at: FloatArray, vehicle: VehicleTrack, body: BodyYaw, heading_error: float, lever: float) -> Poses:
+    """Return a vehicle's poses.
+
+    Parameters
+    ----------
+    at : ndarray, shape (m,)
+        Times of the messages, seconds.
+    vehicle : VehicleTrack
+    body : BodyYaw
+        Of the same vehicle.
+    heading_error : float
+        To be added to what is told.
+    lever : float
+        How far ahead of the rear axle the point is whose direction of motion is told, metres.
+    """
+
+    def smoothed(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        return smooth(vehicle, stamps_s)
+
+    xy, heading, known = smoothed(at)
+    bent, by_lever = body.at(at, lever)
+    span_s = (float(vehicle.stamps_s[0]), float(vehicle.stamps_s[-1]))
+    return Poses(
+        xy=xy,
+        heading=heading,
+        yaw=heading + heading_error + bent,
+        by_lever=by_lever,
+        rates=_rates(vehicle.at, at, heading, body, lever, RATE_S, span_s),
+        now=_rates(smoothed, at, heading, body, lever, NOW_S, span_s),
+        known=known,
+    )
+
+
+def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and beside gaps it is as it is."""
+    first, last = vehicle.stamps_s[[0, -1]]
+    reach_s = np.minimum(at - first, last - at).clip(0.0, SMOOTH_S)
+    xy, heading, known = vehicle.at(at)
+    times = at + reach_s * _STEPS[:, None] / _STEPS[-1]
+    around = [values.reshape(len(_STEPS), len(at), -1) for values in vehicle.at(times.ravel())]
+    whole = known & around[2].all(axis=(0, 2))
+    xy[whole] = np.tensordot(_PARABOLA, around[0], 1)[whole]
+    heading[whole] = np.tensordot(_PARABOLA, around[1], 1)[whole, 0]
+    return xy, heading, known
+
+
+def _rates(
+    track: _Track,
+    at: FloatArray,
+    heading: FloatArray,
+    body: BodyYaw,
+    lever: float,
+    within_s: float,
+    span_s: tuple[float, float],
+) -> Rates:
+    """Return the rates at some times, from the poses so long before and after, for a vehicle that turns evenly.
+
+    Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
+    """
+    earlier, later = (np.clip(at + shift, *span_s) for shift in (-within_s, within_s))
+    before, heading_before, known_before = track(earlier)
+    after, heading_after, known_after = track(later)
+    both = known_before & known_after & (later > earlier)
+    passed = np.where(both, later - earlier, 1.0)
+    half = (heading_after - heading_before) / 2.0
+    arc = (after - before) / np.sinc(half / np.pi)[:, None]
+    velocity = rotate_xy(heading - heading_before - half, arc) / passed[:, None]
+    yaw = heading_after + body.at(later, lever)[0] - heading_before - body.at(earlier, lever)[0]
+    return Rates(np.where(both[:, None], velocity, 0.0), np.where(both, yaw, 0.0) / passed)
+
+
+def by_time(rates: Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return the derivative of normal . xy by the time of the messages, shape (n,).
+
+    Parameters
+    ----------
+    rates : Rates
+    frame : ndarray of int, shape (n,)
+        Which each point is in.
+    xy, normal : ndarray, shape (n, 2)
+        In the vehicle frame.
+    yaw : ndarray, shape (n,)
+        Of the body.
+    """
+    moved = (rotate_xy(yaw, normal) * rates.velocity[frame]).sum(axis=1)
+    derivative: FloatArray = -moved - rates.yaw[frame] * (normal * turned(xy)).sum(axis=1)
+    return derivative
+
+
+def turned(xy: FloatArray) -> FloatArray:
+    """Return vectors, shape (n, 2), turned by a right angle to the left."""
+    return np.column_stack([-xy[:, 1], xy[:, 0]])
