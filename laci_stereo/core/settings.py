@@ -203,10 +203,10 @@ class MatchSettings:
         By less than this over the second hypothesis, or over chance, there is a warning: of a hundred that are chosen
         without one, at most one may be wrong.
     least_log_odds : float
-        By less than this over the second hypothesis nothing is chosen.
+        By less than this over the second hypothesis nothing is chosen: of the matches that are just taken, all with a
+        warning, one in ten is another vehicle.
     least_seen_log_odds : float
-        By less than this over chance, if senders are seen as usual, nothing is chosen either: of the matches that are
-        just taken, all with a warning, one in ten is a stranger that fits by chance.
+        By less than this over chance, if senders are seen as usual, nothing is chosen either.
     clock_sigma_s : float
         Standard deviation of the offset between the sensor's clock and the CAMs': 10 ms where both are synchronised
         (by NTP or GNSS), 1 s where nothing is known. Searched is up to three times that.
@@ -223,7 +223,7 @@ class MatchSettings:
     min_path_m: float = 5.0
     min_explained: float = 0.5
     clear_log_odds: float = math.log(100.0)
-    least_log_odds: float = math.log(3.0)
+    least_log_odds: float = math.log(10.0)
     least_seen_log_odds: float = math.log(10.0)
     clock_sigma_s: float = 0.010
     position_sigma_m: float = 0.3
