@@ -27,7 +27,7 @@ SAME_VIEW_M = 0.5
 """What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
 
 GRAZING = 0.3
-"""Where rays touch a corner, its own noise and not their angle says how far ranges differ: sqrt(2 x 0.03 m / 0.5 m)."""
+"""Where rays touch a corner, its noise, not their angle, tells how ranges differ: about sqrt(2 x 0.03 m / 0.5 m)."""
 
 TAIL = 4.0
 """So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
@@ -445,11 +445,10 @@ class DriveModel:
         # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
         arm = (arm + self.centre) * hits.reach[:, None] - self.centre
         xy = origin + (xy - origin) * hits.reach[:, None]
-        jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, hits.normal)
+        late_s = self.drive.frames_late_s[frame] + self.drive.points_late_s[points]
+        jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, hits.normal)
         sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
         jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
-        late_s = self.drive.frames_late_s[frame] + self.drive.points_late_s[points]
-        jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         return Rows(
             distance=hits.distance,
@@ -468,6 +467,7 @@ class DriveModel:
         """Return how far a detector's centres are from the vehicle's, along and across it."""
         frame = np.flatnonzero(poses.known)
         arm = self.drive.middles[frame] - self.centre
+        late_s = self.drive.frames_late_s[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         shape = x[_SHAPE:_PARTIAL]
         middle = np.array([(shape[0] - shape[1]) / 2, shape[3]])
@@ -477,14 +477,12 @@ class DriveModel:
         by_shape[0, :2], by_shape[1, 3] = (0.5, -0.5), 1.0
         for axis, moved in enumerate(by_shape):
             normal = np.tile(np.eye(2)[axis], (len(frame), 1))
-            jacobian = self._jacobian(x, poses, frame, arm, xy, yaw, normal)
+            jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, normal)
             jacobian[:, _SHAPE:_PARTIAL] = -moved
             jacobian[:, _PARTIAL] = -nearer[:, axis]
             distance = xy[:, axis] - middle[axis] - x[_PARTIAL] * nearer[:, axis]
             spread = 1.4826 * np.median(np.abs(distance - np.median(distance))) if len(distance) else 0.0
             variance = np.full(len(frame), max(spread, outline.OUTLINE_SIGMA_M) ** 2)
-            late_s = self.drive.frames_late_s[frame]
-            jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
             parts.append(
                 Rows(
                     distance=distance,
@@ -506,17 +504,19 @@ class DriveModel:
         x: FloatArray,
         poses: Poses,
         frame: IntArray,
+        late_s: FloatArray,
         arm: FloatArray,
         xy: FloatArray,
         yaw: FloatArray,
         normal: FloatArray,
     ) -> FloatArray:
-        """Return the derivatives of normal . xy by yaw, x, y, clock offset, heading error and heading lever."""
+        """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and heading lever."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
         jacobian[:, 0] = (normal_world * turned(rotate_xy(x[0], arm))).sum(axis=1)
         jacobian[:, 1:3] = normal_world
         jacobian[:, _CLOCK] = by_time(poses.rates, frame, xy, yaw, normal)
+        jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
         about = -(normal * turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]

@@ -100,13 +100,16 @@ def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArra
     """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and beside gaps it is as it is."""
     first, last = vehicle.stamps_s[[0, -1]]
     reach_s = np.minimum(at - first, last - at).clip(0.0, SMOOTH_S)
-    xy, heading, known = vehicle.at(at)
     times = at + reach_s * _STEPS[:, None] / _STEPS[-1]
-    around = [values.reshape(len(_STEPS), len(at), -1) for values in vehicle.at(times.ravel())]
-    whole = known & around[2].all(axis=(0, 2))
-    xy[whole] = np.tensordot(_PARABOLA, around[0], 1)[whole]
-    heading[whole] = np.tensordot(_PARABOLA, around[1], 1)[whole, 0]
-    return xy, heading, known
+    around = vehicle.at(times.ravel())
+    xy, heading, known = (values.reshape(len(_STEPS), len(at), *values.shape[1:]) for values in around)
+    middle = len(_STEPS) // 2
+    whole = np.asarray(known.all(axis=0))
+    return (
+        np.where(whole[:, None], np.tensordot(_PARABOLA, xy, 1), xy[middle]),
+        np.where(whole, np.tensordot(_PARABOLA, heading, 1), heading[middle]),
+        known[middle],
+    )
 
 
 def _rates(

@@ -307,26 +307,26 @@ class _Problem:
         shares: Sequence[FloatArray] = [model.shares() for model in self.models]
         for _ in range(ROUNDS):
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
-            rows = self._rows(x, chosen)
+            rows: Sequence[Rows] = self._rows(x, chosen)
             for _ in range(SETTLING):
                 shares = [each.shares for each in self._sum(x, rows, 0.0, shares)[2]]
             before = x
-            x, shares = self._climb(x, shares, chosen)
-            information, _, fitness = self._sum(x, self._rows(x, chosen), 0.0, shares)
+            x, rows, shares = self._climb(x, rows, shares, chosen)
+            information, _, fitness = self._sum(x, rows, 0.0, shares)
             if (x - before) @ information @ (x - before) < CONVERGED:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         return _Solved(x, self._covariance(inverse, fitness), tuple(fitness), tuple(self.own))
 
     def _climb(
-        self, x: FloatArray, shares: Sequence[FloatArray], chosen: Sequence[Chosen]
-    ) -> tuple[FloatArray, Sequence[FloatArray]]:
-        """Return the likeliest place near a start, and the shares there.
+        self, x: FloatArray, rows: Sequence[Rows], shares: Sequence[FloatArray], chosen: Sequence[Chosen]
+    ) -> tuple[FloatArray, Sequence[Rows], Sequence[FloatArray]]:
+        """Return the likeliest place near a start, with the distances and the shares there.
 
         Points at corners change sides, about which whole steps swing, and beyond which what a step promises does not
         hold; so a step that leads to a less likely place is shortened.
         """
-        rows, pace = self._rows(x, chosen), 1.0
+        pace = 1.0
         for _ in range(MAX_ITERATIONS):
             self.loosen(x)
             information, gradient, fitness = self._sum(x, rows, 0.0, shares)
@@ -341,7 +341,7 @@ class _Problem:
                 break
             x, rows, shares = x - pace * step, there, [each.shares for each in fitness]
             pace = min(1.0, 2.0 * pace)
-        return x, shares
+        return x, rows, shares
 
     def _gain(
         self,

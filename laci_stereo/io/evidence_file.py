@@ -325,6 +325,7 @@ def _check(path: Path, found: Arrays) -> None:
         and np.linalg.eigvalsh(covariance)[0] > -1e-6 * max(float(np.trace(covariance)), 0.0) - 1e-15,
         "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all() and (found["vehicle"][4:6] >= 0.0).all(),
         "turn, of at least 0 s, by -1, 0 or 1": found["turn"][0] >= 0.0 and found["turn"][1] in TURNS,
+        "window, not negative": found["window"] >= 0.0,
         "clock sigma, above 0": found["own"][4] > 0.0,
         "messages' stamps, at least 2 and ascending": len(found["message_stamps_s"]) > 1
         and (np.diff(found["message_stamps_s"]) > 0.0).all(),

@@ -14,6 +14,9 @@ SIZE = (4.6, 1.8)
 HEIGHT_M = 6.0
 TRUTH = PlanarMatch(0.7, np.array([-30.0, 12.0]))
 TURN = Drive((-20.0, 30.0), -60.0, ((22.0, 0.0), (12.0, 80.0)), ((0.0, 8.0), (4.0, 5.0), (8.0, 9.0)))
+CIRCLE, ROUNDABOUT = (Drive((-16.0, 50.0), -60.0, ((200.0, turn_deg),), start_s=-4.0) for turn_deg in (300.0, 600.0))
+"""Even turns of 38 and 19 m, on which the clocks' offset is told by nothing but its prior."""
+
 STRAIGHT = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 7.0),))
 BRAKING = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 9.0), (5.0, 5.0)))
 

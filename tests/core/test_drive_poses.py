@@ -6,15 +6,11 @@ import numpy as np
 
 from laci_stereo.core.drive_poses import poses_at, smooth
 from laci_stereo.core.tractrix import body_yaw
-from tests.core.outlines import told
-from tests.simulated import Drive
-
-CIRCLE = Drive((-16.0, 50.0), -60.0, ((200.0, 600.0),), start_s=-4.0)
-"""Around a roundabout of 19 m."""
+from tests.core.outlines import ROUNDABOUT, told
 
 
 def test_messages_are_smoothed_along_an_arc() -> None:
-    exact, at = told(CIRCLE, 6.0), np.arange(0.5, 5.5, 0.03)
+    exact, at = told(ROUNDABOUT, 6.0), np.arange(0.5, 5.5, 0.03)
     noise = np.random.default_rng(5).normal(0.0, 0.02, exact.xy.shape)
     noisy = replace(exact, xy=exact.xy + noise)
     (true, as_told), (place, later) = (
@@ -26,7 +22,7 @@ def test_messages_are_smoothed_along_an_arc() -> None:
 
 
 def test_rates_are_those_of_the_arc() -> None:
-    vehicle, at = told(CIRCLE, 6.0), np.arange(0.5, 5.5, 0.1)
+    vehicle, at = told(ROUNDABOUT, 6.0), np.arange(0.5, 5.5, 0.1)
     poses = poses_at(at, vehicle, body_yaw(vehicle), 0.0, 0.0)
     heading = vehicle.at(at)[1]
     true = 7.0 * np.column_stack([np.cos(heading), np.sin(heading)])
@@ -36,7 +32,7 @@ def test_rates_are_those_of_the_arc() -> None:
 
 
 def test_at_the_ends_the_track_is_as_it_is_told() -> None:
-    vehicle = told(CIRCLE, 6.0)
+    vehicle = told(ROUNDABOUT, 6.0)
     ends = vehicle.stamps_s[[0, -1]]
     assert np.allclose(smooth(vehicle, ends)[0], vehicle.xy[[0, -1]])
     assert not smooth(vehicle, ends + np.array([-0.1, 0.1]))[2].any()

@@ -98,7 +98,7 @@ def test_the_derivatives_by_the_shape_are_those_of_the_range(place: tuple[float,
     for index in range(len(SHAPE)):
         step = 1e-5 * np.eye(len(SHAPE))[index]
         more, less = met(xy, origin, shape + step), met(xy, origin, shape - step)
-        same = plain & (more.face == less.face) & (more.cos > 0.0) & (less.cos > 0.0)
+        same = plain & (more.face == less.face)
         ranges = more.distance[same] / more.cos[same] - less.distance[same] / less.cos[same]
         off = ranges / 2e-5 * at.cos[same] - at.by_shape[same, index]
         assert np.mean(np.abs(off) < 0.05) > 0.9
