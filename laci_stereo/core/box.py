@@ -36,8 +36,8 @@ _Sums: TypeAlias = Sequence[float]
 _Line: TypeAlias = tuple[float, float, float]
 """(c, n_x, n_y): the points with c + n_x x + n_y y = 0; (n_x, n_y) is the unit normal."""
 
-_NOWHERE: _Line = (math.inf, 0.0, 0.0)
-"""The line that is infinitely far from every point."""
+_NOWHERE: _Line = (1e12, 0.0, 0.0)
+"""The line that is far from every point; where infinity is multiplied, some processors' BLAS raise a flag."""
 
 _NO_POINTS: _Sums = (0.0,) * 6
 
