@@ -102,6 +102,9 @@ class Fitness:
     Attributes
     ----------
     information : ndarray, shape (p, p)
+        What is known.
+    curvature : ndarray, shape (p, p)
+        Of the negative log-likelihood; it takes the messages' noise for a manoeuvre that tells the clocks' offset.
     gradient : ndarray, shape (p,)
         Of the negative log-likelihood.
     block_scores : ndarray, shape (b, p)
@@ -119,6 +122,7 @@ class Fitness:
     """
 
     information: FloatArray
+    curvature: FloatArray
     gradient: FloatArray
     block_scores: FloatArray
     log_likelihood: float
@@ -311,14 +315,16 @@ class DriveModel:
         weight = rows.share * mixed.surface / (sigma * shares[group, 2]) ** 2
         jacobian = self._by_all(rows)
         pull = mixed.slope * rows.share
-        scores = jacobian * pull[:, None]
-        scores[:, _CLOCK] = pull * rows.by_time
-        scores[:, SWEEP] = scores[:, _CLOCK] * rows.late_s
+        now = jacobian.copy()
+        now[:, _CLOCK] = rows.by_time
+        now[:, SWEEP] = rows.by_time * rows.late_s
+        scores = now * pull[:, None]
         blocks = np.zeros((int(self.block.max(initial=0)) + 1, jacobian.shape[1]))
         np.add.at(blocks, self.block[rows.frame], scores)
         held = np.bincount(rows.frame, mixed.surface, len(self.drive)) > 1.0
         return Fitness(
             information=(jacobian * weight[:, None]).T @ jacobian,
+            curvature=(now * weight[:, None]).T @ now,
             gradient=blocks.sum(axis=0),
             block_scores=blocks,
             log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),

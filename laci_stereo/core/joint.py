@@ -296,8 +296,8 @@ class _Problem:
         """Take a step at each softness, and tell how likely the place is that is reached."""
         shares = [model.shares() for model in self.models]
         for soft in softening_m:
-            information, gradient, fitness = self._sum(x, self._rows(x), soft, shares)
-            x = x - np.linalg.solve(information, gradient)
+            curvature, gradient, fitness = self._sum(x, self._rows(x), soft, shares)
+            x = x - np.linalg.solve(curvature, gradient)
             shares = [each.shares for each in fitness]
         _, _, fitness = self._sum(x, self._rows(x), softening_m[-1], shares)
         return sum(each.log_likelihood for each in fitness) + self._log_prior(x), x
@@ -312,7 +312,8 @@ class _Problem:
                 shares = [each.shares for each in self._sum(x, rows, 0.0, shares)[2]]
             before = x
             x, rows, shares = self._climb(x, rows, shares, chosen)
-            information, _, fitness = self._sum(x, rows, 0.0, shares)
+            fitness = self._sum(x, rows, 0.0, shares)[2]
+            information = self._information(fitness)
             if (x - before) @ information @ (x - before) < CONVERGED:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -329,18 +330,19 @@ class _Problem:
         pace = 1.0
         for _ in range(MAX_ITERATIONS):
             self.loosen(x)
-            information, gradient, fitness = self._sum(x, rows, 0.0, shares)
-            step = np.linalg.solve(information, gradient)
-            size = float(step @ information @ step)
+            curvature, gradient, fitness = self._sum(x, rows, 0.0, shares)
+            step = np.linalg.solve(curvature, gradient)
+            size = float(step @ curvature @ step)
             while pace**2 * size >= CONVERGED:
                 there = self._rows(x - pace * step, chosen)
-                if self._gain(x - pace * step, there, x, rows, shares) > -TOLERATED:
+                gain = self._gain(x - pace * step, there, x, rows, shares)
+                if gain > -TOLERATED:
                     break
                 pace /= 4.0
             else:
                 break
             x, rows, shares = x - pace * step, there, [each.shares for each in fitness]
-            pace = min(1.0, 2.0 * pace)
+            pace = min(1.0, 2.0 * pace) if gain > 0.0 else pace / 4.0
         return x, rows, shares
 
     def _gain(
@@ -372,15 +374,22 @@ class _Problem:
     def _sum(
         self, x: FloatArray, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]
     ) -> tuple[FloatArray, FloatArray, list[Fitness]]:
-        information = self.precision.copy()
+        """Return curvature and gradient of the negative log-likelihood, and how well each drive fits."""
+        curvature = self.precision.copy()
         gradient = self.precision @ (x - self.mean)
         fitness = []
         for model, index, its, share in zip(self.models, self._places(), rows, shares, strict=True):
             each = model.weigh(its, soft, share)
-            information[np.ix_(index, index)] += each.information
+            curvature[np.ix_(index, index)] += each.curvature
             gradient[index] += each.gradient
             fitness.append(each)
-        return information, gradient, fitness
+        return curvature, gradient, fitness
+
+    def _information(self, fitness: Sequence[Fitness]) -> FloatArray:
+        information: FloatArray = self.precision.copy()
+        for each, index in zip(fitness, self._places(), strict=True):
+            information[np.ix_(index, index)] += each.information
+        return information
 
     def _covariance(self, inverse: FloatArray, fitness: Sequence[Fitness]) -> FloatArray:
         """Return the covariance of all parameters, no smaller than the residuals' scatter says.
