@@ -10,7 +10,7 @@ from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_poses import Poses, by_time, poses_at, turned
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy
 from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.tractrix import body_yaw
 
@@ -107,8 +107,10 @@ class Fitness:
         Of the negative log-likelihood; it takes the messages' noise for a manoeuvre that tells the clocks' offset.
     gradient : ndarray, shape (p,)
         Of the negative log-likelihood.
-    block_scores : ndarray, shape (b, p)
-        The gradient, by blocks of time.
+    scores : ndarray, shape (n, p)
+        The gradient, by points.
+    block : ndarray of int, shape (n,)
+        In which block of time each is.
     log_likelihood : float
         Of the ranges; it can be compared with that of the same points only.
     shares : ndarray
@@ -124,7 +126,8 @@ class Fitness:
     information: FloatArray
     curvature: FloatArray
     gradient: FloatArray
-    block_scores: FloatArray
+    scores: FloatArray
+    block: IntArray
     log_likelihood: float
     shares: FloatArray
     weight: float
@@ -133,8 +136,41 @@ class Fitness:
     rows: float
     frames: int
 
+    @property
+    def scatter(self) -> FloatArray:
+        """Squares of the scores' sums over each block of time, summed, shape (p, p)."""
+        blocks = np.zeros((int(self.block.max(initial=0)) + 1, self.scores.shape[1]))
+        np.add.at(blocks, self.block, self.scores)
+        scatter: FloatArray = blocks.T @ blocks
+        return scatter
 
-_Placed = tuple[FloatArray, FloatArray, FloatArray]
+
+@dataclass(frozen=True)
+class Met:
+    """What the lines of sight of some points meet, and where the points are.
+
+    Attributes
+    ----------
+    points : ndarray of int, shape (n,)
+        Which of the drive's.
+    hits : Hits
+    arm : ndarray, shape (n, 2)
+        From ``centre``, in level axes.
+    xy, origin : ndarray, shape (n, 2)
+        Point and sensor in the vehicle frame.
+    yaw : ndarray, shape (n,)
+        Of the body.
+    """
+
+    points: IntArray
+    hits: outline.Hits
+    arm: FloatArray
+    xy: FloatArray
+    origin: FloatArray
+    yaw: FloatArray
+
+    def __getitem__(self, keep: BoolArray) -> Met:
+        return Met(*(getattr(self, field.name)[keep] for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -151,9 +187,6 @@ class Chosen:
 
     points: IntArray
     share: FloatArray
-
-    def __getitem__(self, keep: BoolArray) -> Chosen:
-        return Chosen(self.points[keep], self.share[keep])
 
 
 @dataclass(frozen=True)
@@ -319,14 +352,13 @@ class DriveModel:
         now[:, _CLOCK] = rows.by_time
         now[:, SWEEP] = rows.by_time * rows.late_s
         scores = now * pull[:, None]
-        blocks = np.zeros((int(self.block.max(initial=0)) + 1, jacobian.shape[1]))
-        np.add.at(blocks, self.block[rows.frame], scores)
         held = np.bincount(rows.frame, mixed.surface, len(self.drive)) > 1.0
         return Fitness(
             information=(jacobian * weight[:, None]).T @ jacobian,
             curvature=(now * weight[:, None]).T @ now,
-            gradient=blocks.sum(axis=0),
-            block_scores=blocks,
+            gradient=scores.sum(axis=0),
+            scores=scores,
+            block=self.block[rows.frame],
             log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),
             shares=mixed.shares,
             weight=float(mixed.surface.sum()),
@@ -358,8 +390,12 @@ class DriveModel:
         poses = self._poses(x)
         if not len(self.drive.points):
             return self._centre_rows(x, poses)
-        chosen = self.choose(x) if chosen is None else chosen
-        return self._outline_rows(x, poses, chosen[poses.known[self.drive.frame[chosen.points]]])
+        if chosen is None:
+            met = self._met_at(x, poses)
+            met = met[self._on_the_wall(met)]
+            return self._outline_rows(x, poses, met, self._shares(met.points, met.hits.face))
+        known = poses.known[self.drive.frame[chosen.points]]
+        return self._outline_rows(x, poses, self._meet(x, poses, chosen.points[known]), chosen.share[known])
 
     def choose(self, x: FloatArray) -> Chosen:
         """Return which points meet the outline where it is upright, at some parameters, and how much each weighs.
@@ -368,17 +404,22 @@ class DriveModel:
         that many weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the
         side that most are of.
         """
+        met = self.meet(x)
+        met = met[self._on_the_wall(met)]
+        return Chosen(met.points, self._shares(met.points, met.hits.face))
+
+    def _on_the_wall(self, met: Met) -> BoolArray:
+        z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
+        return outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, self.highest_m)
+
+    def _shares(self, points: IntArray, face: IntArray) -> FloatArray:
         drive = self.drive
-        points, hits, _ = self.meet(x)
-        z, sigma_z = drive.points[points, 2], drive.sigma_z_m[points]
-        wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, self.highest_m)
-        points, face = points[wall], hits.face[wall]
         together = np.zeros((len(drive), outline.FACES))
         np.add.at(together, (drive.frame[points], face), 1.0)
         side = np.where(face < outline.SIDES, face, together[:, : outline.SIDES].argmax(axis=1)[drive.frame[points]])
         group = drive.frame[points] * outline.SIDES + side
         count = np.bincount(group)[group]
-        return Chosen(points, self.worth[drive.frame[points]] / (1.0 + (count - 1.0) * self._in_common(points, group)))
+        return self.worth[drive.frame[points]] / (1.0 + (count - 1.0) * self._in_common(points, group))
 
     def _in_common(self, points: IntArray, group: IntArray) -> FloatArray:
         """Return what part of its variance each point's noise has in common with the others of its group, on average.
@@ -396,12 +437,12 @@ class DriveModel:
             overlap *= mean_overlap((-most - least)[group] / drive.window_rad)
         return shared + (1.0 - shared) * overlap
 
-    def meet(self, x: FloatArray) -> tuple[IntArray, outline.Hits, FloatArray]:
-        """Return which points the messages tell the vehicle's place for, what they meet, and where on the vehicle."""
-        poses = self._poses(x)
-        points = np.flatnonzero(poses.known[self.drive.frame])
-        hits, _, (xy, _, _) = self._hits(x, poses, points)
-        return points, hits, xy
+    def meet(self, x: FloatArray) -> Met:
+        """Return what is met by the points for which the messages tell the vehicle's place."""
+        return self._met_at(x, self._poses(x))
+
+    def _met_at(self, x: FloatArray, poses: Poses) -> Met:
+        return self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
 
     def _by_all(self, rows: Rows) -> FloatArray:
         """Append the derivatives by the knots: a bias of the messages moves the vehicle on the map."""
@@ -412,7 +453,9 @@ class DriveModel:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
         return poses_at(at, self.drive.vehicle, self.body, x[_HEADING], x[_LEVER])
 
-    def _into_vehicle(self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray) -> _Placed:
+    def _into_vehicle(
+        self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Map points, given from ``centre`` in level axes, into the vehicle frame.
 
         Returns
@@ -433,28 +476,26 @@ class DriveModel:
         origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre) + shift)
         return xy, origin[frame], yaw[frame]
 
-    def _hits(self, x: FloatArray, poses: Poses, points: IntArray) -> tuple[outline.Hits, FloatArray, _Placed]:
-        """Return what some points meet, where they are from ``centre`` in level axes, and in the vehicle frame."""
+    def _meet(self, x: FloatArray, poses: Poses, points: IntArray) -> Met:
         along = self.drive.sigma_along_m[points]
         frame = self.drive.frame[points]
         arm = self.drive.points[points, :2] - x[BIAS] * along[:, None] * self.sight[points] - self.centre
         late_s = x[SWEEP] * self.drive.points_late_s[points]
         moved = late_s[:, None] * rotate_xy(-x[0], poses.rates.velocity)[frame]
-        placed = self._into_vehicle(x, poses, frame, arm - moved)
-        xy, origin, _ = placed
+        xy, origin, yaw = self._into_vehicle(x, poses, frame, arm - moved)
         across = self.drive.sigma_across_m[points]
-        return outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL]), arm, placed
+        hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL])
+        return Met(points, hits, arm, xy, origin, yaw)
 
-    def _outline_rows(self, x: FloatArray, poses: Poses, chosen: Chosen) -> Rows:
-        points, frame = chosen.points, self.drive.frame[chosen.points]
-        hits, arm, (xy, origin, yaw) = self._hits(x, poses, points)
+    def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:
+        points, frame, hits, yaw = met.points, self.drive.frame[met.points], met.hits, met.yaw
         # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
-        arm = (arm + self.centre) * hits.reach[:, None] - self.centre
-        xy = origin + (xy - origin) * hits.reach[:, None]
+        arm = (met.arm + self.centre) * hits.reach[:, None] - self.centre
+        xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
         late_s = self.drive.frames_late_s[frame] + self.drive.points_late_s[points]
         jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, hits.normal)
         sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
-        jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * (sight * hits.normal).sum(axis=1)
+        jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * dot_xy(sight, hits.normal)
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         return Rows(
             distance=hits.distance,
@@ -465,7 +506,7 @@ class DriveModel:
             late_s=late_s,
             face=hits.face,
             frame=frame,
-            share=chosen.share,
+            share=share,
             point=points,
         )
 
@@ -519,11 +560,11 @@ class DriveModel:
         """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and heading lever."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
-        jacobian[:, 0] = (normal_world * turned(rotate_xy(x[0], arm))).sum(axis=1)
+        jacobian[:, 0] = dot_xy(normal_world, turned(rotate_xy(x[0], arm)))
         jacobian[:, 1:3] = normal_world
         jacobian[:, _CLOCK] = by_time(poses.rates, frame, xy, yaw, normal)
         jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
-        about = -(normal * turned(xy - np.asarray(self.drive.vehicle.reference))).sum(axis=1)
+        about = -dot_xy(normal, turned(xy - np.asarray(self.drive.vehicle.reference)))
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         return jacobian

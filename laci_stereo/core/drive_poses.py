@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy
 from laci_stereo.core.tractrix import BodyYaw
 
 RATE_S = 1.0
@@ -126,14 +126,16 @@ def _rates(
     Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
     """
     earlier, later = (np.clip(at + shift, *span_s) for shift in (-within_s, within_s))
-    before, heading_before, known_before = track(earlier)
-    after, heading_after, known_after = track(later)
-    both = known_before & known_after & (later > earlier)
+    ends = np.concatenate([earlier, later])
+    begin, end = slice(len(at)), slice(len(at), None)
+    xy, headings, known = track(ends)
+    both = known[begin] & known[end] & (later > earlier)
     passed = np.where(both, later - earlier, 1.0)
-    half = (heading_after - heading_before) / 2.0
-    arc = (after - before) / np.sinc(half / np.pi)[:, None]
-    velocity = rotate_xy(heading - heading_before - half, arc) / passed[:, None]
-    yaw = heading_after + body.at(later, lever)[0] - heading_before - body.at(earlier, lever)[0]
+    half = (headings[end] - headings[begin]) / 2.0
+    arc = (xy[end] - xy[begin]) / np.sinc(half / np.pi)[:, None]
+    velocity = rotate_xy(heading - headings[begin] - half, arc) / passed[:, None]
+    yaws = headings + body.at(ends, lever)[0]
+    yaw = yaws[end] - yaws[begin]
     return Rates(np.where(both[:, None], velocity, 0.0), np.where(both, yaw, 0.0) / passed)
 
 
@@ -150,8 +152,8 @@ def by_time(rates: Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, norm
     yaw : ndarray, shape (n,)
         Of the body.
     """
-    moved = (rotate_xy(yaw, normal) * rates.velocity[frame]).sum(axis=1)
-    derivative: FloatArray = -moved - rates.yaw[frame] * (normal * turned(xy)).sum(axis=1)
+    moved = dot_xy(rotate_xy(yaw, normal), rates.velocity[frame])
+    derivative: FloatArray = -moved - rates.yaw[frame] * dot_xy(normal, turned(xy))
     return derivative
 
 

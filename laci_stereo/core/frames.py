@@ -88,6 +88,12 @@ def rotate_xy(yaw_rad: FloatArray | float, xy: FloatArray) -> FloatArray:
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
+def dot_xy(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the scalar products of vectors in the plane, shape (..., 2)."""
+    product: FloatArray = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+    return product
+
+
 def wrap(angle_rad: FloatArray | float) -> FloatArray:
     """Bring angles into [-pi, pi)."""
     wrapped: FloatArray = (np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi

@@ -399,7 +399,7 @@ class _Problem:
         """
         scatter = self.precision.copy()
         for each, index in zip(fitness, self._places(), strict=True):
-            scatter[np.ix_(index, index)] += each.block_scores.T @ each.block_scores
+            scatter[np.ix_(index, index)] += each.scatter
         robust = inverse @ scatter @ inverse
         root = np.linalg.cholesky(inverse)
         whitened = np.linalg.solve(root, np.linalg.solve(root, robust).T)

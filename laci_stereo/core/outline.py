@@ -7,11 +7,11 @@ lower part of a body, below the bonnet and the windows, is that wide and that lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy
 
 LOWEST_M = 0.25
 """Bumpers and sills begin at about this height above the ground; the clearance of a car is 0.12 to 0.2 m."""
@@ -90,6 +90,9 @@ class Hits:
     reach: FloatArray
     cos: FloatArray
 
+    def __getitem__(self, keep: BoolArray) -> Hits:
+        return Hits(*(getattr(self, field.name)[keep] for field in fields(self)))
+
 
 def meet(
     xy: FloatArray,
@@ -120,7 +123,7 @@ def meet(
     front, rear, side, lever_y, front_bow, rear_bow, taper, _, _ = shape
     half = np.array([size[0] / 2, size[1] / 2])
     ray = xy - origin
-    far = np.linalg.norm(ray, axis=1)
+    far = np.hypot(ray[:, 0], ray[:, 1])
     u = ray / far[:, None]
     u = np.where(np.abs(u) < 1e-6, 1e-6, u)
     ahead, left = origin[:, 0] > 0.0, origin[:, 1] > lever_y
@@ -146,23 +149,24 @@ def meet(
     lean_end = BOW_POWER * bow * eta ** (BOW_POWER - 1) / half[1]
     lean_side = TAPER_POWER * taper * xi ** (TAPER_POWER - 1) / half[0]
     normal = np.column_stack([np.where(at_end, sign_x, lean_side), np.where(at_end, lean_end, sign_y)])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.hypot(normal[:, 0], normal[:, 1])[:, None]
 
     # The corner that the line of sight comes nearest to, if it meets or passes the outline there.
     corner = _corners(half, shape)
     beside = np.column_stack([-u[:, 1], u[:, 0]])
-    aside = np.stack([((at - origin) * beside).sum(axis=1) for at in corner[:, :2]])
+    aside = np.stack([dot_xy(at - origin, beside) for at in corner[:, :2]])
     met = origin + np.where(hit, enter, far)[:, None] * u
-    away = np.stack([np.abs(met - at).max(axis=1) for at in corner[:, :2]])
+    away = np.stack([np.maximum(np.abs(met[:, 0] - x), np.abs(met[:, 1] - y)) for x, y in corner[:, :2]])
     which = np.where(hit, away.argmin(axis=0), np.abs(aside).argmin(axis=0))
     at, radius = corner[which, :2], corner[which, 2]
     outward = np.sign(at - np.array([0.0, lever_y]))
     centre = at - outward * radius[:, None]
-    inside = ((met - centre) * outward > 0.0).all(axis=1)
+    beyond = (met - centre) * outward > 0.0
+    inside = beyond[:, 0] & beyond[:, 1]
     round_ = ~hit | inside
-    off = ((centre - origin) * beside).sum(axis=1)
+    off = dot_xy(centre - origin, beside)
     reach = np.sqrt(np.maximum(radius**2 - off**2, 0.0))
-    t_arc = ((centre - origin) * u).sum(axis=1) - reach
+    t_arc = dot_xy(centre - origin, u) - reach
     passes = round_ & (np.abs(off) >= radius)
     arc = round_ & ~passes
     radial = (origin + t_arc[:, None] * u - centre) / radius[:, None]
@@ -170,7 +174,7 @@ def meet(
     normal = np.where(arc[:, None], radial, normal)
     normal = np.where(passes[:, None], beside * -np.sign(off)[:, None], normal)
 
-    cos = np.abs((normal * u).sum(axis=1))
+    cos = np.abs(dot_xy(normal, u))
     own = OUTLINE_SIGMA_M**2 + np.where(round_, CORNER_SIGMA_M**2, 0.0)
     variance = (cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own
     distance = np.where(passes, np.abs(off) - radius, (enter - far) * cos)
@@ -181,7 +185,7 @@ def meet(
     of_end, of_side = round_ | at_end, round_ | ~at_end
     out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
     fading = 1.0 / (1.0 + np.exp(-shape[7:] / SHARP_M))
-    by_radius = np.where(round_, np.abs(normal).sum(axis=1) - 1.0, 0.0) * np.where(of_front, *fading)
+    by_radius = np.where(round_, np.abs(normal[:, 0]) + np.abs(normal[:, 1]) - 1.0, 0.0) * np.where(of_front, *fading)
     return Hits(
         distance=distance,
         variance=variance,

@@ -116,18 +116,20 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         shares = fitness.shares
         precision[1:, 1:], mean = model.prior(x[FIRST_OWN:])
         information = fitness.information[np.ix_(free, free)] + precision
+        curvature = fitness.curvature[np.ix_(free, free)] + precision
         gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, mean))
-        before, step = step, np.linalg.solve(information, gradient)
-        pace *= 0.5 if before @ information @ step < 0.0 else 1.0  # points at corners change sides, and it swings
+        before, step = step, np.linalg.solve(curvature, gradient)
+        pace *= 0.5 if before @ curvature @ step < 0.0 else 1.0  # points at corners change sides, and it swings
         step = pace * step
         x[free] -= step
-        if soft == 0.0 and step @ information @ step < CLOSE:
+        if soft == 0.0 and step @ curvature @ step < CLOSE:
             break
     return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[1:, 1:]
 
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
-    chosen, hits, xy = model.meet(x)
+    met = model.meet(x)
+    chosen, hits, xy = met.points, met.hits, met.xy
     drive = model.drive
     frame, z, sigma_z = drive.frame[chosen], drive.points[chosen, 2], drive.sigma_z_m[chosen]
     wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, model.highest_m)
