@@ -376,7 +376,9 @@ class DriveModel:
         if not np.array_equal(rows.point, before.point):
             _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
             rows, before = rows[now], before[then]
-        hit = (rows.cos > 0.0) & (before.cos > 0.0)
+        same = rows.face == before.face
+        rows, before = rows[same], before[same]
+        hit = before.cos > 0.0
         distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
         sigma = np.sqrt(before.variance)
         there, here = (

@@ -26,9 +26,6 @@ ROUNDS = 3
 SETTLING = 3
 """So often the shares of the mixture are taken anew before the first step, which would else be one of the shares."""
 
-TOLERATED = 0.1
-"""By so little may the log likelihood fall in a step: points that change sides make it jump."""
-
 CONVERGED = 1e-4
 """Squared step, in standard deviations, at which the iteration ends: a hundredth of the error that is claimed."""
 
@@ -324,8 +321,8 @@ class _Problem:
     ) -> tuple[FloatArray, Sequence[Rows], Sequence[FloatArray]]:
         """Return the likeliest place near a start, with the distances and the shares there.
 
-        Points at corners change sides, about which whole steps swing, and beyond which what a step promises does not
-        hold; so a step that leads to a less likely place is shortened.
+        Points at corners change sides, beyond which what a step promises does not hold; so a step that leads to a less
+        likely place is shortened.
         """
         pace = 1.0
         for _ in range(MAX_ITERATIONS):
@@ -335,14 +332,13 @@ class _Problem:
             size = float(step @ curvature @ step)
             while pace**2 * size >= CONVERGED:
                 there = self._rows(x - pace * step, chosen)
-                gain = self._gain(x - pace * step, there, x, rows, shares)
-                if gain > -TOLERATED:
+                if self._gain(x - pace * step, there, x, rows, shares) > 0.0:
                     break
                 pace /= 4.0
             else:
                 break
             x, rows, shares = x - pace * step, there, [each.shares for each in fitness]
-            pace = min(1.0, 2.0 * pace) if gain > 0.0 else pace / 4.0
+            pace = min(1.0, 2.0 * pace)
         return x, rows, shares
 
     def _gain(
