@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from laci_stereo.core.errors import CamError
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, wrap
 
 TOLD_SIGMA_M = 0.05
 """Of a position against those before and after it, at the least, where messages tell how exact they are: receivers with
@@ -40,6 +40,9 @@ NEIGHBOURS = 5
 WIDEST_M = 2.6
 """No vehicle may be wider without a permit (2.55 m, refrigerated ones 2.60 m: Directive 96/53/EC; 102 inches = 2.59 m:
 23 CFR 658.15), mirrors excepted. More is told by those who count the mirrors; their bodies are as wide as allowed."""
+
+SLOWEST_M = 0.01
+"""Less than this between two messages is no motion: a position's last digit."""
 
 USUAL_WIDTH_M, USUAL_WIDTH_SIGMA_M = 1.80, 0.08
 """Of passenger cars (the mean of those sold in Europe since 2018; 1.6 m is a small one, 2.0 m a large one)."""
@@ -105,12 +108,19 @@ def fitting(
     white = np.sqrt(2.0) * (max(TOLD_SIGMA_M, sigma_m) if np.isfinite(sigma_m) else UNTOLD_SIGMA_M)
 
     points = np.stack([xy - rotate_xy(yaw_rad, np.tile(lever, (len(xy), 1))) for lever in levers])
+    farthest_m = max(float(np.hypot(*lever)) for lever in levers)
 
     def strain(i: int, j: IntArray) -> FloatArray:
         """Return how much less likely it is that i follows from each of j than in the best case."""
         passed, fast = stamps_s[i] - stamps_s[j], (speed[i] + speed[j]) / 2
         expected = (velocity[i] + velocity[j]) / 2 * passed[:, None]
         off = np.fmin.reduce(np.linalg.norm(points[:, i, None] - points[:, j] - expected, axis=2))
+        # Where the direction is the point's own but the speed the wheels', the point swings out faster than that.
+        swing = farthest_m * np.abs(wrap(yaw_rad[i] - yaw_rad[j]))
+        most = np.hypot(1.0, swing / np.maximum(fast * passed, SLOWEST_M))
+        longer = dot_xy(xy[i] - xy[j], expected) / np.maximum(dot_xy(expected, expected), SLOWEST_M**2)
+        own = xy[i] - xy[j] - np.clip(longer, 1.0, most)[:, None] * expected
+        off = np.fmin(off, np.linalg.norm(own, axis=1))
         off = np.where(np.isfinite(off), off, np.abs(np.linalg.norm(xy[i] - xy[j], axis=1) - fast * passed))
         squared: FloatArray = (off / np.hypot(white, (SPEED_SIGMA_MPS + DIRECTION_SIGMA_RAD * fast) * passed)) ** 2
         return squared / 2

@@ -64,6 +64,18 @@ def test_nothing_is_left_out_of_a_log_without_mistakes(drive: Drive, rate_hz: fl
         assert track.remarks == ()
 
 
+@pytest.mark.parametrize("turn_deg", [300.0, -300.0])
+def test_a_bus_in_a_bend_whose_front_tells_its_own_course_and_the_speed_of_the_wheels(turn_deg: float) -> None:
+    around = Drive((0.0, 0.0), 45.0, ((40.0, turn_deg),), ((0.0, 4.0),))
+    log = cam_log(ULM, car(around, 12.0, 2.5), 8.0, 2.0, first_s=0.0)
+    # The front is 6 m ahead of what moves where the body points: a quarter faster, and 38 deg aside.
+    aside_deg = np.degrees(np.arctan(6.0 * np.radians(turn_deg) / 40.0))
+    own = replace(log, heading_deg=(log.heading_deg - aside_deg) % 360.0)
+    assert len(track_of(own, reference=FRONT).stamps_s) == len(log)
+    wrong = np.arange(len(log)) % 4 == 2
+    assert len(track_of(moved(own, wrong, 3.0, -3.0), reference=FRONT).stamps_s) == np.count_nonzero(~wrong)
+
+
 def test_a_vehicle_that_reverses_and_tells_where_its_body_points() -> None:
     log = log_of(STOP)
     back = log.stamps_ns > EPOCH_NS + int(6.5e9)
