@@ -206,7 +206,8 @@ class MatchSettings:
         By less than this over the second hypothesis nothing is chosen: of the matches that are just taken, all with a
         warning, one in ten is another vehicle.
     least_seen_log_odds : float
-        By less than this over chance, if senders are seen as usual, nothing is chosen either.
+        By less than this over chance, if senders are seen as usual, which is nineteen of twenty times, nothing is
+        chosen either: were they seen as often as not, it would rather be a stranger.
     clock_sigma_s : float
         Standard deviation of the offset between the sensor's clock and the CAMs': 10 ms where both are synchronised
         (by NTP or GNSS), 1 s where nothing is known. Searched is up to three times that.
@@ -224,7 +225,7 @@ class MatchSettings:
     min_explained: float = 0.5
     clear_log_odds: float = math.log(100.0)
     least_log_odds: float = math.log(10.0)
-    least_seen_log_odds: float = math.log(10.0)
+    least_seen_log_odds: float = math.log(20.0)
     clock_sigma_s: float = 0.010
     position_sigma_m: float = 0.3
     stretch_m: float = 10.0

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -385,6 +386,25 @@ def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
     brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
     assert "by chance" in choose_track([brief], {42: vehicle()}).doubt
     assert choose_track([brief], {42: vehicle()}, likeness=exactly).doubt == ""
+
+
+def test_what_is_taken_with_a_doubt_is_rather_the_vehicle_than_a_stranger() -> None:
+    refused, odds = 0, []
+    for way in np.arange(-6.0, 8.0, 0.25):
+        try:
+            choice = choose_track(
+                [seen(DRIVE, STAMPS[:20], noise_m=0.05)],
+                {42: vehicle()},
+                likeness=lambda *_, way=way: Resemblance(0.0, float(way)),
+            )
+        except MatchError:
+            refused += 1
+        else:
+            told = re.search(r"odds of ([\d.]+) to 1 that it is its vehicle", choice.doubt)
+            odds += [float(told[1])] if told else []
+    assert refused > 0
+    assert len(odds) > 3
+    assert min(odds) >= 1.0
 
 
 def test_outlines_decide_between_many_that_boxes_do_not() -> None:
