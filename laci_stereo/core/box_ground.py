@@ -27,6 +27,10 @@ LEVEL_SIGMA_DEG = 0.25
 HEIGHT_SIGMA_M = 0.05
 """What is meant by a sensor's height where a person tells it: measured from its middle, by tape, to the decimetre."""
 
+BENT_PER_M = 1.0 / 2100.0
+"""How much a road is bent along its way: the tightest crest for 50 km/h has a radius of 700 m, which is taken for three
+standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m for each percent of slope)."""
+
 _GATE = 3.0
 """Boxes within so many standard deviations stand on the plane; of normal noise that is all but 0.3 %."""
 
@@ -180,9 +184,35 @@ class _Heights:
         """Return the covariance of (rotation about level x, about level y, height); of the noise a share is common."""
         stretches = self.stretches()
         inflation = self.weight.sum() / (stretches - 3)
-        covariance: FloatArray = np.linalg.inv(self.information) * self.sigma_m() ** 2 * inflation
+        variance = self.sigma_m() ** 2 * inflation
+        covariance: FloatArray = np.linalg.inv(self.information) * variance + self._bent(variance)
         covariance[2, 2] += (shared_share * self.sigma_m()) ** 2
         return covariance
+
+    def _bent(self, variance_m2: float) -> FloatArray:
+        """Return what the road's bending leaves unknown of the plane, shape (3, 3).
+
+        On a bent road the slope is another one a standard deviation of the boxes' places farther on, along and across.
+        How bent it is, the heights tell as far as they do; of the rest, what is known of roads (`BENT_PER_M`).
+
+        Parameters
+        ----------
+        variance_m2 : float
+            Of the heights, in units of their weights.
+        """
+        middle = np.average(self.xy, axis=0, weights=self.weight)
+        squares, axes = np.linalg.eigh(np.cov(self.xy.T, aweights=self.weight, ddof=0))
+        along = (self.xy - middle) @ axes
+        design = np.column_stack([self.design, along**2 / 2.0])
+        prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * variance_m2 / BENT_PER_M**2
+        inverse = np.linalg.pinv((design * self.weight[:, None]).T @ design + prior)
+        bend = inverse @ (design.T @ (self.weight * self.above_m))
+        squared = bend[3:] ** 2 + variance_m2 * np.diag(inverse)[3:]
+        # A slope along (x, y) is a turn about (-y, x).
+        about = np.stack([-axes[1], axes[0]])
+        unknown = np.zeros((3, 3))
+        unknown[:2, :2] = (about * squared * squares.clip(0.0)) @ about.T
+        return unknown
 
 
 def _start(points: FloatArray, above_m: FloatArray, axes: Axes) -> GroundPlane:
