@@ -1,7 +1,8 @@
 """Calibrate random scenes and hold the results against their truth.
 
 usage: python -m tools.bench_scenes [--sensors lidar_8,lidar_32,stereo_05,detections] [--scenes 200] [--first SEED]
-       [--method paper|joint|both] [--jobs 2] [--set FACTOR=VALUE ...] [--rendered N] [--out DIR [--resume]] [--worst K]
+       [--in-turn] [--method paper|joint|both] [--jobs 2] [--set FACTOR=VALUE ...] [--rendered N]
+       [--out DIR [--resume]] [--worst K]
 
 Prints a table, one row for each sensor and method. A run is *accepted* when it is calibrated with another verdict than
 "fail"; all others are *refused*. A scene is *good* when the sender is in view in at least 40 frames, two of its sides
@@ -164,12 +165,14 @@ def draw_worst(runs: Sequence[Run], count: int, factors: dict[str, object], out:
 METHODS: tuple[Method, ...] = get_args(Method)
 
 
-def jobs_of(sensors: Sequence[str], seeds: range, methods: Sequence[Method], rendered: int) -> list[Job]:
+def jobs_of(
+    sensors: Sequence[str], seeds: range, methods: Sequence[Method], rendered: int, *, in_turn: bool = False
+) -> list[Job]:
     """Return what is to be run: of stereo cameras the first ``rendered`` seeds on images."""
     return [
         Job(sensor + RENDERED * (sensor in STEREOS and seed - seeds.start < rendered), seed, tuple(methods))
-        for sensor in sensors
-        for seed in seeds
+        for number, sensor in enumerate(sensors)
+        for seed in (seeds[number :: len(sensors)] if in_turn else seeds)
     ]
 
 
@@ -196,6 +199,7 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--sensors", default="lidar_8,lidar_16,lidar_32,lidar_64,stereo_02,stereo_05,stereo_10")
     parser.add_argument("--scenes", type=int, default=200, help="for each sensor")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--in-turn", action="store_true", help="each seed by one sensor, these in turn")
     parser.add_argument("--method", choices=(*METHODS, "both"), default="both", help="both see the scene once")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
@@ -222,7 +226,7 @@ def main() -> None:
     factors = read_factors(arguments.set)
     methods = METHODS if arguments.method == "both" else (arguments.method,)
     seeds = range(arguments.first, arguments.first + arguments.scenes)
-    jobs = jobs_of(arguments.sensors.split(","), seeds, methods, arguments.rendered)
+    jobs = jobs_of(arguments.sensors.split(","), seeds, methods, arguments.rendered, in_turn=arguments.in_turn)
     runs = read_runs(arguments.out / "scenes.csv") if arguments.resume else []
     batches = runs_of(left := missing(jobs, runs), factors, arguments.jobs)
     if arguments.out:

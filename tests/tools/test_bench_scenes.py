@@ -82,6 +82,17 @@ def test_only_what_is_missing_is_run_again():
     assert left[1:] == jobs[2:]
 
 
+def test_sensors_in_turn_share_the_seeds():
+    jobs = jobs_of(["lidar_16", "stereo_05"], range(5, 10), METHODS, rendered=0, in_turn=True)
+    assert sorted((job.seed, job.sensor) for job in jobs) == [
+        (5, "lidar_16"),
+        (6, "stereo_05"),
+        (7, "lidar_16"),
+        (8, "stereo_05"),
+        (9, "lidar_16"),
+    ]
+
+
 def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
     scene = draw_scene(3, "stereo_05", density=0.0, parked=0)
     small = replace(scene.sensor, size_px=(96, 64), focal_px=80.0)
