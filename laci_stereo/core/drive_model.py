@@ -371,7 +371,8 @@ class DriveModel:
     def gain(self, rows: Rows, before: Rows, shares: FloatArray) -> float:
         """Return by how much likelier the ranges are than before, with noise and angles of incidence held as they were.
 
-        Of the points for which the messages tell the vehicle's place both times; the derivative is what `weigh` tells.
+        Of the points for which the messages tell the vehicle's place both times, and that stay on their side: where one
+        changes sides, the likelihood jumps, which no derivative tells. That is what `weigh` tells.
         """
         if not np.array_equal(rows.point, before.point):
             _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
@@ -393,9 +394,8 @@ class DriveModel:
         if not len(self.drive.points):
             return self._centre_rows(x, poses)
         if chosen is None:
-            met = self._met_at(x, poses)
-            met = met[self._on_the_wall(met)]
-            return self._outline_rows(x, poses, met, self._shares(met.points, met.hits.face))
+            met = self._wall(x, poses)
+            return self._outline_rows(x, poses, met, self._shares(met))
         known = poses.known[self.drive.frame[chosen.points]]
         return self._outline_rows(x, poses, self._meet(x, poses, chosen.points[known]), chosen.share[known])
 
@@ -406,16 +406,16 @@ class DriveModel:
         that many weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the
         side that most are of.
         """
-        met = self.meet(x)
-        met = met[self._on_the_wall(met)]
-        return Chosen(met.points, self._shares(met.points, met.hits.face))
+        met = self._wall(x, self._poses(x))
+        return Chosen(met.points, self._shares(met))
 
-    def _on_the_wall(self, met: Met) -> BoolArray:
+    def _wall(self, x: FloatArray, poses: Poses) -> Met:
+        met = self._met_at(x, poses)
         z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
-        return outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, self.highest_m)
+        return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, self.highest_m)]
 
-    def _shares(self, points: IntArray, face: IntArray) -> FloatArray:
-        drive = self.drive
+    def _shares(self, met: Met) -> FloatArray:
+        drive, points, face = self.drive, met.points, met.hits.face
         together = np.zeros((len(drive), outline.FACES))
         np.add.at(together, (drive.frame[points], face), 1.0)
         side = np.where(face < outline.SIDES, face, together[:, : outline.SIDES].argmax(axis=1)[drive.frame[points]])
