@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.background import Background, learn_background
+from laci_stereo.core.background import Background, BackgroundBox, learn_background
+from laci_stereo.core.box import Box
 from laci_stereo.core.errors import BackgroundError
 from laci_stereo.core.frames import FloatArray, invert, planar, transform
 from laci_stereo.core.settings import BackgroundSettings
@@ -199,3 +200,19 @@ def test_a_bus_that_hardly_leaves_its_place_is_no_background_where_the_road_behi
     empty = clouds_level(replace(recording, movers=()))[0]
     standing = empty[(empty[:, 2] > 0.6) & (empty[:, 2] < 3.9)]
     assert background.covers(standing[:, :2]).mean() > 0.97
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.3])
+def test_what_is_covered_is_what_lies_in_any_box(margin_m: float) -> None:
+    rng = np.random.default_rng(0)
+    boxes = [
+        Box(rng.uniform(-20.0, 20.0, 2), float(length), float(length) * 0.4, float(rng.uniform(-1.57, 1.57)))
+        for length in rng.uniform(0.1, 12.0, 15)
+    ]
+    edges = [(one.corners() - one.centre) * (1.0 + side) + one.centre for one in boxes for side in (-1e-9, 1e-3)]
+    xy = np.concatenate([rng.uniform(-25.0, 25.0, (5000, 2)), *edges])
+    background = Background(tuple(BackgroundBox(box, 2.0) for box in boxes), 0, margin_m)
+    covered = np.any([box.contains(xy, margin_m) for box in boxes], axis=0)
+    assert 0 < covered.sum() < len(xy)
+    assert np.array_equal(background.covers(xy), covered)
+    assert not Background((), 0, margin_m).covers(xy).any()
