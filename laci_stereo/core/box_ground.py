@@ -155,9 +155,12 @@ class _Heights:
 
     def spread_m(self) -> FloatArray:
         """Return the standard deviations of the places across and along the line of largest spread."""
-        covariance = np.cov(self.xy.T, aweights=self.weight, ddof=0)
-        spread: FloatArray = np.sqrt(np.linalg.eigvalsh(covariance).clip(0.0))
-        return spread
+        return self._spread()[0]
+
+    def _spread(self) -> tuple[FloatArray, FloatArray]:
+        """Return the same, and the directions, shape (2, 2): one each column."""
+        squares, axes = np.linalg.eigh(np.cov(self.xy.T, aweights=self.weight, ddof=0))
+        return np.sqrt(squares.clip(0.0)), axes
 
     def sigma_m(self) -> float:
         """Return the standard deviation of the heights."""
@@ -201,7 +204,7 @@ class _Heights:
             Of the heights, in units of their weights.
         """
         middle = np.average(self.xy, axis=0, weights=self.weight)
-        squares, axes = np.linalg.eigh(np.cov(self.xy.T, aweights=self.weight, ddof=0))
+        spread_m, axes = self._spread()
         along = (self.xy - middle) @ axes
         design = np.column_stack([self.design, along**2 / 2.0])
         prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * variance_m2 / BENT_PER_M**2
@@ -211,7 +214,7 @@ class _Heights:
         # A slope along (x, y) is a turn about (-y, x).
         about = np.stack([-axes[1], axes[0]])
         unknown = np.zeros((3, 3))
-        unknown[:2, :2] = (about * squared * squares.clip(0.0)) @ about.T
+        unknown[:2, :2] = (about * squared * spread_m**2) @ about.T
         return unknown
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from laci_stereo.core.cam_repair import REAR_AXLE_SHARE, dimensions, fitting, usual_speed
+from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.slope import Slope, slope_of
@@ -26,7 +27,7 @@ STANDING_MPS = 0.5
 
 
 @dataclass(frozen=True)
-class CamLog:
+class CamLog(Columns):
     """Messages in the order of time. What a sender did not know is NaN.
 
     Attributes
@@ -60,9 +61,6 @@ class CamLog:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
-
-    def __getitem__(self, keep: BoolArray | IntArray) -> CamLog:
-        return CamLog(*(getattr(self, field.name)[keep] for field in fields(self)))
 
     def stations(self) -> list[int]:
         """Return the stations in the log, the one with most messages first."""

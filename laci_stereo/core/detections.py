@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from laci_stereo.core.background import Background
 from laci_stereo.core.box import Box
 from laci_stereo.core.box_ground import level_ground, plane_below
+from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform, wrap
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.observe import Observation
@@ -25,7 +26,7 @@ LOST_FRAMES = 5
 
 
 @dataclass(frozen=True)
-class DetectionLog:
+class DetectionLog(Columns):
     """Detections in the order of time. What is not known is NaN.
 
     Attributes
@@ -57,9 +58,6 @@ class DetectionLog:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
-
-    def __getitem__(self, keep: BoolArray | IntArray) -> DetectionLog:
-        return DetectionLog(*(getattr(self, field.name)[keep] for field in fields(self)))
 
     @property
     def span_ns(self) -> tuple[int, int]:

@@ -8,9 +8,10 @@ import numpy as np
 
 from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, poses_at, turned
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy
+from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy
 from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.tractrix import body_yaw
 
@@ -101,8 +102,8 @@ class Fitness:
 
     Attributes
     ----------
-    information : ndarray, shape (p, p)
-        What is known.
+    jacobian, precision : ndarray, shape (n, p) and (n,)
+        Of each point, as what is known is told by.
     curvature : ndarray, shape (p, p)
         Of the negative log-likelihood; it takes the messages' noise for a manoeuvre that tells the clocks' offset.
     gradient : ndarray, shape (p,)
@@ -123,7 +124,8 @@ class Fitness:
         With points of the surface.
     """
 
-    information: FloatArray
+    jacobian: FloatArray
+    precision: FloatArray
     curvature: FloatArray
     gradient: FloatArray
     scores: FloatArray
@@ -137,6 +139,12 @@ class Fitness:
     frames: int
 
     @property
+    def information(self) -> FloatArray:
+        """What is known, shape (p, p)."""
+        information: FloatArray = (self.jacobian * self.precision[:, None]).T @ self.jacobian
+        return information
+
+    @property
     def scatter(self) -> FloatArray:
         """Squares of the scores' sums over each block of time, summed, shape (p, p)."""
         blocks = np.zeros((int(self.block.max(initial=0)) + 1, self.scores.shape[1]))
@@ -146,7 +154,7 @@ class Fitness:
 
 
 @dataclass(frozen=True)
-class Met:
+class Met(Columns):
     """What the lines of sight of some points meet, and where the points are.
 
     Attributes
@@ -169,9 +177,6 @@ class Met:
     origin: FloatArray
     yaw: FloatArray
 
-    def __getitem__(self, keep: BoolArray) -> Met:
-        return Met(*(getattr(self, field.name)[keep] for field in fields(self)))
-
 
 @dataclass(frozen=True)
 class Chosen:
@@ -190,7 +195,7 @@ class Chosen:
 
 
 @dataclass(frozen=True)
-class Rows:
+class Rows(Columns):
     """Distances from the outline, with their derivatives by the first parameters, up to the knots.
 
     Attributes
@@ -221,9 +226,6 @@ class Rows:
     frame: IntArray
     share: FloatArray
     point: IntArray
-
-    def __getitem__(self, keep: IntArray) -> Rows:
-        return Rows(*(getattr(self, field.name)[keep] for field in fields(self)))
 
 
 class DriveModel:
@@ -354,7 +356,8 @@ class DriveModel:
         scores = now * pull[:, None]
         held = np.bincount(rows.frame, mixed.surface, len(self.drive)) > 1.0
         return Fitness(
-            information=(jacobian * weight[:, None]).T @ jacobian,
+            jacobian=jacobian,
+            precision=weight,
             curvature=(now * weight[:, None]).T @ now,
             gradient=scores.sum(axis=0),
             scores=scores,
@@ -406,11 +409,15 @@ class DriveModel:
         that many weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the
         side that most are of.
         """
-        met = self._wall(x, self._poses(x))
+        met = self.wall(x)
         return Chosen(met.points, self._shares(met))
 
+    def wall(self, x: FloatArray) -> Met:
+        """Return what meets the outline where it is upright, while the messages tell the vehicle's place."""
+        return self._wall(x, self._poses(x))
+
     def _wall(self, x: FloatArray, poses: Poses) -> Met:
-        met = self._met_at(x, poses)
+        met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
         z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
         return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, self.highest_m)]
 
@@ -438,13 +445,6 @@ class DriveModel:
             np.minimum.at(most, group, -seen_rad)
             overlap *= mean_overlap((-most - least)[group] / drive.window_rad)
         return shared + (1.0 - shared) * overlap
-
-    def meet(self, x: FloatArray) -> Met:
-        """Return what is met by the points for which the messages tell the vehicle's place."""
-        return self._met_at(x, self._poses(x))
-
-    def _met_at(self, x: FloatArray, poses: Poses) -> Met:
-        return self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
 
     def _by_all(self, rows: Rows) -> FloatArray:
         """Append the derivatives by the knots: a bias of the messages moves the vehicle on the map."""

@@ -310,7 +310,7 @@ class _Problem:
             before = x
             x, rows, shares = self._climb(x, rows, shares, chosen)
             fitness = self._sum(x, rows, 0.0, shares)[2]
-            information = self._information(fitness)
+            information = self._with_prior([each.information for each in fitness])
             if (x - before) @ information @ (x - before) < CONVERGED:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -371,21 +371,20 @@ class _Problem:
         self, x: FloatArray, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]
     ) -> tuple[FloatArray, FloatArray, list[Fitness]]:
         """Return curvature and gradient of the negative log-likelihood, and how well each drive fits."""
-        curvature = self.precision.copy()
         gradient = self.precision @ (x - self.mean)
         fitness = []
         for model, index, its, share in zip(self.models, self._places(), rows, shares, strict=True):
             each = model.weigh(its, soft, share)
-            curvature[np.ix_(index, index)] += each.curvature
             gradient[index] += each.gradient
             fitness.append(each)
-        return curvature, gradient, fitness
+        return self._with_prior([each.curvature for each in fitness]), gradient, fitness
 
-    def _information(self, fitness: Sequence[Fitness]) -> FloatArray:
-        information: FloatArray = self.precision.copy()
-        for each, index in zip(fitness, self._places(), strict=True):
-            information[np.ix_(index, index)] += each.information
-        return information
+    def _with_prior(self, parts: Sequence[FloatArray]) -> FloatArray:
+        """Add up what the priors tell, and each drive of the sensor's parameters and its own."""
+        total: FloatArray = self.precision.copy()
+        for part, index in zip(parts, self._places(), strict=True):
+            total[np.ix_(index, index)] += part
+        return total
 
     def _covariance(self, inverse: FloatArray, fitness: Sequence[Fitness]) -> FloatArray:
         """Return the covariance of all parameters, no smaller than the residuals' scatter says.
@@ -393,9 +392,7 @@ class _Problem:
         The scores of a second of frames each are summed as they are (cluster-robust, Huber 1967): where residuals of
         successive frames agree more than the model has it, the covariance grows in that direction.
         """
-        scatter = self.precision.copy()
-        for each, index in zip(fitness, self._places(), strict=True):
-            scatter[np.ix_(index, index)] += each.scatter
+        scatter = self._with_prior([each.scatter for each in fitness])
         robust = inverse @ scatter @ inverse
         root = np.linalg.cholesky(inverse)
         whitened = np.linalg.solve(root, np.linalg.solve(root, robust).T)

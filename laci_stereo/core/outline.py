@@ -7,10 +7,11 @@ lower part of a body, below the bonnet and the windows, is that wide and that lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy
 
 LOWEST_M = 0.25
@@ -61,7 +62,7 @@ _FRONT, _PASSED = 1, 4
 
 
 @dataclass(frozen=True)
-class Hits:
+class Hits(Columns):
     """Where points lie about an outline.
 
     Attributes
@@ -89,9 +90,6 @@ class Hits:
     face: IntArray
     reach: FloatArray
     cos: FloatArray
-
-    def __getitem__(self, keep: BoolArray) -> Hits:
-        return Hits(*(getattr(self, field.name)[keep] for field in fields(self)))
 
 
 def meet(

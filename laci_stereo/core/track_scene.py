@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
@@ -32,7 +33,7 @@ VIEW_CELL_M = 5.0
 
 
 @dataclass(frozen=True)
-class Knots:
+class Knots(Columns):
     """Averages over a track's successive sightings; each attribute has shape (n,), and ``xy`` (n, 2)."""
 
     track: IntArray
@@ -48,9 +49,6 @@ class Knots:
 
     def __len__(self) -> int:
         return len(self.stamp_s)
-
-    def __getitem__(self, keep: BoolArray | IntArray) -> Knots:
-        return Knots(*(getattr(self, field.name)[keep] for field in fields(self)))
 
 
 @dataclass(frozen=True)

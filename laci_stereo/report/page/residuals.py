@@ -115,7 +115,6 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         fitness = model.weigh(model.rows(x), soft, shares)
         shares = fitness.shares
         precision[1:, 1:], mean = model.prior(x[FIRST_OWN:])
-        information = fitness.information[np.ix_(free, free)] + precision
         curvature = fitness.curvature[np.ix_(free, free)] + precision
         gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, mean))
         before, step = step, np.linalg.solve(curvature, gradient)
@@ -124,18 +123,16 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         x[free] -= step
         if soft == 0.0 and step @ curvature @ step < CLOSE:
             break
+    information = fitness.information[np.ix_(free, free)] + precision
     return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[1:, 1:]
 
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
-    met = model.meet(x)
-    chosen, hits, xy = met.points, met.hits, met.xy
-    drive = model.drive
-    frame, z, sigma_z = drive.frame[chosen], drive.points[chosen, 2], drive.sigma_z_m[chosen]
-    wall = outline.on_the_wall(drive.height_m, z, hits, sigma_z, model.highest_m)
-    group = (frame * outline.FACES + hits.face)[wall]
-    mixed = mixture.weigh(hits.distance[wall], np.sqrt(hits.variance[wall]), group, shares)
-    return Laid(drive.stamps_s[frame[wall]], xy[wall], hits.distance[wall], hits.face[wall], mixed.surface)
+    met = model.wall(x)
+    frame = model.drive.frame[met.points]
+    group = frame * outline.FACES + met.hits.face
+    mixed = mixture.weigh(met.hits.distance, np.sqrt(met.hits.variance), group, shares)
+    return Laid(model.drive.stamps_s[frame], met.xy, met.hits.distance, met.hits.face, mixed.surface)
 
 
 @dataclass(frozen=True)
