@@ -94,7 +94,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     fit = alone[kept[0]]
     if len(kept) > 1:
         offsets = [alone[i].time_offsets_s[0] for i in kept]
-        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings.joint)
+        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings.joint, close=True)
     used = [replace(laid[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True)]
     calibration = _calibration(used, [drives[i] for i in kept], fit, settings)
     shares = (

@@ -122,6 +122,8 @@ def fit_jointly(
     start: PlanarMatch,
     time_offsets_s: Sequence[float] | None = None,
     settings: JointSettings | None = None,
+    *,
+    close: bool = False,
 ) -> JointFit:
     """Estimate yaw and position, and each drive's clock offset, shape, heading error and GNSS bias.
 
@@ -137,6 +139,8 @@ def fit_jointly(
     time_offsets_s : sequence of float
         Where the search for each drive's clock offset begins; None is 0.
     settings : JointSettings
+    close : bool
+        The start is what each of the drives says by itself, within its doubt: no other is tried.
 
     Raises
     ------
@@ -152,7 +156,7 @@ def fit_jointly(
     begin = _around(start, centre)
     turn = _turn_of(drives)
     thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings, turn)
-    best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
+    best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     fine = [drive.thinned(FINE_ROWS) for drive in drives]
     problem = _Problem(fine, begin, centre, settings, turn)
     solved = problem.solve(best)

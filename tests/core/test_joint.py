@@ -121,6 +121,14 @@ def test_two_drives_know_more_than_either() -> None:
     assert len(both.time_offsets_s) == len(both.corrections) == 2
 
 
+def test_from_what_each_drive_says_no_other_start_is_needed() -> None:
+    one, other = evidence(seed=1), evidence(STRAIGHT, seed=2)
+    alone = fit_jointly([one], TRUTH)
+    offsets = [alone.time_offsets_s[0], 0.0]
+    near, all_starts = (fit_jointly([one, other], alone.match, offsets, close=close) for close in (True, False))
+    assert (np.abs(error(near) - error(all_starts)) < 0.02 * np.sqrt(np.diag(all_starts.covariance))).all()
+
+
 def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     drive = evidence()
     rng = np.random.default_rng(5)
