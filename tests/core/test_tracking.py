@@ -67,6 +67,16 @@ def test_vehicles_whose_paths_cross_keep_their_own_tracks(rate_hz: float) -> Non
     assert all(any(same(track, true) for track in found) for true in (one, other))
 
 
+@pytest.mark.parametrize("gap_s", [0.9, 1.8])
+def test_what_appears_on_the_way_back_is_something_else(gap_s: float) -> None:
+    gone = driven(Drive((0.0, 0.0), 180.0, speeds=((0.0, 3.6),)), 10.0, last_s=1.5)
+    stamps = 1.4 + gap_s + 0.1 * np.arange(15)
+    come = track(stamps, Drive((-7.0, -1.0), 0.0, speeds=((0.0, 3.0),)).at(stamps - stamps[0])[0])
+    found = link_tracks(frames_of(gone, come))
+    assert len(found) == 2
+    assert all(any(same(one, true) for one in found) for true in (gone, come))
+
+
 @RATES
 def test_an_occlusion_of_half_a_second_is_bridged(rate_hz: float) -> None:
     true = driven(DRIVE, rate_hz)
