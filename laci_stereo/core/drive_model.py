@@ -9,9 +9,9 @@ import numpy as np
 from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.columns import Columns
-from laci_stereo.core.drive_poses import Poses, by_time, poses_at, turned
+from laci_stereo.core.drive_poses import Poses, by_time, poses_at
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy
+from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
 from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.tractrix import body_yaw
 

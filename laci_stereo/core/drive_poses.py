@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, turned
 from laci_stereo.core.tractrix import BodyYaw
 
 RATE_S = 1.0
@@ -155,8 +155,3 @@ def by_time(rates: Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, norm
     moved = dot_xy(rotate_xy(yaw, normal), rates.velocity[frame])
     derivative: FloatArray = -moved - rates.yaw[frame] * dot_xy(normal, turned(xy))
     return derivative
-
-
-def turned(xy: FloatArray) -> FloatArray:
-    """Return vectors, shape (n, 2), turned by a right angle to the left."""
-    return np.column_stack([-xy[:, 1], xy[:, 0]])

@@ -94,6 +94,11 @@ def dot_xy(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
+def turned(xy: FloatArray) -> FloatArray:
+    """Return vectors, shape (n, 2), turned by a right angle to the left."""
+    return np.column_stack([-xy[:, 1], xy[:, 0]])
+
+
 def wrap(angle_rad: FloatArray | float) -> FloatArray:
     """Bring angles into [-pi, pi)."""
     wrapped: FloatArray = (np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import GroundError
-from laci_stereo.core.frames import Axes, FloatArray, transform
+from laci_stereo.core.frames import Axes, FloatArray, dot_xy, transform, turned
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
@@ -29,6 +29,15 @@ REACHES_M = (3.0, 5.0, 8.0)
 """So far beside a way there is road: the lane, a lane and a half, or a carriageway of two lanes."""
 
 STEP_M = 0.5
+
+LANE_M = 3.5
+"""Of a lane, and of the one beside it."""
+
+LOWER_M = 0.1
+"""A kerb is higher."""
+
+SEEN_SHARE = 0.1
+"""A side of the way is seen where as much of it is seen as this share of the other."""
 
 FALSE_ALARM = 0.05
 """Probability that a ground is replaced although it is the road: that costs accuracy, and to take land for the road
@@ -49,7 +58,8 @@ def road_ground(
 
     Where the road is one even surface and another plane than the ground, by more than a lane and its carriageway are,
     it is returned in its place. Otherwise the ground stays, and its doubt grows by what the road differs from it, or,
-    where that is not known, by what a lane and its carriageway do.
+    where that is not known, by what a lane and its carriageway do. It is not known either where only one side of the
+    way is seen: that may be all on one side of the crown.
 
     Parameters
     ----------
@@ -66,21 +76,43 @@ def road_ground(
     crown = (CROWN_RAD / FALL_RAD) ** 2 * fall
     whole = chart.covariance(ground)
     road = _widest(_strips(way, survey, ground.T_level_sensor(axes), axes, settings), chart, crown)
-    turned = 1.0
+    share = 1.0
     if road is not None:
         value, of_road = chart.values([ground, road])
         if _differ(ground, road, chart, crown):
             log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
             return chart.plane(of_road, chart.covariance(road) + fall)
-        turned = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
-    doubt = whole + turned**2 * fall
+        if _both_sides(way, survey, ground.T_level_sensor(axes)):
+            share = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
+    doubt = whole + share**2 * fall
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
 
 
 def _places(track: Track) -> FloatArray:
-    """Return where a vehicle was, level frame, shape (n, 2), each place once, however long it stood there."""
+    """Return where a vehicle was, level frame, shape (n, 2), in turn, each place once, however long it stood there."""
     cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / STEP_M)
-    return (np.unique(cells, axis=0) + 0.5) * STEP_M
+    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return (cells[first] + 0.5) * STEP_M
+
+
+def _both_sides(way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: FloatArray) -> bool:
+    """Tell whether road is seen on both sides of a way: where the next lane would be, to its left and to its right."""
+    tree, number, lane = cKDTree(way), np.arange(len(way)), round(LANE_M / STEP_M)
+    along = way[np.minimum(number + lane, len(way) - 1)] - way[np.maximum(number - lane, 0)]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    cells = []
+    for cloud in survey:
+        points = transform(T_level_sensor, cloud.points)
+        xy = points[np.abs(points[:, 2]) < LOWER_M, :2]
+        near = np.asarray(tree.query(xy, distance_upper_bound=1.5 * LANE_M)[1])
+        xy, near = xy[near < len(way)], near[near < len(way)]
+        left = dot_xy(turned(along[near]), xy - way[near])
+        beside = np.abs(left) > LANE_M / 2
+        cells.append(np.column_stack([np.floor(xy[beside] / STEP_M), left[beside] > 0.0]))
+    found = np.unique(np.concatenate(cells), axis=0)
+    on_left = float(found[:, 2].sum())
+    fewer, more = sorted([on_left, len(found) - on_left])
+    return bool(fewer > SEEN_SHARE * more)
 
 
 def _strips(
@@ -134,5 +166,5 @@ def _turned_by(angle_rad: float, chart: Chart, ground: GroundPlane, axes: Axes, 
     for axis in range(2):
         by[:2, axis] = chart.across.T @ np.cross(ground.normal, R[axis])
     by[2] = -middle[1], middle[0]
-    turned: FloatArray = angle_rad**2 * by @ by.T
-    return turned
+    covariance: FloatArray = angle_rad**2 * by @ by.T
+    return covariance

@@ -101,6 +101,20 @@ def test_a_ground_that_is_the_road_stays() -> None:
     assert tilt_sigma_deg(kept) < 0.05
 
 
+@pytest.mark.parametrize("crown", [0.01, 0.025])
+def test_the_side_of_the_crown_that_is_seen_is_not_taken_for_the_road(crown: float) -> None:
+    rng = np.random.default_rng(0)
+    ray = rays(np.arange(30.0, 150.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
+    # The near half of the road: it falls from its crown towards the sensor, and a hedge hides the other half.
+    near = (HEIGHT_M + crown * ROAD_Y_M) / (crown * ray[:, 1] - ray[:, 2])
+    hidden = np.where(near * ray[:, 1] < ROAD_Y_M, near, np.inf)
+    cloud = measured(ray, hidden, rng)
+    lane = Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50)))
+    ground = road_ground([cloud], AXES, fitted(cloud), lane, GroundSettings())
+    assert tilt_deg(ground) == pytest.approx(np.degrees(crown), abs=0.05)
+    assert tilt_deg(ground) < 2.0 * tilt_sigma_deg(ground)
+
+
 def test_where_no_road_is_seen_the_doubt_grows() -> None:
     cloud = seen(0.05)
     ground = fitted(cloud)
