@@ -18,8 +18,8 @@ from laci_stereo.core.frames import FloatArray
 STEP_S = 0.02
 """In which a car moves half a metre at most, a fraction of any lever that matters."""
 
-LEVERS_M = np.arange(0.0, 8.01, 0.5)
-"""From the rear axle itself to the front of a bus."""
+LEVERS_M = np.arange(0.0, 16.51, 0.5)
+"""From the rear axle itself to the front of a lorry with its trailer, the longest that Directive 96/53/EC lets drive."""
 
 
 @dataclass(frozen=True)

@@ -26,15 +26,16 @@ def driven(lever_m: float, backwards: bool = False) -> tuple[VehicleTrack, Float
 
 
 @pytest.mark.parametrize("backwards", [False, True], ids=["forwards", "reversing"])
-@pytest.mark.parametrize("lever_m", [1.0, 2.7, 3.75, 6.0])
+@pytest.mark.parametrize("lever_m", [1.0, 2.7, 3.75, 6.0, 12.0])
 def test_the_body_follows_the_point(lever_m: float, backwards: bool) -> None:
     track, stamps, yaw = driven(lever_m, backwards)
-    assert np.degrees(np.abs(track.yaw_rad - yaw)).max() > 4 * lever_m  # what the heading alone would be off
+    by_heading = np.degrees(np.abs(track.yaw_rad - yaw)).max()
+    assert by_heading > 4 * lever_m
     turned, _ = body_yaw(track).at(stamps, lever_m)
     off = np.degrees(np.abs(track.yaw_rad + turned - yaw))
-    # The way's curvature jumps four times, and with it the heading: around these messages it is anything.
+    # The way's curvature jumps four times, and with it the heading: around these messages it is anything in between.
     assert np.percentile(off, 90) < 0.1
-    assert off.max() < 4.0
+    assert off.max() < 0.15 * by_heading
 
 
 def test_without_a_lever_the_heading_is_the_body_s() -> None:
@@ -51,7 +52,7 @@ def test_on_a_straight_road_levers_do_not_matter() -> None:
     assert by_lever == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize("lever_m", [0.2, 1.3, 3.7, 7.9])
+@pytest.mark.parametrize("lever_m", [0.2, 1.3, 3.7, 7.9, 13.1])
 def test_the_derivative_is_that_of_the_turn(lever_m: float) -> None:
     track, stamps, _ = driven(3.0)
     body = body_yaw(track)
