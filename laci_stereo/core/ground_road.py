@@ -58,8 +58,9 @@ def road_ground(
 
     Where the road is one even surface and another plane than the ground, by more than a lane and its carriageway are,
     it is returned in its place. Otherwise the ground stays, and its doubt grows by what the road differs from it, or,
-    where that is not known, by what a lane and its carriageway do. It is not known either where only one side of the
-    way is seen: that may be all on one side of the crown.
+    where that is not known, by what a lane and its carriageway do. It is known by the narrowest strip: what is wider
+    than the road is mostly land. And it is not known where only one side of the way is seen, which may be all on one
+    side of the crown.
 
     Parameters
     ----------
@@ -75,15 +76,16 @@ def road_ground(
     fall = _turned_by(FALL_RAD, chart, ground, axes, way.mean(axis=0))
     crown = (CROWN_RAD / FALL_RAD) ** 2 * fall
     whole = chart.covariance(ground)
-    road = _widest(_strips(way, survey, ground.T_level_sensor(axes), axes, settings), chart, crown)
-    share = 1.0
-    if road is not None:
-        value, of_road = chart.values([ground, road])
-        if _differ(ground, road, chart, crown):
-            log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
-            return chart.plane(of_road, chart.covariance(road) + fall)
-        if _both_sides(way, survey, ground.T_level_sensor(axes)):
-            share = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
+    T_level_sensor = ground.T_level_sensor(axes)
+    strips = dict(_strips(way, survey, T_level_sensor, axes, settings))
+    road = _widest(strips.values(), chart, crown)
+    if road is not None and _differ(ground, road, chart, crown):
+        log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
+        return chart.plane(chart.values([road])[0], chart.covariance(road) + fall)
+    share, narrowest = 1.0, strips.get(REACHES_M[0])
+    if narrowest is not None and _both_sides(way, survey, T_level_sensor):
+        value, of_road = chart.values([ground, narrowest])
+        share = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
     doubt = whole + share**2 * fall
     return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
 
@@ -117,8 +119,8 @@ def _both_sides(way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: F
 
 def _strips(
     way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: FloatArray, axes: Axes, settings: GroundSettings
-) -> Iterator[GroundPlane]:
-    """Yield planes of what is near the way, of the narrowest strip first, where that is one even surface."""
+) -> Iterator[tuple[float, GroundPlane]]:
+    """Yield planes of what is so near the way, of the narrowest strip first, where that is one even surface."""
     tree = cKDTree(way)
     away = [
         tree.query(transform(T_level_sensor, cloud.points)[:, :2], distance_upper_bound=max(REACHES_M))[0]
@@ -138,7 +140,7 @@ def _strips(
             log.debug("road within %g m of the way: %s", reach_m, error)
         else:
             if road.unevenness_m <= ONE_SURFACE_M:
-                yield road
+                yield reach_m, road
 
 
 def _widest(strips: Iterable[GroundPlane], chart: Chart, crown: FloatArray) -> GroundPlane | None:
