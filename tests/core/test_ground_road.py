@@ -101,6 +101,21 @@ def test_a_ground_that_is_the_road_stays() -> None:
     assert tilt_sigma_deg(kept) < 0.05
 
 
+def test_land_of_which_more_is_seen_than_of_a_narrow_road_is_not_known_to_be_the_road() -> None:
+    rng = np.random.default_rng(0)
+    ray = rays(np.arange(20.0, 160.0, 0.5), np.arange(8.0, 26.0, 2.0), rng)
+    # So few layers see the road that no plane fits what is near the way, and one does within 8 m of it: the land's.
+    slope, kerb_m, edge_m = 0.04, 0.06, 22.0
+    land = (HEIGHT_M - kerb_m - slope * edge_m) / (-ray[:, 2] - slope * ray[:, 1])
+    road = -HEIGHT_M / ray[:, 2]
+    beyond = np.where(road * ray[:, 1] < edge_m + 7.0, road, np.inf)
+    cloud = measured(ray, np.where(road * ray[:, 1] < edge_m, land, beyond), rng)
+    lane = Track(tuple(sighting(0.1 * i, np.array([i - 20.0, edge_m + 1.75])) for i in range(50)))
+    ground = road_ground([cloud], AXES, fitted(cloud), lane, GroundSettings())
+    assert tilt_deg(ground) > 2.0
+    assert tilt_deg(ground) < 3.0 * tilt_sigma_deg(ground)
+
+
 @pytest.mark.parametrize("crown", [0.01, 0.025])
 def test_the_side_of_the_crown_that_is_seen_is_not_taken_for_the_road(crown: float) -> None:
     rng = np.random.default_rng(0)
