@@ -19,7 +19,7 @@ STEP_S = 0.02
 """In which a car moves half a metre at most, a fraction of any lever that matters."""
 
 LEVERS_M = np.arange(0.0, 16.51, 0.5)
-"""From the rear axle itself to the front of a lorry with its trailer, the longest that Directive 96/53/EC lets drive."""
+"""From the rear axle itself to the front of a lorry with its trailer, the longest by Directive 96/53/EC."""
 
 
 @dataclass(frozen=True)
