@@ -9,7 +9,7 @@ import numpy as np
 from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.columns import Columns
-from laci_stereo.core.drive_poses import Poses, by_time, poses_at
+from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
 from laci_stereo.core.settings import JointSettings, with_turn
@@ -271,6 +271,7 @@ class DriveModel:
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
         self.body = body_yaw(drive.vehicle)
+        self.heading_variance = _heading_variance(drive, self.base_sigmas[1], settings)
         self.sigmas: FloatArray = self.base_sigmas
         by = _corrected(self.own)
         self.sigmas = np.sqrt(np.einsum("ij,jk,ik->i", by, np.linalg.inv(self.prior()[0]), by))
@@ -501,7 +502,7 @@ class DriveModel:
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         return Rows(
             distance=hits.distance,
-            variance=hits.variance,
+            variance=hits.variance + self.heading_variance * jacobian[:, _HEADING] ** 2,
             cos=hits.cos,
             jacobian=jacobian,
             by_time=by_time(poses.now, frame, xy, yaw, hits.normal),
@@ -570,6 +571,18 @@ class DriveModel:
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         return jacobian
+
+
+def _heading_variance(drive: Evidence, otherwise_rad: float, settings: JointSettings) -> float:
+    """Return the variance that each point has through the noise of the messages' headings, rad^2.
+
+    One message's error is common to all points of a side, which weigh as much as 1 / rho by Kish's design effect, and
+    to all frames until the next message. For all of them together to tell no more than that message does, each has as
+    many times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
+    """
+    frames_s, messages_s = (float(np.median(np.diff(each))) for each in (drive.stamps_s, drive.vehicle.stamps_s))
+    frames = max(1.0, messages_s / max(frames_s, 1e-9))
+    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * frames / settings.shared_noise_share
 
 
 def _worth(drive: Evidence) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, turned
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, turned, wrap
 from laci_stereo.core.tractrix import BodyYaw
 
 RATE_S = 1.0
@@ -24,6 +24,9 @@ known. The second is what its slope is taken over."""
 _STEPS = np.arange(-5, 6)
 _PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
 """Weights of the least-squares parabola's middle through eleven places (Savitzky and Golay, 1964)."""
+
+MOST_OWN, LEAST_TOLD = 0.8, 10
+"""Messages that count for less than this in their own parabola, and so many of them, tell the noise of all."""
 
 _Track: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
 
@@ -110,6 +113,33 @@ def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArra
         np.where(whole, np.tensordot(_PARABOLA, heading, 1), heading[middle]),
         known[middle],
     )
+
+
+def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
+    """Return by how much each message's heading is off by itself, one standard deviation, rad.
+
+    That is what is left of the headings beside a parabola through them: a share 1 - w of their variance, where w is the
+    weight of each in its own parabola. It is counted by its median, for where a bend begins a parabola is wrong. Of few
+    messages, or such as come seldom, a parabola leaves nothing; then it is not known.
+    """
+    stamps = vehicle.stamps_s
+    smoothed, known = smooth(vehicle, stamps)[1:]
+    weight = own_weight(stamps)
+    told = known & (weight < MOST_OWN)
+    if told.sum() < LEAST_TOLD:
+        return otherwise_rad
+    left = np.abs(wrap(vehicle.yaw_rad[told] - smoothed[told])) / np.sqrt(1.0 - weight[told])
+    return float(1.4826 * np.median(left))
+
+
+def own_weight(stamps_s: FloatArray) -> FloatArray:
+    """Return how much each message, shape (n,), counts in the smoothed track at its own time."""
+    before, after = np.diff(stamps_s, prepend=stamps_s[0]), np.diff(stamps_s, append=stamps_s[-1])
+    reach_s = np.minimum(stamps_s - stamps_s[0], stamps_s[-1] - stamps_s).clip(0.0, SMOOTH_S)
+    away = reach_s[:, None] * _STEPS / _STEPS[-1]
+    gap = np.where(away < 0.0, before[:, None], after[:, None])
+    weight: FloatArray = np.maximum(1.0 - np.abs(away) / np.maximum(gap, 1e-9), 0.0) @ _PARABOLA
+    return weight
 
 
 def _rates(
