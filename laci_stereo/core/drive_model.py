@@ -580,8 +580,10 @@ def _heading_variance(drive: Evidence, otherwise_rad: float, settings: JointSett
     to all frames until the next message. For all of them together to tell no more than that message does, each has as
     many times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
     """
-    frames_s, messages_s = (float(np.median(np.diff(each))) for each in (drive.stamps_s, drive.vehicle.stamps_s))
-    frames = max(1.0, messages_s / max(frames_s, 1e-9))
+    frames = 1.0
+    if len(drive) > 1:
+        frame_s, message_s = (float(np.median(np.diff(each))) for each in (drive.stamps_s, drive.vehicle.stamps_s))
+        frames = max(1.0, message_s / max(frame_s, 1e-9))
     return heading_noise(drive.vehicle, otherwise_rad) ** 2 * frames / settings.shared_noise_share
 
 

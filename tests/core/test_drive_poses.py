@@ -3,8 +3,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from laci_stereo.core.drive_poses import poses_at, smooth
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.drive_poses import heading_noise, own_weight, poses_at, smooth
 from laci_stereo.core.tractrix import body_yaw
 from tests.core.outlines import ROUNDABOUT, told
 
@@ -36,3 +38,32 @@ def test_at_the_ends_the_track_is_as_it_is_told() -> None:
     ends = vehicle.stamps_s[[0, -1]]
     assert np.allclose(smooth(vehicle, ends)[0], vehicle.xy[[0, -1]])
     assert not smooth(vehicle, ends + np.array([-0.1, 0.1]))[2].any()
+
+
+def turning(interval_s: float, sigma_deg: float, seed: int) -> VehicleTrack:
+    """Return a vehicle that turns by 90 deg in 4 s, with noise in its headings."""
+    stamps = np.arange(0.0, 20.0, interval_s)
+    yaw = np.radians(
+        22.5 * np.clip(stamps - 6.0, 0.0, 4.0) + sigma_deg * np.random.default_rng(seed).normal(size=len(stamps))
+    )
+    return VehicleTrack(stamps, 0, np.column_stack([8.0 * stamps, 0.0 * stamps]), yaw, 4.6, 1.8)
+
+
+@pytest.mark.parametrize("interval_s", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("sigma_deg", [0.1, 0.5])
+def test_the_noise_of_headings_is_what_a_parabola_leaves(interval_s: float, sigma_deg: float) -> None:
+    found = [heading_noise(turning(interval_s, sigma_deg, seed), 1.0) for seed in range(20)]
+    assert np.degrees(np.mean(found)) == pytest.approx(sigma_deg, rel=0.25)
+
+
+def test_messages_that_come_seldom_do_not_tell_the_noise_of_their_headings() -> None:
+    assert heading_noise(turning(0.6, 0.5, 0), 0.123) == 0.123
+
+
+@pytest.mark.parametrize("interval_s", [0.1, 0.17, 0.4])
+def test_the_weight_of_a_message_is_by_how_much_it_moves_the_smoothed_track(interval_s: float) -> None:
+    vehicle = turning(interval_s, 0.0, 0)
+    for number in (0, 3, len(vehicle.stamps_s) // 2):
+        moved = replace(vehicle, yaw_rad=vehicle.yaw_rad + 0.01 * np.eye(len(vehicle.stamps_s))[number])
+        before, after = (smooth(each, vehicle.stamps_s[[number]])[1][0] for each in (vehicle, moved))
+        assert own_weight(vehicle.stamps_s)[number] == pytest.approx((after - before) / 0.01, abs=1e-6)

@@ -111,6 +111,25 @@ def test_more_doubt_of_the_positions_is_more_doubt_of_the_result() -> None:
     assert np.sqrt(np.diag(unsure)[1:]) == pytest.approx(0.45, abs=0.1)
 
 
+def with_headings_off(drive: Evidence, sigma_deg: float, seed: int) -> Evidence:
+    """Return a drive whose messages are sent from the vehicle's front, each with its own error of the heading."""
+    vehicle = drive.vehicle
+    front = np.tile([vehicle.length_m / 2, 0.0], (len(vehicle.yaw_rad), 1))
+    yaw = vehicle.yaw_rad + np.radians(sigma_deg) * np.random.default_rng(seed).normal(size=len(vehicle.yaw_rad))
+    centre = vehicle.xy + rotate_xy(vehicle.yaw_rad, front) - rotate_xy(yaw, front)
+    return replace(drive, vehicle=replace(vehicle, xy=centre, yaw_rad=yaw, reference=(vehicle.length_m / 2, 0.0)))
+
+
+@pytest.mark.parametrize("drive", [STRAIGHT, TURN], ids=["straight", "turn"])
+def test_the_noise_of_headings_tells_neither_clock_nor_lever(drive: Drive) -> None:
+    # Read as a manoeuvre it would put the straight drive 10 to 60 cm off along its way.
+    fits = [fit_jointly([with_headings_off(evidence(drive, seed=seed), 1.0, seed)], TRUTH) for seed in range(4)]
+    errors = np.array([error(fit) for fit in fits])
+    assert np.linalg.norm(errors[:, 1:], axis=1).max() < 0.08
+    assert np.degrees(np.abs(errors[:, 0])).max() < 0.08
+    assert all(off @ np.linalg.solve(fit.covariance, off) < 9.0 for off, fit in zip(errors, fits, strict=True))
+
+
 def test_two_drives_know_more_than_either() -> None:
     back = replace(STRAIGHT, start=(0.0, -4.0), yaw_deg=120.0)
     one, other = evidence(STRAIGHT, seed=1), evidence(back, seed=2)
