@@ -36,8 +36,9 @@ LANE_M = 3.5
 LOWER_M = 0.1
 """A kerb is higher."""
 
-SEEN_SHARE = 0.1
-"""A side of the way is seen where as much of it is seen as this share of the other."""
+SEEN_SHARE = 1.0 / 3.0
+"""A side of the way is seen where as much of it is seen as this share of the other: of a road that falls to both sides,
+a plane through three parts of one and one of the other has half of the fall."""
 
 FALSE_ALARM = 0.05
 """Probability that a ground is replaced although it is the road: that costs accuracy, and to take land for the road
