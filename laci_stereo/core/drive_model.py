@@ -271,7 +271,7 @@ class DriveModel:
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
         self.body = body_yaw(drive.vehicle)
-        self.heading_variance = _heading_variance(drive, self.base_sigmas[1], settings)
+        self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
         by = _corrected(self.own)
         self.sigmas = np.sqrt(np.einsum("ij,jk,ik->i", by, np.linalg.inv(self.prior()[0]), by))
@@ -500,9 +500,11 @@ class DriveModel:
         sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
         jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * dot_xy(sight, hits.normal)
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
+        # A message's error is one for all points of a frame: so many have together what one of them would have.
+        by_heading = self.heading_variance * np.bincount(frame, share)[frame] * jacobian[:, _HEADING] ** 2
         return Rows(
             distance=hits.distance,
-            variance=hits.variance + self.heading_variance * jacobian[:, _HEADING] ** 2,
+            variance=hits.variance + by_heading,
             cos=hits.cos,
             jacobian=jacobian,
             by_time=by_time(poses.now, frame, xy, yaw, hits.normal),
@@ -573,18 +575,17 @@ class DriveModel:
         return jacobian
 
 
-def _heading_variance(drive: Evidence, otherwise_rad: float, settings: JointSettings) -> float:
-    """Return the variance that each point has through the noise of the messages' headings, rad^2.
+def _heading_variance(drive: Evidence, otherwise_rad: float) -> float:
+    """Return the variance that each frame has through the noise of the messages' headings, rad^2.
 
-    One message's error is common to all points of a side, which weigh as much as 1 / rho by Kish's design effect, and
-    to all frames until the next message. For all of them together to tell no more than that message does, each has as
-    many times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
+    One message's error is common to all frames until the next. For these to tell no more than it does, each has as many
+    times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
     """
     frames = 1.0
     if len(drive) > 1:
         frame_s, message_s = (float(np.median(np.diff(each))) for each in (drive.stamps_s, drive.vehicle.stamps_s))
         frames = max(1.0, message_s / max(frame_s, 1e-9))
-    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * frames / settings.shared_noise_share
+    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * frames
 
 
 def _worth(drive: Evidence) -> FloatArray:
