@@ -7,7 +7,7 @@ driven through the scene it is known where the road is: below its wheels.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import GroundError
-from laci_stereo.core.frames import Axes, FloatArray, dot_xy, transform, turned
+from laci_stereo.core.frames import Axes, FloatArray, IntArray, dot_xy, transform, turned
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
@@ -77,14 +77,24 @@ def road_ground(
     fall = _turned_by(FALL_RAD, chart, ground, axes, way.mean(axis=0))
     crown = (CROWN_RAD / FALL_RAD) ** 2 * fall
     whole = chart.covariance(ground)
-    T_level_sensor = ground.T_level_sensor(axes)
-    strips = dict(_strips(way, survey, T_level_sensor, axes, settings))
+    points, along_m, across_m = (
+        np.concatenate([getattr(cloud, name) for cloud in survey])
+        for name in ("points", "sigma_along_m", "sigma_across_m")
+    )
+    level = transform(ground.T_level_sensor(axes), points)
+    away_m, nearest = map(np.asarray, cKDTree(way).query(level[:, :2], distance_upper_bound=max(REACHES_M)))
+    strips = {}
+    for reach_m in REACHES_M:
+        near = away_m < reach_m
+        strip = _strip(points[near], along_m[near], across_m[near], axes, settings)
+        if strip is not None:
+            strips[reach_m] = strip
     road = _widest(strips.values(), chart, crown)
     if road is not None and _differ(ground, road, chart, crown):
         log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
         return chart.plane(chart.values([road])[0], chart.covariance(road) + fall)
     share, narrowest = 1.0, strips.get(REACHES_M[0])
-    if narrowest is not None and _both_sides(way, survey, T_level_sensor):
+    if narrowest is not None and _both_sides(way, level, away_m, nearest):
         value, of_road = chart.values([ground, narrowest])
         share = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
     doubt = whole + share**2 * fall
@@ -98,50 +108,41 @@ def _places(track: Track) -> FloatArray:
     return (cells[first] + 0.5) * STEP_M
 
 
-def _both_sides(way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: FloatArray) -> bool:
-    """Tell whether road is seen on both sides of a way: where the next lane would be, to its left and to its right."""
-    tree, number, lane = cKDTree(way), np.arange(len(way)), round(LANE_M / STEP_M)
+def _both_sides(way: FloatArray, level: FloatArray, away_m: FloatArray, nearest: IntArray) -> bool:
+    """Tell whether road is seen on both sides of a way: where the next lane would be, to its left and to its right.
+
+    Parameters
+    ----------
+    way : ndarray, shape (m, 2)
+        In turn.
+    level : ndarray, shape (n, 3)
+        What is seen.
+    away_m, nearest : ndarray, shape (n,)
+        How far each of it is from the way, and from which place of it.
+    """
+    number, lane = np.arange(len(way)), round(LANE_M / STEP_M)
     along = way[np.minimum(number + lane, len(way) - 1)] - way[np.maximum(number - lane, 0)]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    cells = []
-    for cloud in survey:
-        points = transform(T_level_sensor, cloud.points)
-        xy = points[np.abs(points[:, 2]) < LOWER_M, :2]
-        near = np.asarray(tree.query(xy, distance_upper_bound=1.5 * LANE_M)[1])
-        xy, near = xy[near < len(way)], near[near < len(way)]
-        left = dot_xy(turned(along[near]), xy - way[near])
-        beside = np.abs(left) > LANE_M / 2
-        cells.append(np.column_stack([np.floor(xy[beside] / STEP_M), left[beside] > 0.0]))
-    found = np.unique(np.concatenate(cells), axis=0)
+    road = (away_m < 1.5 * LANE_M) & (np.abs(level[:, 2]) < LOWER_M)
+    xy, at = level[road, :2], nearest[road]
+    left = dot_xy(turned(along[at]), xy - way[at])
+    beside = np.abs(left) > LANE_M / 2
+    found = np.unique(np.column_stack([np.floor(xy[beside] / STEP_M), left[beside] > 0.0]), axis=0)
     on_left = float(found[:, 2].sum())
     fewer, more = sorted([on_left, len(found) - on_left])
     return bool(fewer > SEEN_SHARE * more)
 
 
-def _strips(
-    way: FloatArray, survey: Sequence[PointCloud], T_level_sensor: FloatArray, axes: Axes, settings: GroundSettings
-) -> Iterator[tuple[float, GroundPlane]]:
-    """Yield planes of what is so near the way, of the narrowest strip first, where that is one even surface."""
-    tree = cKDTree(way)
-    away = [
-        tree.query(transform(T_level_sensor, cloud.points)[:, :2], distance_upper_bound=max(REACHES_M))[0]
-        for cloud in survey
-    ]
-    for reach_m in REACHES_M:
-        parts = [cloud[np.flatnonzero(each < reach_m)] for cloud, each in zip(survey, away, strict=True)]
-        try:
-            road = fit_ground(
-                np.concatenate([part.points for part in parts]),
-                np.concatenate([part.sigma_along_m for part in parts]),
-                np.concatenate([part.sigma_across_m for part in parts]),
-                axes.up,
-                settings,
-            )
-        except GroundError as error:
-            log.debug("road within %g m of the way: %s", reach_m, error)
-        else:
-            if road.unevenness_m <= ONE_SURFACE_M:
-                yield reach_m, road
+def _strip(
+    points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, axes: Axes, settings: GroundSettings
+) -> GroundPlane | None:
+    """Return the plane of what is near the way, where that is one even surface."""
+    try:
+        road = fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings)
+    except GroundError as error:
+        log.debug("road along the way: %s", error)
+        return None
+    return road if road.unevenness_m <= ONE_SURFACE_M else None
 
 
 def _widest(strips: Iterable[GroundPlane], chart: Chart, crown: FloatArray) -> GroundPlane | None:

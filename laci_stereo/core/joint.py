@@ -155,10 +155,14 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     turn = _turn_of(drives)
-    thinned = _Problem([drive.thinned(COARSE_ROWS // len(drives)) for drive in drives], begin, centre, settings, turn)
-    best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     fine = [drive.thinned(FINE_ROWS) for drive in drives]
     problem = _Problem(fine, begin, centre, settings, turn)
+    if close:
+        best = problem.at_rest(offsets)
+    else:
+        coarse = [drive.thinned(COARSE_ROWS // len(drives)) for drive in drives]
+        thinned = _Problem(coarse, begin, centre, settings, turn)
+        best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     solved = problem.solve(best)
     if not turn.possible:
         return _fit(problem, solved, centre)

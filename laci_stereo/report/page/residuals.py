@@ -98,8 +98,8 @@ def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
     x, shares, covariance = _solve(model, passage, centre)
     if not np.isfinite(x).all():
         return None
-    laid = _lay(model, x, shares)
-    return Fit(laid if len(laid.face) else None, model.corrections(x[FIRST_OWN:], covariance))
+    laid = _lay(model, x, shares) if len(drive.points) else None
+    return Fit(laid if laid is not None and len(laid.face) else None, model.corrections(x[FIRST_OWN:], covariance))
 
 
 def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -128,11 +128,10 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
 
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
-    met = model.wall(x)
-    frame = model.drive.frame[met.points]
-    group = frame * outline.FACES + met.hits.face
-    mixed = mixture.weigh(met.hits.distance, np.sqrt(met.hits.variance), group, shares)
-    return Laid(model.drive.stamps_s[frame], met.xy, met.hits.distance, met.hits.face, mixed.surface)
+    rows = model.rows(x)
+    group = rows.frame * outline.FACES + rows.face
+    mixed = mixture.weigh(rows.distance, np.sqrt(rows.variance), group, shares)
+    return Laid(model.drive.stamps_s[rows.frame], model.wall(x).xy, rows.distance, rows.face, mixed.surface)
 
 
 @dataclass(frozen=True)
