@@ -7,49 +7,44 @@ driven through the scene it is known where the road is: below its wheels.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
+from laci_stereo.core.box import Box
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.errors import GroundError
-from laci_stereo.core.frames import Axes, FloatArray, IntArray, dot_xy, transform, turned
-from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.frames import Axes, FloatArray, rotate_xy, transform
+from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
-from laci_stereo.core.ground_uneven import ONE_SURFACE_M
+from laci_stereo.core.road_extent import places, road_along
+from laci_stereo.core.road_surface import FALL, OTHER
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
 
 log = logging.getLogger(__name__)
 
-REACHES_M = (3.0, 5.0, 8.0)
-"""So far beside a way there is road: the lane, a lane and a half, or a carriageway of two lanes."""
+SAME = (0.015, FALL / 8.0, FALL / 8.0)
+"""Height and slopes of a ground that is the road's, from the road's, standard deviations: its view may show one side of
+the crown more than the other, by an eighth of all, and as much of the height of a crown of 4 m to either side."""
 
-STEP_M = 0.5
-
-LANE_M = 3.5
-"""Of a lane, and of the one beside it."""
-
-LOWER_M = 0.1
-"""A kerb is higher."""
-
-SEEN_SHARE = 1.0 / 3.0
-"""A side of the way is seen where as much of it is seen as this share of the other: of a road that falls to both sides,
-a plane through three parts of one and one of the other has half of the fall."""
+OPEN = 10.0
+"""What the crown leaves open of the road it leaves open of the ground, which sees the same side of it: by so many times
+that, the ground tells nothing of it."""
 
 FALSE_ALARM = 0.05
-"""Probability that a ground is replaced although it is the road: that costs accuracy, and to take land for the road
-costs more."""
+"""Probability that a ground is replaced although it is the road's: to observe again takes time, and gains nothing."""
 
-FALL_RAD = float(np.arctan(0.025)) / np.sqrt(3.0)
-"""How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation. Of
-a plane that nothing else was held against nobody knows which side it is of, or whether of both."""
+PASSES, SETTLED = 5, 0.01
+"""What is above a plane is placed a little wrongly by it, so the road is looked at again from its own, until that moves
+by less than a tenth of its doubt, squared here."""
 
-CROWN_RAD = FALL_RAD / 2.0
-"""By how much a lane may be tilted against its carriageway: a strip that is wider than the lane has less than half."""
+FARTHEST = 3.0
+"""What is farther from the ground than land is from roads, by so many standard deviations, is something else."""
+
+ROOM_M = 1.0
+"""What moves is left out with so much around it: boxes lack what is not seen."""
 
 
 def road_ground(
@@ -57,118 +52,132 @@ def road_ground(
 ) -> GroundPlane:
     """Hold a ground against the road around the way of a vehicle.
 
-    Where the road is one even surface and another plane than the ground, by more than a lane and its carriageway are,
-    it is returned in its place. Otherwise the ground stays, and its doubt grows by what the road differs from it, or,
-    where that is not known, by what a lane and its carriageway do. It is known by the narrowest strip: what is wider
-    than the road is mostly land. And it is not known where only one side of the way is seen, which may be all on one
-    side of the crown.
+    Where the road is another plane than the ground, by more than its doubt, it is returned in its place. Otherwise the
+    ground stays, as uncertain as the road is, and by what it differs from it. Where no road is seen, nobody knows
+    whether the ground is one, or only one side of it.
 
     Parameters
     ----------
     survey : sequence of PointCloud
+        Without what moves.
     axes : Axes
     ground : GroundPlane
     track : Track
         Of a vehicle, in the level frame of this ground.
     settings : GroundSettings
     """
-    way = _places(track)
     chart = Chart.around(ground)
-    fall = _turned_by(FALL_RAD, chart, ground, axes, way.mean(axis=0))
-    crown = (CROWN_RAD / FALL_RAD) ** 2 * fall
-    whole = chart.covariance(ground)
-    points, along_m, across_m = (
-        np.concatenate([getattr(cloud, name) for cloud in survey])
-        for name in ("points", "sigma_along_m", "sigma_across_m")
-    )
-    level = transform(ground.T_level_sensor(axes), points)
-    away_m, nearest = map(np.asarray, cKDTree(way).query(level[:, :2], distance_upper_bound=max(REACHES_M)))
-    strips = {}
-    for reach_m in REACHES_M:
-        near = away_m < reach_m
-        strip = _strip(points[near], along_m[near], across_m[near], axes, settings)
-        if strip is not None:
-            strips[reach_m] = strip
-    road = _widest(strips.values(), chart, crown)
-    if road is not None and _differ(ground, road, chart, crown):
-        log.info("ground: the road is another plane, %.3f m below the sensor", road.height_m)
-        return chart.plane(chart.values([road])[0], chart.covariance(road) + fall)
-    share, narrowest = 1.0, strips.get(REACHES_M[0])
-    if narrowest is not None and _both_sides(way, level, away_m, nearest):
-        value, of_road = chart.values([ground, narrowest])
-        share = min(1.0, float(np.linalg.norm((of_road - value)[:2])) / CROWN_RAD)
-    doubt = whole + share**2 * fall
-    return replace(ground, covariance_sensor=chart.plane(chart.values([ground])[0], doubt).covariance_sensor)
+    (value,) = chart.values([ground])
+    way = places(track)
+    by_plane = _by_plane(chart, axes, way.mean(axis=0))
+    found, found_off = ground, np.zeros(3)
+    for _ in range(PASSES):
+        seen = _seen_from(found, survey, axes, _carried(way, ground, found, axes), settings)
+        if seen is None:
+            log.debug("no road is seen along the way")
+            return _as_uncertain(ground, chart, (by_plane * np.square([0.0, FALL, FALL])) @ by_plane.T)
+        road, by_crown = seen
+        (of_road,) = chart.values([road])
+        same = chart.covariance(ground) + OPEN * chart.covariance(by_crown) + (by_plane * np.square(SAME)) @ by_plane.T
+        other = same + (by_plane * np.square(OTHER)) @ by_plane.T
+        off, doubt = _together(of_road - value, chart.covariance(road), (same, other))
+        if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
+            return _as_uncertain(ground, chart, doubt + np.outer(off, off) - chart.covariance(ground))
+        moved = off - found_off
+        found, found_off = chart.plane(value + off, doubt), off
+        if moved @ np.linalg.solve(doubt, moved) < SETTLED:
+            break
+    log.info("ground: the road is another plane, %.3f m below the sensor", found.height_m)
+    return found
 
 
-def _places(track: Track) -> FloatArray:
-    """Return where a vehicle was, level frame, shape (n, 2), in turn, each place once, however long it stood there."""
-    cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / STEP_M)
-    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    return (cells[first] + 0.5) * STEP_M
-
-
-def _both_sides(way: FloatArray, level: FloatArray, away_m: FloatArray, nearest: IntArray) -> bool:
-    """Tell whether road is seen on both sides of a way: where the next lane would be, to its left and to its right.
+def standing(
+    survey: Sequence[PointCloud], T_level_sensor: FloatArray, tracks: Sequence[Track], epoch_ns: int
+) -> list[PointCloud]:
+    """Return clouds without what is in or near a box of a track in their frames.
 
     Parameters
     ----------
-    way : ndarray, shape (m, 2)
-        In turn.
-    level : ndarray, shape (n, 3)
-        What is seen.
-    away_m, nearest : ndarray, shape (n,)
-        How far each of it is from the way, and from which place of it.
+    survey : sequence of PointCloud
+    T_level_sensor : ndarray, shape (4, 4)
+    tracks : sequence of Track
+    epoch_ns : int
+        Unix time of the recording's first stamp, from which the tracks' times count.
     """
-    number, lane = np.arange(len(way)), round(LANE_M / STEP_M)
-    along = way[np.minimum(number + lane, len(way) - 1)] - way[np.maximum(number - lane, 0)]
-    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    road = (away_m < 1.5 * LANE_M) & (np.abs(level[:, 2]) < LOWER_M)
-    xy, at = level[road, :2], nearest[road]
-    left = dot_xy(turned(along[at]), xy - way[at])
-    beside = np.abs(left) > LANE_M / 2
-    found = np.unique(np.column_stack([np.floor(xy[beside] / STEP_M), left[beside] > 0.0]), axis=0)
-    on_left = float(found[:, 2].sum())
-    fewer, more = sorted([on_left, len(found) - on_left])
-    return bool(fewer > SEEN_SHARE * more)
+    boxes: dict[int, list[Box]] = {}
+    for sighting in (sighting for track in tracks for sighting in track.sightings):
+        boxes.setdefault(round(1e3 * sighting.frame_s), []).append(sighting.box)
+    found = []
+    for cloud in survey:
+        xy = transform(T_level_sensor, cloud.points)[:, :2]
+        stands = np.ones(len(cloud), dtype=bool)
+        for box in boxes.get(round((cloud.stamp_ns - epoch_ns) / 1e6), []):
+            away_m = np.abs(rotate_xy(-box.yaw_rad, xy - box.centre))
+            stands &= (away_m > np.array([box.length_m, box.width_m]) / 2 + ROOM_M).any(axis=1)
+        found.append(cloud[stands])
+    return found
 
 
-def _strip(
-    points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, axes: Axes, settings: GroundSettings
-) -> GroundPlane | None:
-    """Return the plane of what is near the way, where that is one even surface."""
-    try:
-        road = fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings)
-    except GroundError as error:
-        log.debug("road along the way: %s", error)
+def _seen_from(
+    ground: GroundPlane, survey: Sequence[PointCloud], axes: Axes, way: FloatArray, settings: GroundSettings
+) -> tuple[GroundPlane, GroundPlane] | None:
+    """Return the plane of the road along a way in the level frame of a ground near it; None if none is seen.
+
+    It is there twice: with all of its doubt, and with what the crown leaves open.
+    """
+    surface = road_along(way, survey, ground.T_level_sensor(axes), settings)
+    if surface is None:
         return None
-    return road if road.unevenness_m <= ONE_SURFACE_M else None
+    plane, covariance, by_crown = surface.plane()
+    if (np.abs(plane) > FARTHEST * np.array(OTHER)).any():
+        return None
+    chart = Chart.around(ground)
+    by_plane = _by_plane(chart, axes, surface.middle)
+    value = chart.values([ground])[0] + by_plane @ plane
+    return chart.plane(value, by_plane @ covariance @ by_plane.T), chart.plane(value, by_plane @ by_crown @ by_plane.T)
 
 
-def _widest(strips: Iterable[GroundPlane], chart: Chart, crown: FloatArray) -> GroundPlane | None:
-    """Return the widest strip that is the same plane as the narrower ones: a raised pavement may pass for a slope."""
-    widest = None
-    for strip in strips:
-        if widest is not None and _differ(widest, strip, chart, crown):
-            break
-        widest = strip
-    return widest
+def _together(off: FloatArray, of_road: FloatArray, of_ground: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return the road's plane, from the ground's, and its covariance, as the road and the ground tell together.
+
+    Parameters
+    ----------
+    off : ndarray, shape (3,)
+        What is seen of the road, from the ground.
+    of_road : ndarray, shape (3, 3)
+        Its covariance.
+    of_ground : sequence of ndarray, shape (3, 3)
+        How far the ground may be from the road's plane, in cases that are as likely as one another beforehand.
+    """
+    log_likely, means, covariances = [], [], []
+    for before in of_ground:
+        total = before + of_road
+        gain = np.linalg.solve(total, before).T
+        log_likely.append(-0.5 * (off @ np.linalg.solve(total, off) + np.linalg.slogdet(total)[1]))
+        means.append(gain @ off)
+        covariances.append(before - gain @ before)
+    likely = np.exp(np.array(log_likely) - np.logaddexp.reduce(log_likely))
+    mean = likely @ np.array(means)
+    apart = np.array(means) - mean
+    return mean, np.tensordot(likely, covariances, 1) + (apart.T * likely) @ apart
 
 
-def _differ(one: GroundPlane, other: GroundPlane, chart: Chart, crown: FloatArray) -> bool:
-    """Tell whether two planes are farther apart than their doubt, and a lane and its carriageway, explain."""
-    value, of_other = chart.values([one, other])
-    off = of_other - value
-    covariance = chart.covariance(one) + chart.covariance(other) + crown
-    return bool(off @ np.linalg.solve(covariance, off) > chdtri(3, FALSE_ALARM))
+def _as_uncertain(ground: GroundPlane, chart: Chart, doubt: FloatArray) -> GroundPlane:
+    """Return a ground with more doubt."""
+    (value,) = chart.values([ground])
+    return replace(ground, covariance_sensor=chart.plane(value, chart.covariance(ground) + doubt).covariance_sensor)
 
 
-def _turned_by(angle_rad: float, chart: Chart, ground: GroundPlane, axes: Axes, middle: FloatArray) -> FloatArray:
-    """Return the covariance of a plane that is turned by some angle about the middle of the way, in the chart."""
-    R = ground.T_level_sensor(axes)[:3, :3]
-    by = np.zeros((3, 2))
-    for axis in range(2):
-        by[:2, axis] = chart.across.T @ np.cross(ground.normal, R[axis])
-    by[2] = -middle[1], middle[0]
-    covariance: FloatArray = angle_rad**2 * by @ by.T
-    return covariance
+def _carried(way: FloatArray, before: GroundPlane, after: GroundPlane, axes: Axes) -> FloatArray:
+    """Return places on one ground in the level frame of another."""
+    T_after_before = after.T_level_sensor(axes) @ np.linalg.inv(before.T_level_sensor(axes))
+    return transform(T_after_before, np.column_stack([way, np.zeros(len(way))]))[:, :2]
+
+
+def _by_plane(chart: Chart, axes: Axes, place: FloatArray) -> FloatArray:
+    """Return what changes coordinates in a chart by height, at a place in the level frame, and slopes, shape (3, 3)."""
+    across = chart.ground.T_level_sensor(axes)[:2, :3] @ chart.across
+    by = np.zeros((3, 3))
+    by[:2, 1:] = -across.T
+    by[2] = -1.0, *place
+    return by

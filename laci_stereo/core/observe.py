@@ -18,7 +18,7 @@ from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, transform
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
-from laci_stereo.core.ground_road import road_ground
+from laci_stereo.core.ground_road import road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
@@ -122,7 +122,8 @@ def on_the_road(
         seen = seen if other is None or track is None else other
     if track is None:
         return seen  # and it will be said why
-    ground = road_ground(seen.survey, seen.axes, seen.ground, track, settings.ground)
+    survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
+    ground = road_ground(survey, seen.axes, seen.ground, track, settings.ground)
     if np.array_equal(ground.normal, seen.ground.normal):
         return replace(seen, ground=ground)
     return observe(source, settings, ground)

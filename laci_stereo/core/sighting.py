@@ -96,8 +96,8 @@ def find_vehicles(
     near = cloud.sigma_along_m < 2 * limits.max_sigma_m
     between = (points[:, 2] > limits.min_height_m) & (points[:, 2] < settings.background.max_height_m)
     candidates = np.flatnonzero(near & between)
-    sigma_z = _sigma_z(points[candidates] - T_level_sensor[:3, 3], cloud[candidates])
-    candidates = candidates[points[candidates, 2] > limits.ground_sigmas * sigma_z]
+    noise_m = sigma_z(points[candidates] - T_level_sensor[:3, 3], cloud[candidates])
+    candidates = candidates[points[candidates, 2] > limits.ground_sigmas * noise_m]
     candidates = candidates[~background.covers(points[candidates, :2])]
     found = []
     for group in cluster(points[candidates, :2], settings.cluster):
@@ -108,11 +108,11 @@ def find_vehicles(
     return found
 
 
-def _sigma_z(sight: FloatArray, cloud: PointCloud) -> FloatArray:
+def sigma_z(sight: FloatArray, cloud: PointCloud) -> FloatArray:
     """Return the standard deviation of the height of points that the sensor sees along ``sight``, shape (n, 3)."""
     slope = sight[:, 2] / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
-    sigma_z: FloatArray = np.hypot(slope * cloud.sigma_along_m, np.sqrt(1 - slope**2) * cloud.sigma_across_m)
-    return sigma_z
+    sigma_m: FloatArray = np.hypot(slope * cloud.sigma_along_m, np.sqrt(1 - slope**2) * cloud.sigma_across_m)
+    return sigma_m
 
 
 def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:

@@ -1,0 +1,193 @@
+"""The road along a way: what is seen below it, and to either side as far as that goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, transform, turned
+from laci_stereo.core.ground_uneven import CLASS_B_M
+from laci_stereo.core.road_surface import OTHER, Cells, Surface
+from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.sighting import sigma_z
+from laci_stereo.core.tracking import Track
+
+REACH_M = 9.0
+"""So far beside a way road is looked for: two lanes, and half of one that the way may lie off its lane's middle."""
+
+CELL_M = 0.5
+
+COARSE_M = 0.003
+"""What squares of that size differ by on an even road: chippings, markings, covers."""
+
+SHARED_IN_CELL = 0.04
+"""Of a point's variance, what its cell shares; see `ground_fit`."""
+
+LOW_M = 0.7
+"""What is farther above or below the plane that was found before, and twice that with its noise, is no road: land that
+falls by 5 % is as far off after 14 m."""
+
+TURN_M, SMOOTH_M = 3.5, 2.5
+"""How far before and behind a place the direction of the way is taken from, and over how much its places are averaged:
+they jump as other sides of the vehicle come into view."""
+
+PIECE_M = 6.0
+"""The road is as wide over so much of its length: half of a crossing's mouth."""
+
+HALF_VEHICLE_M = 1.25
+"""So far to either side there is road: vehicles are up to 2.55 m wide (EU directive 96/53/EC)."""
+
+NEAR_M, START_STEPS = 0.05, 20
+"""So near to the plane that most of a lane is on is road at first, beside noise; and steps to that plane."""
+
+STEP_M = 1.0
+"""The road goes on by so much at a time: over more, what is not known of it yet would hide a kerb."""
+
+KERB_M, NO_ROAD_M = 0.08, 0.15
+"""Mean height above the road of what is none, and its standard deviation: kerbs have 3 to 15 cm, banks rise or fall."""
+
+MOST_LIKELY = 3.0
+"""Logarithm of the odds: no cell tells by more than twenty to one whether it is road."""
+
+GATE = 3.0
+
+LEAST_CELLS = 36
+"""Fewer are no road: as many as a lane has on 4 m."""
+
+
+def places(track: Track) -> FloatArray:
+    """Return the way of a vehicle, level frame, shape (n, 2), in turn, each place once, however long it stood there."""
+    cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / CELL_M)
+    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    middles = (cells[first] + 0.5) * CELL_M
+    number = np.arange(len(middles))
+    reach = np.minimum(np.minimum(number, number[::-1]), round(SMOOTH_M / CELL_M))
+    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(middles, axis=0)])
+    smooth: FloatArray = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
+    return smooth
+
+
+def road_along(
+    way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray, settings: GroundSettings
+) -> Surface | None:
+    """Return the surface of the road along a way; None where none is seen.
+
+    Parameters
+    ----------
+    way : ndarray, shape (n, 2)
+        Level frame; see `places`.
+    clouds : sequence of PointCloud
+        Without what moves.
+    T_level_sensor : ndarray, shape (4, 4)
+        Into the level frame of a plane that is near the road's.
+    settings : GroundSettings
+    """
+    cells = _cells(way, clouds, T_level_sensor)
+    if not len(cells):
+        return None
+    away_m = np.abs(cells.left_m)
+    limit_m = np.full(cells.piece.max() + 1, HALF_VEHICLE_M)
+    on_road = away_m < HALF_VEHICLE_M
+    on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy)) < NEAR_M + GATE * np.sqrt(cells.variance)
+    for _ in range(round(REACH_M / STEP_M)):
+        if on_road.sum() < LEAST_CELLS // 2:
+            return None
+        height, variance = Surface(cells[on_road], settings.shared_noise_share).heights(cells)
+        off_m, variance = cells.z - height, variance + cells.variance + CLASS_B_M**2
+        limit_m = _limits(cells, off_m, variance, limit_m)
+        on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance)
+    return None if on_road.sum() < LEAST_CELLS else Surface(cells[on_road], settings.shared_noise_share)
+
+
+def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray) -> Cells:
+    """Gather what is low and near the way in squares of the ground plan."""
+    sensor = T_level_sensor[:3, 3]
+    levels = [transform(T_level_sensor, cloud.points) for cloud in clouds]
+    sigma_m = np.concatenate([sigma_z(xyz - sensor, cloud) for xyz, cloud in zip(levels, clouds, strict=True)])
+    level = np.concatenate(levels)
+    low = np.abs(level[:, 2]) < LOW_M + np.minimum(GATE * sigma_m, LOW_M)
+    z, sigma_m = level[low, 2], sigma_m[low]
+    # Noise moves points along their lines of sight, which are known: else a scan's ring would be as steep as these are.
+    xy = level[low, :2] * (sensor[2] / (sensor[2] - z))[:, None]
+    near = np.asarray(cKDTree(way).query(xy, distance_upper_bound=REACH_M)[0]) < REACH_M
+    xy, z, sigma_m = xy[near], z[near], sigma_m[near]
+    square = np.floor(xy / CELL_M).astype(np.int64)
+    cell = np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
+    count = np.bincount(cell)
+    middle = np.stack([np.bincount(cell, column) / count for column in xy.T], axis=1)
+    noise = np.bincount(cell, sigma_m**2) / count
+    height = _medians(z, cell)
+    spread = 1.4826 * _medians(np.abs(z - height[cell]), cell)
+    # A median is less exact than a mean by pi / 2.
+    variance = np.pi / 2 * np.maximum(noise, spread**2) / count + SHARED_IN_CELL * noise + COARSE_M**2
+    nearest = np.asarray(cKDTree(way).query(middle)[1])
+    forward, off = _directions(way)[nearest], middle - way[nearest]
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))[nearest]
+    left_m = dot_xy(turned(forward), off)
+    piece = 2 * (along_m // PIECE_M).astype(np.int64) + (left_m > 0.0)
+    beside = np.abs(dot_xy(forward, off)) < 2 * CELL_M  # and neither before the way nor behind it
+    even = spread < GATE * np.sqrt(noise + COARSE_M**2)
+    return Cells(middle, height, variance, np.sqrt(noise), left_m, piece)[beside & even]
+
+
+def _medians(values: FloatArray, group: IntArray) -> FloatArray:
+    ordered = values[np.lexsort((values, group))]
+    count = np.bincount(group)
+    first = np.cumsum(count) - count
+    medians: FloatArray = (ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2
+    return medians
+
+
+def _directions(way: FloatArray) -> FloatArray:
+    """Return the direction of a way at each of its places, shape (n, 2)."""
+    number, reach = np.arange(len(way)), round(TURN_M / CELL_M)
+    along = way[np.minimum(number + reach, len(way) - 1)] - way[np.maximum(number - reach, 0)]
+    directions: FloatArray = along / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    return directions
+
+
+def _below(lane: Cells, xy: FloatArray) -> FloatArray:
+    """Return the height, at places of shape (n, 2), of a plane through most of a lane's cells: some are raised.
+
+    Reweighted least squares, as for Cauchy's distribution.
+    """
+    if not len(lane):
+        return np.zeros(len(xy))
+    middle = lane.xy.mean(axis=0)
+    basis, weight = np.column_stack([np.ones(len(lane)), lane.xy - middle]), 1.0 / (lane.variance + NEAR_M**2)
+    prior, plane = np.diag(np.array(OTHER) ** -2.0), np.zeros(3)
+    for _ in range(START_STEPS):
+        robust = weight / (1.0 + weight * (lane.z - basis @ plane) ** 2)
+        plane = np.linalg.solve(prior + (basis.T * robust) @ basis, basis.T @ (robust * lane.z))
+    height: FloatArray = plane[0] + (xy - middle) @ plane[1:]
+    return height
+
+
+def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> FloatArray:
+    """Return how far to its side each piece of the road goes on, shape (k,): at most a step farther than before.
+
+    That is where the evidence that cells are road, summed from the way on, is largest.
+
+    Parameters
+    ----------
+    cells : Cells
+    off_m, variance : ndarray, shape (n,)
+        How far each is above the surface, and the variance of that if it is road.
+    limit_m : ndarray, shape (k,)
+    """
+    other = variance + NO_ROAD_M**2
+    evidence = ((off_m - KERB_M) ** 2 / other + np.log(other) - off_m**2 / variance - np.log(variance)) / 2
+    evidence = np.clip(evidence, -MOST_LIKELY, MOST_LIKELY)
+    away_m = np.abs(cells.left_m)
+    found = np.minimum(limit_m + STEP_M, REACH_M)
+    for piece, most_m in enumerate(found.tolist()):
+        members = np.flatnonzero((cells.piece == piece) & (away_m < most_m))
+        members = members[np.argsort(away_m[members])]
+        total = np.cumsum(evidence[members])
+        beyond = int(np.argmax(total)) + 1 if (total > 0.0).any() else 0
+        if beyond < len(members):
+            found[piece] = max(HALF_VEHICLE_M, float(away_m[members[beyond]]))
+    return found

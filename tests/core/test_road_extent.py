@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.frames import FloatArray, rigid
+from laci_stereo.core.road_extent import HALF_VEHICLE_M, REACH_M, places, road_along
+from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.tracking import Track
+from tests.core.tracks import sighting
+
+HEIGHT_M, SIGMA_M = 6.0, 0.02
+WAY_Y_M = 15.0
+T_LEVEL_SENSOR = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
+
+
+def way() -> FloatArray:
+    return np.column_stack([np.arange(-15.0, 15.0, 0.5), np.full(60, WAY_Y_M)])
+
+
+def cloud(height_of: FloatArray, xy: FloatArray) -> PointCloud:
+    """Return points at some heights, with the noise of ranges."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([xy, height_of - HEIGHT_M])
+    points *= 1.0 + rng.normal(0.0, SIGMA_M, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
+    noise = np.full(len(points), SIGMA_M)
+    return PointCloud(0, points, noise, 0.01 * noise, np.zeros(len(points), dtype=bool))
+
+
+def plan(step_m: float) -> FloatArray:
+    x, y = np.meshgrid(np.arange(-20.0, 20.0, step_m), np.arange(3.0, 27.0, step_m))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+@pytest.mark.parametrize("kerb_m", [0.06, 0.12])
+@pytest.mark.parametrize("half_m", [2.0, 4.0])
+def test_a_road_ends_at_its_kerbs(half_m: float, kerb_m: float) -> None:
+    xy = plan(0.2)
+    beyond = np.abs(xy[:, 1] - WAY_Y_M) - half_m
+    # The pavement falls by 2.5 % towards the road.
+    height = np.where(beyond > 0.0, kerb_m + 0.025 * beyond, 0.0)
+    surface = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, GroundSettings())
+    assert surface is not None
+    assert half_m - 0.5 < np.abs(surface.cells.left_m).max() < half_m + 0.5
+
+
+def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
+    xy = plan(0.2)
+    surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, GroundSettings())
+    assert surface is not None
+    assert surface.cells.left_m.min() < -0.9 * REACH_M
+    assert surface.cells.left_m.max() > 0.9 * REACH_M
+
+
+def test_what_stands_on_the_way_is_no_road() -> None:
+    xy = plan(0.2)
+    on_way = (np.abs(xy[:, 1] - WAY_Y_M) < HALF_VEHICLE_M) & (xy[:, 0] > 2.0)
+    surface = road_along(way(), [cloud(np.where(on_way, 0.5, 0.0), xy)], T_LEVEL_SENSOR, GroundSettings())
+    assert surface is not None
+    assert np.abs(surface.cells.z).max() < 0.1
+
+
+def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
+    # One ring of a noisy scanner passes along the way: across it only its noise tells a slope, that of the rays.
+    azimuth = np.linspace(np.radians(45.0), np.radians(135.0), 4000)
+    xy = 15.0 / np.sin(azimuth)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    rng = np.random.default_rng(0)
+    points = np.column_stack([xy, np.full(len(xy), -HEIGHT_M)])
+    points *= 1.0 + rng.normal(0.0, 0.1, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
+    noise = np.full(len(points), 0.1)
+    scan = PointCloud(0, points, noise, 1e-3 * noise, np.zeros(len(points), dtype=bool))
+    surface = road_along(way(), [scan], T_LEVEL_SENSOR, GroundSettings())
+    assert surface is not None
+    value, covariance, _ = surface.plane()
+    assert abs(value[2]) < 0.05  # the rays fall by 0.4
+    assert np.sqrt(covariance[2, 2]) > abs(value[2]) / 3
+
+
+def test_where_nothing_is_seen_there_is_no_road() -> None:
+    xy = plan(0.2)
+    assert (
+        road_along(way() + np.array([0.0, 200.0]), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, GroundSettings())
+        is None
+    )
+    few = cloud(np.zeros(len(xy)), xy)[np.arange(0, len(xy), 700)]
+    assert road_along(way(), [few], T_LEVEL_SENSOR, GroundSettings()) is None
+
+
+def test_a_vehicle_that_waits_is_at_one_place() -> None:
+    xs = [*np.arange(0.0, 10.0, 0.5), *[10.0] * 50, *np.arange(10.0, 20.0, 0.5)]
+    found = places(Track(tuple(sighting(0.1 * i, np.array([x, 3.0])) for i, x in enumerate(xs))))
+    assert len(found) == 40
+    assert np.abs(found[:, 1] - 3.0).max() <= 0.25
+    assert (np.diff(found[:, 0]) > 0.0).all()

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
+from laci_stereo.core.road_surface import FALL, Cells, Surface
+
+SIGMA_M = 0.01
+LANE_M = 3.5
+
+
+def cells(left_m: FloatArray, along_m: FloatArray, z: FloatArray) -> Cells:
+    """Return cells along a straight way along x, of exact places."""
+    n = len(z)
+    noise = np.full(n, SIGMA_M)
+    return Cells(np.column_stack([along_m, left_m]), z, noise**2, noise, left_m, np.zeros(n, dtype=np.int64))
+
+
+def road(
+    rng: np.random.Generator, beside_m: tuple[float, float], slopes: FloatArray, fall: float, crown_m: float
+) -> Cells:
+    """Return noisy cells of a road that is as uneven as ISO 8608's class B, from the one to the other side of a way."""
+    along, left = rng.uniform(-15.0, 15.0, 400), rng.uniform(*beside_m, 400)
+    away = np.hypot(along - along[:, None], left - left[:, None])
+    uneven = np.linalg.cholesky(CLASS_B_M**2 * np.exp(-away / REACH_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
+    z = slopes @ [along, left] - fall * np.abs(left - crown_m) + uneven + rng.normal(0.0, SIGMA_M, 400)
+    return cells(left, along, z)
+
+
+@pytest.mark.parametrize("crown_m", [-2.0, 1.5, 3.0])
+@pytest.mark.parametrize("fall", [0.01, 0.025])
+def test_the_crown_is_told_from_the_plane_where_both_sides_are_seen(fall: float, crown_m: float) -> None:
+    slopes = np.array([0.01, -0.02])
+    seen = road(np.random.default_rng(0), (crown_m - LANE_M, crown_m + LANE_M), slopes, fall, crown_m)
+    value, covariance, by_crown = Surface(seen, 0.0).plane()
+    off = value[1:] - slopes
+    assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
+    assert np.degrees(np.sqrt(covariance[2, 2])) < 0.3
+    assert by_crown[2, 2] < FALL**2 / 10
+
+
+def test_one_side_of_a_crown_does_not_tell_the_plane() -> None:
+    slopes, fall = np.zeros(2), 0.02
+    seen = road(np.random.default_rng(0), (-5.0, 0.0), slopes, fall, 1.0)
+    value, covariance, by_crown = Surface(seen, 0.0).plane()
+    assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
+    assert np.sqrt(by_crown[2, 2]) > FALL / 4
+    # Along the way there is nothing to confuse it with.
+    assert by_crown[1, 1] < by_crown[2, 2] / 100
+
+
+def test_a_flat_road_may_be_one_side_of_a_crown_that_is_not_seen() -> None:
+    value, covariance, by_crown = Surface(
+        road(np.random.default_rng(0), (-3.0, 3.0), np.zeros(2), 0.0, 0.0), 0.0
+    ).plane()
+    assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
+    assert np.sqrt(by_crown[2, 2]) > FALL / 4
+
+
+def test_the_doubt_is_that_of_the_error_over_random_roads() -> None:
+    rng = np.random.default_rng(1)
+    squares = []
+    for _ in range(60):
+        crown_m, fall = rng.uniform(-4.0, 4.0), rng.uniform(0.0, 0.025)
+        slopes, left_m, width_m = rng.normal(0.0, 0.015, 2), rng.uniform(-5.0, -1.0), rng.uniform(3.0, 9.0)
+        value, covariance, _ = Surface(road(rng, (left_m, left_m + width_m), slopes, fall, crown_m), 0.0).plane()
+        off = value[1:] - slopes
+        squares.append(off @ np.linalg.solve(covariance[1:, 1:], off))
+    # Chi-square of two degrees of freedom: mean 2. The road might be bent, and is not, so that it is less.
+    assert 0.2 < np.mean(squares) < 2.0
+    assert np.mean(np.array(squares) > 3.0**2) < 0.05
+
+
+def test_what_all_points_share_is_in_the_doubt() -> None:
+    seen = road(np.random.default_rng(0), (-LANE_M, LANE_M), np.zeros(2), 0.0, 0.0)
+    alone, together = (Surface(seen, share).plane()[1][0, 0] for share in (0.0, 1.0))
+    assert together - alone == pytest.approx(SIGMA_M**2, rel=0.1)
+
+
+def test_a_surface_is_known_where_it_was_seen_and_less_beyond() -> None:
+    seen = road(np.random.default_rng(0), (-2.0, 2.0), np.zeros(2), 0.0, 0.0)
+    beside = np.array([0.0, 2.0, 4.0, 8.0])
+    height, variance = Surface(seen, 0.0).heights(cells(beside, np.zeros(4), np.zeros(4)))
+    assert (np.diff(variance) > 0.0).all()
+    assert (np.abs(height) < 3.0 * np.sqrt(variance + CLASS_B_M**2)).all()
