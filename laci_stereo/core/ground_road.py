@@ -75,14 +75,15 @@ def road_ground(
         seen = _seen_from(found, survey, axes, _carried(way, ground, found, axes), settings)
         if seen is None:
             log.debug("no road is seen along the way")
-            return _as_uncertain(ground, chart, (by_plane * np.square([0.0, FALL, FALL])) @ by_plane.T)
+            doubt = chart.covariance(ground) + (by_plane * np.square([0.0, FALL, FALL])) @ by_plane.T
+            return _as_uncertain(ground, chart, doubt)
         road, by_crown = seen
         (of_road,) = chart.values([road])
         same = chart.covariance(ground) + OPEN * chart.covariance(by_crown) + (by_plane * np.square(SAME)) @ by_plane.T
         other = same + (by_plane * np.square(OTHER)) @ by_plane.T
         off, doubt = _together(of_road - value, chart.covariance(road), (same, other))
         if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
-            return _as_uncertain(ground, chart, doubt + np.outer(off, off) - chart.covariance(ground))
+            return _as_uncertain(ground, chart, doubt + np.outer(off, off))
         moved = off - found_off
         found, found_off = chart.plane(value + off, doubt), off
         if moved @ np.linalg.solve(doubt, moved) < SETTLED:
@@ -162,10 +163,10 @@ def _together(off: FloatArray, of_road: FloatArray, of_ground: Sequence[FloatArr
     return mean, np.tensordot(likely, covariances, 1) + (apart.T * likely) @ apart
 
 
-def _as_uncertain(ground: GroundPlane, chart: Chart, doubt: FloatArray) -> GroundPlane:
-    """Return a ground with more doubt."""
+def _as_uncertain(ground: GroundPlane, chart: Chart, covariance: FloatArray) -> GroundPlane:
+    """Return a ground with another covariance, given in a chart."""
     (value,) = chart.values([ground])
-    return replace(ground, covariance_sensor=chart.plane(value, chart.covariance(ground) + doubt).covariance_sensor)
+    return replace(ground, covariance_sensor=chart.plane(value, covariance).covariance_sensor)
 
 
 def _carried(way: FloatArray, before: GroundPlane, after: GroundPlane, axes: Axes) -> FloatArray:
