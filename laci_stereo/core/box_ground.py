@@ -170,10 +170,10 @@ class _Heights:
         """Return how many of the boxes are independent, by the correlation of their heights along the tracks.
 
         The sum over lags ends where they are not correlated any more (Geyer's initial positive sequence), else what
-        the fit takes out of few tracks would count as correlation.
+        the fit takes out of few tracks would count as correlation. What is below a box's last digit is no height.
         """
         weighted = self.weight * self.above_m
-        squares = float((weighted * self.above_m).sum())
+        squares = float((weighted * self.above_m).sum() + self.weight.sum() * _EXACT_M**2)
         total = squares
         for lag in range(1, len(weighted)):
             same = self.label[lag:] == self.label[:-lag]
@@ -181,7 +181,7 @@ class _Heights:
             if pairs <= 0.0:
                 break
             total += 2 * pairs
-        return float(self.weight.sum()) * squares / total if total > 0.0 else float(self.weight.sum())
+        return float(self.weight.sum()) * squares / total
 
     def covariance(self, shared_share: float) -> FloatArray:
         """Return the covariance of (rotation about level x, about level y, height); of the noise a share is common."""
