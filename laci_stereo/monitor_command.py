@@ -189,19 +189,21 @@ def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
         watched.frames.refresh(0)
     there = asked.out.exists()
     _make_folder(asked.out, overwrite=asked.overwrite)
-    monitor = Monitor(watched.frames, plan, asked.out)
+    monitor: Monitor | None = None
     try:
+        monitor = Monitor(watched.frames, plan, asked.out)
         monitor.refresh()
         monitor.check()
         if monitor.state.frames and not asked.quiet:
             click.echo(f"note: goes on after frame {monitor.state.frames}", err=True)
         _go_through(monitor, asked)
     except LaciError:
-        _clear_up(asked.out, folder_too=not there)
+        if monitor is not None:
+            _clear_up(asked.out, folder_too=not there)
         raise
     except KeyboardInterrupt:
-        if not asked.follow:
-            done = monitor.back().frames
+        if monitor is None or not asked.follow:
+            done = 0 if monitor is None else monitor.back().frames
             if not done:
                 _clear_up(asked.out, folder_too=not there)
                 raise
