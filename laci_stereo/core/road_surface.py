@@ -87,8 +87,9 @@ class _Given:
 class Surface:
     """The distribution of a road's surface, given cells on it.
 
-    The plane, how the road is bent and how uneven it is are normal; the fall and the place of the crown, and the class
-    of unevenness, are summed over.
+    The plane, how the road is bent and how uneven it is are normal, a Gaussian process with explicit basis functions
+    (Rasmussen and Williams 2006, section 2.7); the fall and the place of the crown, and the class of unevenness, are
+    summed over by their evidence.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ class Surface:
         basis, crowns, z, sigma_m, variance, xy = np.split(patches, np.cumsum([6, len(_CROWNS_M), 1, 1, 1]), axis=1)
         noise = np.diag(variance[:, 0]) + shared_noise_share**2 * sigma_m @ sigma_m.T + (basis * prior) @ basis.T
         alike = np.exp(-np.linalg.norm(xy[:, None] - xy, axis=2) / REACH_M)
-        given = []
+        found = []
         for uneven in _CLASSES:
             factor = cho_factor(noise + (2.0**uneven * CLASS_B_M) ** 2 * alike, lower=True)
             by_z, by_basis, by_crowns = np.split(cho_solve(factor, np.hstack([z, basis, crowns])), [1, 7], axis=1)
@@ -114,14 +115,10 @@ class Surface:
             log_likely = -0.5 * (squares + uneven**2) - np.log(np.diag(factor[0])).sum()
             covariance = np.diag(prior) - prior[:, None] * (basis.T @ by_basis) * prior
             by_fall = prior[:, None] * (basis.T @ by_crowns)
-            given.append(_Given(log_likely, prior * (basis.T @ by_z)[:, 0], covariance, by_fall))
-        all_likely = np.array([each.likely for each in given])
-        all_likely = np.exp(all_likely - all_likely.max())
-        all_likely /= all_likely.sum()
-        self.given = [
-            _Given(likely, each.mean, each.covariance, each.by_fall)
-            for likely, each in zip(all_likely, given, strict=True)
-        ]
+            found.append((log_likely, prior * (basis.T @ by_z)[:, 0], covariance, by_fall))
+        most = max(float(log_likely.max()) for log_likely, *_ in found)
+        total = sum(float(np.exp(log_likely - most).sum()) for log_likely, *_ in found)
+        self.given = [_Given(np.exp(log_likely - most) / total, *known) for log_likely, *known in found]
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Return the height of the even surface at some cells, and its variance, each of shape (n,)."""
