@@ -54,20 +54,25 @@ MOST_LIKELY = 3.0
 
 GATE = 3.0
 
-LEAST_CELLS = 36
-"""Fewer are no road: as many as a lane has on 4 m."""
+FIRST_CELLS, LEAST_CELLS = 6, 36
+"""So many below the way tell a plane and that they are on it; fewer than so many in all are no road: 4 m of a lane."""
 
 
 def places(track: Track) -> FloatArray:
-    """Return the way of a vehicle, level frame, shape (n, 2), in turn, each place once, however long it stood there."""
+    """Return the way of a vehicle, level frame, shape (n, 2), every `CELL_M`, however fast it was or long it stood."""
     cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / CELL_M)
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    middles = (cells[first] + 0.5) * CELL_M
+    seen = (cells[first] + 0.5) * CELL_M
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(seen, axis=0), axis=1)))
+    at_m = np.arange(0.0, along_m[-1] + CELL_M, CELL_M)
+    middles = np.column_stack([np.interp(at_m, along_m, column) for column in seen.T])
     number = np.arange(len(middles))
     reach = np.minimum(np.minimum(number, number[::-1]), round(SMOOTH_M / CELL_M))
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(middles, axis=0)])
     smooth: FloatArray = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
-    return smooth
+    # Where it was not seen for longer, the way may have turned.
+    gap_m = np.append(np.diff(along_m), 0.0)[np.searchsorted(along_m, at_m, side="right") - 1]
+    return smooth[gap_m < PIECE_M]
 
 
 def road_along(
@@ -93,7 +98,7 @@ def road_along(
     on_road = away_m < HALF_VEHICLE_M
     on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy)) < NEAR_M + GATE * np.sqrt(cells.variance)
     for _ in range(round(REACH_M / STEP_M)):
-        if on_road.sum() < LEAST_CELLS // 2:
+        if on_road.sum() < FIRST_CELLS:
             return None
         height, variance = Surface(cells[on_road], settings.shared_noise_share).heights(cells)
         off_m, variance = cells.z - height, variance + cells.variance + CLASS_B_M**2
