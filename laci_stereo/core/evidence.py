@@ -9,6 +9,7 @@ import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
 
 
@@ -117,7 +118,7 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         frame=np.repeat(np.arange(len(seen)), counts),
         sigma_along_m=np.hypot(level * along, down * across),
         sigma_across_m=across,
-        sigma_z_m=np.hypot(down * along, level * across),
+        sigma_z_m=sigma_z(sight, along, across),
         height_m=height_m,
         vehicle=vehicle,
         turn_s=track.turn_s,

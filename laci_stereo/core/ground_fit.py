@@ -34,7 +34,7 @@ _NEAR, _SETTLED = 0.1**2, 0.01**2
 # Tukey's constant for 95 % efficiency on normal noise.
 _TUKEY = 4.685
 # Of a point's variance, what its cell shares: a matcher's window is a fifth of a cell wide, so that 25 fit into it.
-_SHARED_IN_CELL = 0.04
+SHARED_IN_CELL = 0.04
 # Kerbs are up to 0.15 m high; what is higher stands out by itself.
 _KERB_M = 0.15
 # Blocks of five by five cells: wider than a matcher's window reaches, and about as wide as a pavement.
@@ -264,7 +264,7 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
     return _Cells(
         residual=means[0],
         direction=np.stack(means[1:4], axis=1),
-        variance=means[6] / total[kept] + _SHARED_IN_CELL * means[5],
+        variance=means[6] / total[kept] + SHARED_IN_CELL * means[5],
         sigma=means[4],
         per_metre=means[7],
         place=partition.place[kept],

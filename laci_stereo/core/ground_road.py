@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 from laci_stereo.core.box import Box
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import Axes, FloatArray, rotate_xy, transform
+from laci_stereo.core.frames import Axes, FloatArray, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.road_extent import places, road_along
@@ -75,12 +75,12 @@ def road_ground(
         seen = _seen_from(found, survey, axes, _carried(way, ground, found, axes), settings)
         if seen is None:
             log.debug("no road is seen along the way")
-            doubt = chart.covariance(ground) + (by_plane * np.square([0.0, FALL, FALL])) @ by_plane.T
+            doubt = chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
             return _as_uncertain(ground, chart, doubt)
         road, by_crown = seen
         (of_road,) = chart.values([road])
-        same = chart.covariance(ground) + OPEN * chart.covariance(by_crown) + (by_plane * np.square(SAME)) @ by_plane.T
-        other = same + (by_plane * np.square(OTHER)) @ by_plane.T
+        same = chart.covariance(ground) + OPEN * chart.covariance(by_crown) + _spread(by_plane, SAME)
+        other = same + _spread(by_plane, OTHER)
         off, doubt = _together(of_road - value, chart.covariance(road), (same, other))
         if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
             return _as_uncertain(ground, chart, doubt + np.outer(off, off))
@@ -113,8 +113,7 @@ def standing(
         xy = transform(T_level_sensor, cloud.points)[:, :2]
         stands = np.ones(len(cloud), dtype=bool)
         for box in boxes.get(round((cloud.stamp_ns - epoch_ns) / 1e6), []):
-            away_m = np.abs(rotate_xy(-box.yaw_rad, xy - box.centre))
-            stands &= (away_m > np.array([box.length_m, box.width_m]) / 2 + ROOM_M).any(axis=1)
+            stands &= ~box.contains(xy, ROOM_M)
         found.append(cloud[stands])
     return found
 
@@ -173,6 +172,12 @@ def _carried(way: FloatArray, before: GroundPlane, after: GroundPlane, axes: Axe
     """Return places on one ground in the level frame of another."""
     T_after_before = after.T_level_sensor(axes) @ np.linalg.inv(before.T_level_sensor(axes))
     return transform(T_after_before, np.column_stack([way, np.zeros(len(way))]))[:, :2]
+
+
+def _spread(by_plane: FloatArray, sigmas: tuple[float, float, float]) -> FloatArray:
+    """Return the covariance, in a chart, of a height and two slopes with some standard deviations, shape (3, 3)."""
+    covariance: FloatArray = (by_plane * np.square(sigmas)) @ by_plane.T
+    return covariance
 
 
 def _by_plane(chart: Chart, axes: Axes, place: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, transform, turned
+from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
 from laci_stereo.core.road_surface import OTHER, Cells, Surface
 from laci_stereo.core.settings import GroundSettings
@@ -22,9 +23,6 @@ CELL_M = 0.5
 
 COARSE_M = 0.003
 """What squares of that size differ by on an even road: chippings, markings, covers."""
-
-SHARED_IN_CELL = 0.04
-"""Of a point's variance, what its cell shares; see `ground_fit`."""
 
 LOW_M = 0.7
 """What is farther above or below the plane that was found before, and twice that with its noise, is no road: land that
@@ -111,7 +109,12 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     """Gather what is low and near the way in squares of the ground plan."""
     sensor = T_level_sensor[:3, 3]
     levels = [transform(T_level_sensor, cloud.points) for cloud in clouds]
-    sigma_m = np.concatenate([sigma_z(xyz - sensor, cloud) for xyz, cloud in zip(levels, clouds, strict=True)])
+    sigma_m = np.concatenate(
+        [
+            sigma_z(xyz - sensor, cloud.sigma_along_m, cloud.sigma_across_m)
+            for xyz, cloud in zip(levels, clouds, strict=True)
+        ]
+    )
     level = np.concatenate(levels)
     low = np.abs(level[:, 2]) < LOW_M + np.minimum(GATE * sigma_m, LOW_M)
     z, sigma_m = level[low, 2], sigma_m[low]

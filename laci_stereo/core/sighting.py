@@ -96,7 +96,9 @@ def find_vehicles(
     near = cloud.sigma_along_m < 2 * limits.max_sigma_m
     between = (points[:, 2] > limits.min_height_m) & (points[:, 2] < settings.background.max_height_m)
     candidates = np.flatnonzero(near & between)
-    noise_m = sigma_z(points[candidates] - T_level_sensor[:3, 3], cloud[candidates])
+    noise_m = sigma_z(
+        points[candidates] - T_level_sensor[:3, 3], cloud.sigma_along_m[candidates], cloud.sigma_across_m[candidates]
+    )
     candidates = candidates[points[candidates, 2] > limits.ground_sigmas * noise_m]
     candidates = candidates[~background.covers(points[candidates, :2])]
     found = []
@@ -108,10 +110,10 @@ def find_vehicles(
     return found
 
 
-def sigma_z(sight: FloatArray, cloud: PointCloud) -> FloatArray:
+def sigma_z(sight: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray) -> FloatArray:
     """Return the standard deviation of the height of points that the sensor sees along ``sight``, shape (n, 3)."""
     slope = sight[:, 2] / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
-    sigma_m: FloatArray = np.hypot(slope * cloud.sigma_along_m, np.sqrt(1 - slope**2) * cloud.sigma_across_m)
+    sigma_m: FloatArray = np.hypot(slope * sigma_along_m, np.sqrt(1 - slope**2) * sigma_across_m)
     return sigma_m
 
 
