@@ -4,7 +4,7 @@ import pytest
 pytest.importorskip("embreex")
 
 from laci_stereo.core.frames import wrap
-from tools.scenes.drives import DRIVES, Drive
+from tools.scenes.drives import DRIVES, Drive, Towed
 from tools.scenes.traffic import collide, lanes_of, place_drive, possible, vehicle_mover
 from tools.scenes.vehicles import draw_vehicle
 from tools.scenes.world import LAYOUTS, draw_road
@@ -70,6 +70,33 @@ def test_the_front_moves_in_another_direction_than_the_body_points_in_a_bend():
     front = xy + 3.5 * np.column_stack([np.cos(yaw), np.sin(yaw)])
     course = np.arctan2(*(front[1] - front[0])[::-1])
     assert float(wrap(course - yaw.mean())) == pytest.approx(np.arctan(3.5 * np.pi / 60.0), abs=1e-3)
+
+
+@pytest.mark.parametrize("drive_kind", ["straight", "left_turn", "roundabout", "reverse"])
+@pytest.mark.parametrize("kind", ["trailer", "caravan"])
+def test_a_trailer_hangs_on_its_hitch_and_its_wheels_do_not_slip(kind, drive_kind):
+    road, _, drive = drawn(drive_kind, 3)
+    vehicle = draw_vehicle(np.random.default_rng(1), kind)
+    mover = vehicle_mover("sender", vehicle, drive, road)
+    trailer = vehicle.trailer
+    axle = []
+    for time_s in TIMES[::20]:
+        own, towed = mover.pose(time_s), mover.trailer_pose(time_s)
+        hitch = [(own @ [trailer.hitch_m, 0.0, 0.0, 1.0]), towed @ [trailer.axle_m + trailer.drawbar_m, 0.0, 0.0, 1.0]]
+        # Each stands on the road by itself, which is not flat.
+        np.testing.assert_allclose(hitch[0][:3], hitch[1][:3], atol=0.06)
+        axle.append([*(towed @ [trailer.axle_m, 0.0, 0.0, 1.0])[:2], np.arctan2(towed[1, 0], towed[0, 0])])
+    x, y, yaw = np.array(axle).T
+    # The chord of an arc is along the direction halfway.
+    half = yaw[:-1] + np.diff(np.unwrap(yaw)) / 2
+    np.testing.assert_allclose(np.diff(y) * np.cos(half) - np.diff(x) * np.sin(half), 0.0, atol=0.02)
+
+
+def test_on_a_circle_a_trailer_folds_by_what_its_drawbar_makes():
+    """Hitch and axle are on circles about one point: sin(angle) = drawbar / radius, for a hitch on the axle."""
+    drive = Drive((0.0, 0.0), 0.0, ((300.0, 300.0 / 20.0),), speeds=((0.0, 6.0),))
+    _, yaw = Towed(drive, 0.0, 8.0).at(np.array([30.0]))
+    assert drive.at(np.array([30.0]))[1] - yaw == pytest.approx(np.arcsin(8.0 / 20.0), abs=0.01)
 
 
 def test_placing_and_mirroring_move_the_whole_path():

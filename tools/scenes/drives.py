@@ -16,6 +16,7 @@ DRIVES: tuple[DriveKind, ...] = get_args(DriveKind)
 
 FIRST_S, LAST_S = -15.0, 45.0
 STEP_S, STEP_M = 5e-3, 0.02
+TOWED_STEP_S = 0.02
 
 LATERAL_MPS2 = 2.5
 """Drivers take a bend so fast that it presses with 2 to 3 m/s^2 (Levison et al., FHWA-RD-01-108)."""
@@ -116,6 +117,46 @@ class Drive:
         x = self.start[0] - self.ramp_m * np.cos(self.yaw_rad) + _cumulated(np.cos(yaw), path, -self.ramp_m)
         y = self.start[1] - self.ramp_m * np.sin(self.yaw_rad) + _cumulated(np.sin(yaw), path, -self.ramp_m)
         return path, x, y, yaw, curvature
+
+
+@dataclass(frozen=True)
+class Towed:
+    """The motion of a trailer's axle: its hitch goes with what tows it, and its wheels do not slip sideways.
+
+    Attributes
+    ----------
+    drive : Drive
+        Of the rear axle of what tows it.
+    hitch_m : float
+        So far ahead of that axle it hangs.
+    drawbar_m : float
+        From the hitch to its own axle.
+    """
+
+    drive: Drive
+    hitch_m: float
+    drawbar_m: float
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the trailer's axle, shape (n, 2), and its yaw, shape (n,), unwrapped."""
+        yaw = np.interp(times_s, *self._yaw)
+        behind = rotate_xy(yaw, np.tile([-self.drawbar_m, 0.0], (len(yaw), 1)))
+        return self._hitch(times_s) + behind, yaw
+
+    def _hitch(self, times_s: FloatArray) -> FloatArray:
+        xy, yaw = self.drive.at(times_s)
+        return xy + rotate_xy(yaw, np.tile([self.hitch_m, 0.0], (len(yaw), 1)))
+
+    @cached_property
+    def _yaw(self) -> tuple[FloatArray, FloatArray]:
+        times = np.arange(FIRST_S, LAST_S, TOWED_STEP_S)
+        moved = np.diff(self._hitch(times), axis=0)
+        yaw = np.empty(len(times))
+        yaw[0] = self.drive.at(times[:1])[1][0]
+        for index, (x, y) in enumerate(moved.tolist()):
+            now = yaw[index]
+            yaw[index + 1] = now + (y * np.cos(now) - x * np.sin(now)) / self.drawbar_m
+        return times, yaw
 
 
 def _cumulated(rate: FloatArray, over: FloatArray, zero: float) -> FloatArray:

@@ -254,7 +254,8 @@ class Scene:
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
         """Everything that rays can meet; the sender is the last."""
-        return (*self.site.bodies, *(mover.body for mover in self.others), self.sender.body)
+        moving = (body for mover in (*self.others, self.sender) for body in mover.bodies)
+        return (*self.site.bodies, *moving)
 
     @cached_property
     def caster(self) -> RayCaster:
@@ -475,7 +476,7 @@ def _drive_and_layout(draw: Draw, factors: Factors) -> tuple[DriveKind, LayoutKi
 
 
 def _vehicle(draw: Draw, factors: Factors) -> Vehicle:
-    weights = (0.2, 0.17, 0.2, 0.18, 0.13, 0.05, 0.03, 0.04)
+    weights = (0.2, 0.17, 0.2, 0.18, 0.13, 0.05, 0.03, 0.02, 0.02)
     return draw_vehicle(draw.rng("vehicle"), draw.choice(factors.vehicle, "vehicle kind", KINDS, weights))
 
 

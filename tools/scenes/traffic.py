@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
-from tools.scenes.drives import Drive, DriveKind, Lanes, draw_drive
+from tools.scenes.drives import Drive, DriveKind, Lanes, Towed, draw_drive
 from tools.scenes.geometry import Body, Material, Mesh, merged
 from tools.scenes.shapes import box, turned_solid, wheel
-from tools.scenes.vehicles import Vehicle, VehicleKind, draw_vehicle
+from tools.scenes.vehicles import Trailer, Vehicle, VehicleKind, draw_vehicle
 from tools.scenes.world import LayoutKind, Road, lift, standing
 
 STEERING_RAD = 0.6
@@ -37,6 +38,8 @@ class Mover:
         Where what follows the drive is along x, and how far apart the two contacts with the road are.
     drive : Drive
     road : Road
+    trailer : Trailer or None
+        That it tows.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Mover:
     wheelbase_m: float
     drive: Drive
     road: Road
+    trailer: Trailer | None = None
 
     def track(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the middle of the box, shape (n, 2), and the body's yaw, shape (n,)."""
@@ -61,16 +65,42 @@ class Mover:
         T[:3, 3] -= T[:3, 0] * (self.rear_axle_m + self.wheelbase_m / 2)
         return T
 
+    def trailer_pose(self, time_s: float) -> FloatArray:
+        """Return ``T_world_trailer``, shape (4, 4): its hitch and its wheels are as high over the road as always."""
+        assert self.trailer is not None
+        xy, yaw = self._towed.at(np.array([time_s]))
+        half = self.trailer.drawbar_m / 2
+        ahead = rotate_xy(float(yaw[0]), np.array([half, 0.0]))
+        T = lift(self.road, xy[0] + ahead, float(yaw[0]), self.trailer.drawbar_m, self.trailer.width_m - 0.3)
+        T[:3, 3] -= T[:3, 0] * (self.trailer.axle_m + half)
+        return T
+
+    @cached_property
+    def _towed(self) -> Towed:
+        assert self.trailer is not None
+        return Towed(self.drive, self.trailer.hitch_m - self.rear_axle_m, self.trailer.drawbar_m)
+
     @property
-    def body(self) -> Body:
-        """The mover for the ray caster."""
-        return Body(self.name, self.mesh, self.pose, static=False)
+    def bodies(self) -> tuple[Body, ...]:
+        """The mover for the ray caster, after what it tows."""
+        own = Body(self.name, self.mesh, self.pose, static=False)
+        if self.trailer is None:
+            return (own,)
+        return Body(f"{self.name}, trailer", self.trailer.mesh, self.trailer_pose, static=False), own
 
 
 def vehicle_mover(name: str, vehicle: Vehicle, drive: Drive, road: Road) -> Mover:
     """Put a vehicle on a drive."""
     return Mover(
-        name, vehicle.mesh, vehicle.length_m, vehicle.width_m, vehicle.rear_axle_m, vehicle.wheelbase_m, drive, road
+        name,
+        vehicle.mesh,
+        vehicle.length_m,
+        vehicle.width_m,
+        vehicle.rear_axle_m,
+        vehicle.wheelbase_m,
+        drive,
+        road,
+        vehicle.trailer,
     )
 
 

@@ -12,13 +12,38 @@ from laci_stereo.core.frames import FloatArray, IntArray
 from tools.scenes.geometry import Material, Mesh, merged
 from tools.scenes.shapes import box, loft, wheel
 
-VehicleKind = Literal["saloon", "estate", "hatchback", "suv", "van", "lorry", "trailer", "bus"]
+VehicleKind = Literal["saloon", "estate", "hatchback", "suv", "van", "lorry", "trailer", "bus", "caravan"]
 KINDS: tuple[VehicleKind, ...] = get_args(VehicleKind)
 
 _ARC = 6
 _FRONT, _SIDE = 8, 24
 
 PAINT, GLASS, METAL = Material.CAR_PAINT, Material.GLASS, Material.METAL
+
+
+@dataclass(frozen=True)
+class Trailer:
+    """What a vehicle tows, in a frame of its own: origin on the ground under the middle of its box, x forward, y left.
+
+    Attributes
+    ----------
+    length_m, width_m, height_m : float
+    hitch_m : float
+        Where it hangs, along the x axis of the vehicle that tows it.
+    drawbar_m : float
+        From there to its axle, or to the middle of its axles.
+    axle_m : float
+        Where that is along its own x (negative).
+    mesh : Mesh
+    """
+
+    length_m: float
+    width_m: float
+    height_m: float
+    hitch_m: float
+    drawbar_m: float
+    axle_m: float
+    mesh: Mesh
 
 
 @dataclass(frozen=True)
@@ -29,12 +54,16 @@ class Vehicle:
     ----------
     kind : str
     length_m, width_m, height_m : float
-        Of the body, without mirrors: what the mesh without them spans exactly.
+        Of the body, without mirrors: what the mesh without them spans exactly; of a lorry with its trailer in line.
+        A car that tows tells its own length: it does not know its trailer's (trailerPresentWithUnknownLength,
+        ETSI TS 102 894-2).
     mirror_width_m : float
         Over the mirrors.
     rear_axle_m, wheelbase_m : float
-        Where the rear axle is along x (negative), and from there to the front axle.
+        Where the rear axle is along x, and from there to the front axle; of the vehicle that tows.
     mesh : Mesh
+        Without what is towed.
+    trailer : Trailer or None
     """
 
     kind: VehicleKind
@@ -45,6 +74,7 @@ class Vehicle:
     rear_axle_m: float
     wheelbase_m: float
     mesh: Mesh
+    trailer: Trailer | None = None
 
 
 @dataclass(frozen=True)
@@ -180,7 +210,11 @@ def draw_vehicle(rng: np.random.Generator, kind: VehicleKind) -> Vehicle:
     for known, shape in CARS:
         if kind == known:
             return _car(rng, kind, shape)
-    return _bus(rng) if kind == "bus" else _lorry(rng, kind)
+    if kind == "caravan":
+        return _with_caravan(rng)
+    if kind == "bus":
+        return _bus(rng)
+    return _articulated(rng) if kind == "trailer" else _lorry(rng)
 
 
 def without_mirrors(vehicle: Vehicle) -> Mesh:
@@ -268,32 +302,90 @@ def _bus(rng: np.random.Generator) -> Vehicle:
     return Vehicle("bus", length, width, height, width + 2 * reach, rear_axle, base_m, mesh)
 
 
-def _lorry(rng: np.random.Generator, kind: VehicleKind) -> Vehicle:
-    """Build a cab and a box behind it; a trailer is taken as rigid, which it is while it goes straight."""
-    trailer = kind == "trailer"
-    length = rng.uniform(15.0, 16.5) if trailer else rng.uniform(6.5, 10.0)
-    width, height = rng.uniform(2.48, 2.55), rng.uniform(3.7, 4.0) if trailer else rng.uniform(3.0, 3.9)
+def _lorry(rng: np.random.Generator) -> Vehicle:
+    """Build a cab and a box behind it, on one frame."""
+    length = rng.uniform(6.5, 10.0)
+    width, height = rng.uniform(2.48, 2.55), rng.uniform(3.0, 3.9)
     front, rear = length / 2, -length / 2
-    cab_length, cab_width, gap = rng.uniform(1.7, 2.3), rng.uniform(2.2, 2.48), rng.uniform(0.15, 0.9)
-    ring = Ring(0.35, front, front - cab_length, cab_width, rng.uniform(0.12, 0.3), rng.uniform(0.05, 0.12), 0.0)
-    cab_height = rng.uniform(2.6, min(3.6, height))
+    cab, behind = _cab(rng, front, height)
+    load = Ring(rng.uniform(0.9, 1.15), behind, rear, width, 0.03, 0.0, 0.0)
+    loaded = body([load, replace(load, z_m=height)], [Skin()])
+    frame = box((rear + 0.3, -0.45, 0.6), (front - 0.5, 0.45, load.z_m + 0.01), METAL)
+    rear_axle = rear + rng.uniform(1.6, 2.4)
+    axles = (front - 1.4, rear_axle)
+    reach = rng.uniform(0.15, 0.25)
+    mirrors = _mirrors(front - 0.4, width, 1.9, reach, 0.6)
+    mesh = merged([cab, loaded, frame, _guard(rear, width), *_pairs(axles, width), *mirrors])
+    return Vehicle("lorry", length, width, height, width + 2 * reach, rear_axle, front - 1.4 - rear_axle, mesh)
+
+
+def _articulated(rng: np.random.Generator) -> Vehicle:
+    """Build a tractor and the semi-trailer on it, 16.5 m at most (Directive 96/53/EC)."""
+    width, height = rng.uniform(2.48, 2.55), rng.uniform(3.7, 4.0)
+    wheelbase, before_axle, kingpin = rng.uniform(3.5, 3.8), rng.uniform(0.4, 0.7), rng.uniform(1.4, 1.7)
+    ahead = 1.4 + wheelbase - before_axle
+    length = ahead + min(rng.uniform(10.7, 12.0), 16.5 - ahead)
+    trailer_length = length - ahead + kingpin
+    front = length / 2
+    rear_axle = front - 1.4 - wheelbase
+    cab, _ = _cab(rng, front, height)
+    frame = box((rear_axle - 0.8, -0.45, 0.6), (front - 0.5, 0.45, 0.95), METAL)
+    reach = rng.uniform(0.15, 0.25)
+    mirrors = _mirrors(front - 0.4, width, 1.9, reach, 0.6)
+    mesh = merged([cab, frame, *_pairs((front - 1.4, rear_axle), width), *mirrors])
+    rear = -trailer_length / 2
+    load = Ring(rng.uniform(0.98, 1.15), -rear, rear, width, 0.03, 0.0, 0.0)
+    axle = rear + rng.uniform(3.9, 4.4)
+    towed = merged(
+        [
+            body([load, replace(load, z_m=height)], [Skin()]),
+            _guard(rear, width),
+            *_pairs((axle - 1.31, axle, axle + 1.31), width),
+        ]
+    )
+    trailer = Trailer(trailer_length, width, height, rear_axle + before_axle, -rear - kingpin - axle, axle, towed)
+    return Vehicle("trailer", length, width, height, width + 2 * reach, rear_axle, wheelbase, mesh, trailer)
+
+
+def _with_caravan(rng: np.random.Generator) -> Vehicle:
+    """Build a car and the caravan, or the trailer with a box, on its ball."""
+    kind, shape = (("estate", ESTATE), ("suv", SUV), ("van", VAN))[int(rng.integers(3))]
+    car = _car(rng, kind, shape)  # type: ignore[arg-type]
+    caravan = rng.random() < 0.5
+    length, width = (rng.uniform(4.2, 6.0), rng.uniform(2.1, 2.5)) if caravan else rng.uniform((1.8, 1.2), (3.2, 1.8))
+    height = rng.uniform(2.4, 2.7) if caravan else rng.uniform(0.9, 1.9)
+    axle = rng.uniform(-0.6, -0.1)
+    ring = Ring(rng.uniform(0.35, 0.5), length / 2, -length / 2, width, rng.uniform(0.03, 0.2), 0.05, 0.0)
+    shaft = box((length / 2 - 0.1, -0.06, 0.4), (length / 2 + rng.uniform(0.9, 1.3), 0.06, 0.5), METAL)
+    towed = merged([body([ring, replace(ring, z_m=height)], [Skin()]), shaft, *_pairs((axle,), width, 0.32, 0.2)])
+    ball = float(shaft.vertices[:, 0].max())
+    trailer = Trailer(length, width, height, -car.length_m / 2 - 0.08, ball - axle, axle, towed)
+    return replace(car, kind="caravan", trailer=trailer)
+
+
+def _cab(rng: np.random.Generator, front_m: float, highest_m: float) -> tuple[Mesh, float]:
+    """Return a lorry's cab, and where what stands behind it may begin."""
+    length, width, gap = rng.uniform(1.7, 2.3), rng.uniform(2.2, 2.48), rng.uniform(0.15, 0.9)
+    ring = Ring(0.35, front_m, front_m - length, width, rng.uniform(0.12, 0.3), rng.uniform(0.05, 0.12), 0.0)
+    height = rng.uniform(2.6, min(3.6, highest_m))
     cab = body(
         [
             ring,
             replace(ring, z_m=1.5),
-            replace(ring, z_m=2.3, front_m=front - 0.15),
-            replace(ring, z_m=cab_height, front_m=front - rng.uniform(0.3, 0.7), width_m=cab_width - 0.1),
+            replace(ring, z_m=2.3, front_m=front_m - 0.15),
+            replace(ring, z_m=height, front_m=front_m - rng.uniform(0.3, 0.7), width_m=width - 0.1),
         ],
         [Skin(), Skin(GLASS, GLASS, PAINT, ((0.0, 0.4), (0.92, 1.0))), Skin()],
     )
-    load = Ring(rng.uniform(0.9, 1.15), front - cab_length - gap, rear, width, 0.03, 0.0, 0.0)
-    loaded = body([load, replace(load, z_m=height)], [Skin()])
-    frame = box((rear + 0.3, -0.45, 0.6), (front - 0.5, 0.45, load.z_m + 0.01), METAL)
-    guard = box((rear + 0.05, -width / 2 + 0.06, 0.45), (rear + 0.2, width / 2 - 0.06, 0.62), METAL)
-    rear_axle = rear + rng.uniform(1.6, 2.4) + (1.4 if trailer else 0.0)
-    axles = [front - 1.4, rear_axle, *([rear_axle - 1.3, rear_axle + 1.3, front - 5.0] if trailer else [])]
-    wheels = [wheel(x, side * (width / 2 - 0.2), 0.5, 0.34) for x in axles for side in (-1, 1)]
-    reach = rng.uniform(0.15, 0.25)
-    mirrors = _mirrors(front - 0.4, width, 1.9, reach, 0.6)
-    mesh = merged([cab, loaded, frame, guard, *wheels, *mirrors])
-    return Vehicle(kind, length, width, height, width + 2 * reach, rear_axle, front - 1.4 - rear_axle, mesh)
+    return cab, front_m - length - gap
+
+
+def _guard(rear_m: float, width_m: float) -> Mesh:
+    """Return the bar that keeps cars from driving below a lorry."""
+    half = width_m / 2 - 0.06
+    return box((rear_m + 0.05, -half, 0.45), (rear_m + 0.2, half, 0.62), METAL)
+
+
+def _pairs(axles_m: Sequence[float], width_m: float, radius_m: float = 0.5, tyre_m: float = 0.34) -> list[Mesh]:
+    """Return the wheels of some axles."""
+    return [wheel(x, side * (width_m / 2 - tyre_m / 2 - 0.03), radius_m, tyre_m) for x in axles_m for side in (-1, 1)]
