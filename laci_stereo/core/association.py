@@ -176,10 +176,10 @@ def choose_track(
     scene = lay_out(tracks, vehicles, settings)
     seeds = find_seeds(scene)
     if not seeds:
-        raise TrackError(_nothing_found(tracks, settings))
+        raise TrackError(_nothing_found(tracks, settings) + _folding(vehicles))
     hypotheses = _hypotheses(scene, seeds)
     if not hypotheses:
-        raise MatchError(_no_fit(seeds, vehicles, settings))
+        raise MatchError(_no_fit(seeds, vehicles, settings) + _folding(vehicles))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
     weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
     return _decide(scene, _of_moving(scene, weighed), far)
@@ -408,6 +408,17 @@ def _no_fit(seeds: Sequence[Seed], vehicles: Mapping[int, VehicleTrack], setting
     return (
         f"no moving object fits the CAMs: {best.share:.0%} of the frames of the best of {len(seeds)} explained; needed "
         f"are {settings.min_explained:.0%}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
+    )
+
+
+def _folding(vehicles: Mapping[int, VehicleTrack]) -> str:
+    """Say whose vehicle folds in bends, where it is as good as not sent."""
+    counts = {station: np.count_nonzero(vehicle.folded) for station, vehicle in sorted(vehicles.items())}
+    return "".join(
+        f"; station {station}'s, {vehicles[station].length_m:.1f} m long, folds in bends, at {count} of "
+        f"{len(vehicles[station].stamps_s)} messages, where it is no outline: drive straight"
+        for station, count in counts.items()
+        if count
     )
 
 

@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from laci_stereo.core.cam_repair import REAR_AXLE_SHARE, dimensions, fitting, usual_speed
+from laci_stereo.core.cam_repair import dimensions, fitting, levers, usual_speed
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
+from laci_stereo.core.folding import LONGEST_RIGID_M, folded
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.slope import Slope, slope_of
 from laci_stereo.core.world import World
@@ -150,17 +151,23 @@ class VehicleTrack:
         xy : ndarray, shape (m, 2)
         yaw_rad : ndarray, shape (m,)
         known : ndarray of bool, shape (m,)
-            False before the first message, after the last one, and in gaps longer than `MAX_GAP_S`; the pose is NaN
-            there.
+            False before the first message, after the last one, in gaps longer than `MAX_GAP_S`, and while the vehicle
+            folds in a bend; the pose is NaN there.
         """
         after = np.searchsorted(self.stamps_s, stamps_s, side="left").clip(1, len(self.stamps_s) - 1)
         gap = self.stamps_s[after] - self.stamps_s[after - 1]
         known = (stamps_s >= self.stamps_s[0]) & (stamps_s <= self.stamps_s[-1]) & (gap <= MAX_GAP_S)
+        known &= ~(self.folded[after - 1] | self.folded[after])
         xy = np.full((len(stamps_s), 2), np.nan)
         yaw = np.full(len(stamps_s), np.nan)
         xy[known] = self._position(stamps_s[known])
         yaw[known] = np.interp(stamps_s[known], self.stamps_s, self.yaw_rad)
         return xy, yaw, known
+
+    @cached_property
+    def folded(self) -> BoolArray:
+        """At which messages it folds in a bend, so that it is no rigid body, shape (n,)."""
+        return folded(self.stamps_s, self.xy, self.yaw_rad, self.length_m)
 
     def _position(self, stamps_s: FloatArray) -> FloatArray:
         if len(self.stamps_s) == 2:  # through which SciPy before 1.16 lays a curve
@@ -202,7 +209,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     x, y = reference.offset(float(length)).tolist()
-    fits = _fitting(log, world, xy, [(0.0, 0.0), (x, y), (x - REAR_AXLE_SHARE * float(length), y)])
+    fits = _fitting(log, world, xy, levers((x, y), float(length)))
     if not fits.all():
         left_out = f"{np.count_nonzero(~fits)} of {len(fits)} messages of station {log.station_id[0]} are left out"
         remarks += (f"{left_out}: their positions do not follow from the others by speed and heading",)
@@ -213,6 +220,9 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     if slope is not None:
         xy_reference, yaw = slope.along_ground(xy_reference), slope.yaw_along_ground(yaw)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
+    folds = folded(stamps_s, xy, yaw, float(length))
+    if folds.any():
+        remarks += (_check_folding(log, folds, float(length)),)
     return VehicleTrack(
         stamps_s=stamps_s,
         epoch_ns=epoch_ns,
@@ -229,7 +239,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     )
 
 
-def _fitting(log: CamLog, world: World, xy: FloatArray, levers: Sequence[tuple[float, float]]) -> BoolArray:
+def _fitting(log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[float, float]]) -> BoolArray:
     """Tell which messages, whose positions are ``xy``, fit one another.
 
     Raises
@@ -239,7 +249,7 @@ def _fitting(log: CamLog, world: World, xy: FloatArray, levers: Sequence[tuple[f
     """
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
-    fits = fitting(stamps_s, xy, yaw, log.speed_mps, levers, _position_sigma(log), MAX_GAP_S)
+    fits = fitting(stamps_s, xy, yaw, log.speed_mps, arms, _position_sigma(log), MAX_GAP_S)
     if 2 * np.count_nonzero(fits) < len(fits):
         told = np.nanmedian(log.speed_mps) if np.isfinite(log.speed_mps).any() else float("nan")
         raise CamError(
@@ -248,6 +258,23 @@ def _fitting(log: CamLog, world: World, xy: FloatArray, levers: Sequence[tuple[f
             f"{told:.1f} m/s, the positions move at {np.median(usual_speed(stamps_s, xy)):.1f} m/s (medians)"
         )
     return fits
+
+
+def _check_folding(log: CamLog, folds: BoolArray, length_m: float) -> str:
+    """Say how many of the messages are of no use because the vehicle folds.
+
+    Raises
+    ------
+    TrackError
+        If no two messages in a row are left.
+    """
+    what = (
+        f"the vehicle of station {log.station_id[0]} is {length_m:.1f} m long, more than a rigid one may be "
+        f"({LONGEST_RIGID_M:.0f} m), so it folds in bends"
+    )
+    if (folds[1:] | folds[:-1]).all():
+        raise TrackError(f"{what}, which it does at {np.count_nonzero(folds)} of {len(folds)} messages: drive straight")
+    return f"{what}: {np.count_nonzero(folds)} of {len(folds)} messages are left out, at which it does"
 
 
 def _position_sigma(log: CamLog) -> float:

@@ -27,6 +27,13 @@ guessed, which makes 3 deg in a tight bend."""
 REAR_AXLE_SHARE = -0.3
 """Where the rear axle is, from the middle, over the length: cars and buses alike."""
 
+LONG_M = 12.0
+"""What is longer is a bus, or a lorry with a trailer (Directive 96/53/EC)..."""
+
+TOWING_AXLES_M = (5.0, 7.0, 8.5)
+"""...whose wheels that do not steer are so far behind its front: a tractor's of a semi-trailer (1.4 m of overhang and
+3.6 m to the axle), a lorry's, an articulated bus's in front of the joint."""
+
 PASSED_OVER = -math.log(0.1)
 """What it costs to take a message for wrong: in a log that is worth anything nine of ten are right."""
 
@@ -68,6 +75,25 @@ LONGEST_CAR_M = 6.0
 ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M = 2.55, 0.05
 
 
+def levers(told: tuple[float, float], length_m: float) -> list[tuple[float, float]]:
+    """Return the levers to the point whose position is told from those that may go where the heading points in a bend.
+
+    These are the rear axle, or that of what tows, or the middle, where a body's yaw is told, and the point itself where
+    its own direction is.
+
+    Parameters
+    ----------
+    told : tuple of float
+        Vehicle frame, from the middle.
+    length_m : float
+    """
+    x, y = told
+    axles = [REAR_AXLE_SHARE * length_m]
+    if length_m > LONG_M:
+        axles += [length_m / 2 - behind_m for behind_m in TOWING_AXLES_M]
+    return [(0.0, 0.0), (x, y), *((x - axle, y) for axle in axles)]
+
+
 def fitting(
     stamps_s: FloatArray,
     xy: FloatArray,
@@ -94,8 +120,7 @@ def fitting(
     speed_mps : ndarray, shape (n,)
         NaN where none was told.
     levers : sequence of tuple of float
-        To the point whose position is told, vehicle frame, from those that may go where the heading points in a bend:
-        the rear axle or the middle where a body's yaw is told, the point itself, (0, 0), where its own direction is.
+        See `levers`.
     sigma_m : float
         What the messages tell of their positions; NaN where nothing.
     longest_s : float

@@ -270,7 +270,7 @@ class DriveModel:
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN] = outline.SHAPE_MEAN
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
-        self.body = body_yaw(drive.vehicle)
+        self.body = body_yaw(drive.vehicle.stamps_s, drive.vehicle.xy, drive.vehicle.yaw_rad)
         self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
         by = _corrected(self.own)

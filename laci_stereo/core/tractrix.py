@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import FloatArray
 
 STEP_S = 0.02
@@ -48,15 +47,24 @@ class BodyYaw:
         return low + slope * (lever_m - LEVERS_M[index]), slope
 
 
-def body_yaw(vehicle: VehicleTrack) -> BodyYaw:
+def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyYaw:
     """Lay the tractrix of every lever along a vehicle's track.
 
     A vehicle that reverses is followed from its end: only in the direction of travel does a body forget how it stood.
+
+    Parameters
+    ----------
+    stamps_s : ndarray, shape (n,)
+        Of the messages, ascending.
+    xy : ndarray, shape (n, 2)
+        Of the vehicle's middle, world frame.
+    yaw_rad : ndarray, shape (n,)
+        The headings that were told, unwrapped.
     """
-    first, last = vehicle.stamps_s[[0, -1]]
+    first, last = stamps_s[[0, -1]]
     stamps = np.linspace(first, last, max(2, int(np.ceil((last - first) / STEP_S)) + 1))
-    path = np.column_stack([np.interp(stamps, vehicle.stamps_s, vehicle.xy[:, axis]) for axis in (0, 1)])
-    theta = np.interp(stamps, vehicle.stamps_s, vehicle.yaw_rad)
+    path = np.column_stack([np.interp(stamps, stamps_s, xy[:, axis]) for axis in (0, 1)])
+    theta = np.interp(stamps, stamps_s, yaw_rad)
     ahead = np.column_stack([np.cos(theta), np.sin(theta)])
     step = (np.diff(path, axis=0) * ahead[1:]).sum(axis=1)
     backwards = step.sum() < 0.0

@@ -1,0 +1,39 @@
+"""What is longer than any rigid body folds in bends: a semi-trailer behind its tractor, or an articulated bus.
+
+How far what is behind the joint is off then depends on hitches and drawbars that no message tells. By about how much it
+folds follows from the way, and so does when it is straight again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.core.tractrix import body_yaw
+
+LONGEST_RIGID_M = 15.0
+"""Lorries without a trailer end at 12 m, buses that do not fold at 15 m (Directive 96/53/EC, annex I)."""
+
+TOWED_M = 8.0
+"""A semi-trailer's axles are 7.5 to 8.2 m behind its kingpin; with shorter drawbars it folds less."""
+
+STRAIGHT_RAD = 0.02
+"""What folds by less is off by 0.25 m at its end, as much as a length or a position may be; headings err by less."""
+
+
+def folded(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray, length_m: float) -> BoolArray:
+    """Tell when a vehicle is no longer straight, shape (n,): never where it is short enough to be rigid.
+
+    A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix (see `body_yaw`).
+
+    Parameters
+    ----------
+    stamps_s, yaw_rad : ndarray, shape (n,)
+    xy : ndarray, shape (n, 2)
+    length_m : float
+    """
+    if length_m <= LONGEST_RIGID_M:
+        return np.zeros(len(stamps_s), dtype=bool)
+    turned, _ = body_yaw(stamps_s, xy, yaw_rad).at(stamps_s, TOWED_M)
+    found: BoolArray = np.abs(turned) > STRAIGHT_RAD
+    return found

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.cam import FRONT, vehicle_track
+from laci_stereo.core.errors import TrackError
+from laci_stereo.core.folding import LONGEST_RIGID_M, STRAIGHT_RAD, TOWED_M, folded
+from laci_stereo.core.frames import BoolArray, invert, transform
+from laci_stereo.core.world import World
+from tests.articulated import LENGTH_M, articulated, fold, messages
+from tests.simulated import EPOCH_NS, ULM, Drive
+
+BEND = Drive((0.0, 0.0), 20.0, ((15.0, 0.0), (16.0, 90.0)), ((0.0, 7.0),))
+THEN_BENDS = Drive((24.0, 26.0), -90.0, ((34.0, 0.0), (14.0, -80.0)), ((0.0, 8.0),))
+ROUND = Drive((38.0, -10.0), 150.0, ((60.0, -250.0),), ((0.0, 7.0),), start_s=-3.0)
+BENDS_IN_VIEW = Drive((46.0, -26.0), 90.0, ((6.0, 0.0), (17.0, 85.0)), ((0.0, 7.0),), start_s=-1.0)
+
+
+def told(drive: Drive, length_m: float) -> BoolArray:
+    stamps = np.arange(-3.0, 14.0, 0.1)
+    return folded(stamps, *drive.at(stamps), length_m)
+
+
+def test_what_may_be_rigid_never_folds() -> None:
+    assert not told(BEND, LONGEST_RIGID_M).any()
+
+
+def test_it_folds_as_a_trailer_does() -> None:
+    stamps = np.arange(-3.0, 14.0, 0.1)
+    angle = np.abs(fold(BEND, stamps))
+    assert np.degrees(angle.max()) > 30.0
+    found = told(BEND, LENGTH_M)
+    assert found[angle > 1.5 * STRAIGHT_RAD].all()
+    assert not found[angle < STRAIGHT_RAD / 1.5].any()
+
+
+def test_after_a_bend_it_straightens_by_a_share_of_its_drawbar() -> None:
+    found = told(BEND, LENGTH_M)
+    last_s = np.arange(-3.0, 14.0, 0.1)[found].max()
+    # The angle decays as exp(-s / drawbar) after the bend's 31 m, which are driven after 31 / 7 s.
+    at_the_end = abs(fold(BEND, np.array([31.0 / 7.0]))[0])
+    assert 7.0 * last_s - 31.0 == pytest.approx(TOWED_M * np.log(at_the_end / STRAIGHT_RAD), abs=2.0)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0])
+@pytest.mark.parametrize("turn_deg", [120.0, -120.0])
+def test_no_message_of_a_tractor_in_a_narrow_bend_is_taken_for_wrong(rate_hz: float, turn_deg: float) -> None:
+    # Its wheels are 5 m behind its front, not two thirds of 16.5 m.
+    bend = Drive((0.0, 0.0), 45.0, ((10.0, 0.0), (18.0, turn_deg)), ((0.0, 4.0),))
+    log = messages(bend, 12.0, rate_hz)
+    track = vehicle_track(log, World.around(ULM.latitude_deg, ULM.longitude_deg), EPOCH_NS, FRONT)
+    assert len(track.stamps_s) == len(log)
+
+
+def test_where_it_is_straight_it_calibrates(caplog: pytest.LogCaptureFixture) -> None:
+    made = articulated(THEN_BENDS, last_s=7.0)
+    with caplog.at_level(logging.WARNING):
+        found = calibrate(made.recording, made.messages, crs=ULM.crs)
+    assert "16.5 m long" in caplog.text
+    assert "folds in bends" in caplog.text
+    bends = np.abs(fold(THEN_BENDS, made.recording.times_s)) > 1.5 * STRAIGHT_RAD
+    assert found.quality.frames_used <= np.count_nonzero(~bends)
+    xy, _ = made.vehicle.drive.at(found.track.stamps_s)
+    sensor = transform(invert(made.recording.T_world_sensor), np.column_stack([xy, np.zeros(len(xy))]))
+    off = transform(found.T_utm_sensor, sensor)[:, :2] - ULM.to_utm(xy)
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 3.0 * found.quality.track_xy_sigma_m
+    R = found.T_world_sensor[:3, :3] @ made.recording.T_world_sensor[:3, :3].T
+    assert abs(np.degrees(np.arctan2(R[1, 0], R[0, 0]))) < 3.0 * found.quality.yaw_sigma_deg
+    assert found.quality.track_xy_sigma_m < 0.3
+
+
+def test_who_bends_all_the_time_is_told_so() -> None:
+    made = articulated(ROUND)
+    with pytest.raises(TrackError, match=r"16\.5 m long.*folds in bends, which it does at .*: drive straight"):
+        calibrate(made.recording, made.messages, crs=ULM.crs)
+
+
+def test_who_bends_while_in_view_is_told_so() -> None:
+    made = articulated(BENDS_IN_VIEW)
+    with pytest.raises(TrackError, match=r"station 42's, 16\.5 m long, folds in bends, at \d+ of"):
+        calibrate(made.recording, made.messages, crs=ULM.crs)
