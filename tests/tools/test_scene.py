@@ -60,6 +60,21 @@ def test_ranges_scatter_as_the_data_sheet_says(name):
     assert abs(error.mean()) < 5 * lidar(name).range_sigma_m / np.sqrt(n)
 
 
+@pytest.mark.parametrize(("way", "sign"), [("clockwise", -1.0), ("counter-clockwise", 1.0), ("at once", 0.0)])
+def test_a_moving_wall_is_slanted_as_the_scanner_turns(way, sign):
+    def away(time_s):
+        T = np.eye(4)
+        T[0, 3] = 5.0 * time_s
+        return T
+
+    scanner = replace(lidar("lidar_32").turning(way), range_sigma_m=0.0, pointing_rad=(0.0, 0.0))
+    x, y, _ = sweep(scanner, LidarFlaws(), RayCaster([Body("wall", WALL, away, False)]), np.eye(4), 0, 5).points.T
+    near = np.abs(y) < 4.0
+    # It goes away by 5 m in a second, while bearing changes by a turn in 0.1 s: atan(y / 10 m) of it per metre.
+    slope = np.polyfit(np.arctan2(y[near], x[near]), x[near], 1)[0]
+    assert slope == pytest.approx(sign * 5.0 * 0.1 / (2 * np.pi), abs=1e-3)
+
+
 def test_far_and_dark_things_return_less():
     near = len(facing_a_wall("lidar_32", LidarFlaws(), 1))
     scanner = lidar("lidar_32")
@@ -317,7 +332,7 @@ def test_a_data_set_is_what_was_simulated(tmp_path: Path):
     from laci_stereo.io.cam_csv import read_cam_csv
     from laci_stereo.io.lane_map import read_lane_map
 
-    scene = draw_scene(8, "lidar_16", frames=60, point_times=True, **QUIET)
+    scene = draw_scene(8, "lidar_16", frames=60, point_times=True, turning="counter-clockwise", **QUIET)
     write_scene(scene, tmp_path)
     scans = ScanFolder.open(tmp_path / "lidar_16")
     np.testing.assert_array_equal(scans.stamps_ns, scene.stamps_ns)

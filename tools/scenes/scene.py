@@ -47,7 +47,7 @@ from tools.scenes.disparity import (
 from tools.scenes.drives import DRIVES, DriveKind
 from tools.scenes.geometry import Body, RayCaster
 from tools.scenes.places import PLACES, Place
-from tools.scenes.sensors import LIDARS, Lidar, LidarFlaws, LidarName, Swept, lidar, sweep
+from tools.scenes.sensors import LIDARS, TURNINGS, Lidar, LidarFlaws, LidarName, Swept, Turning, lidar, sweep
 from tools.scenes.traffic import Mover, draw_traffic, park, place_drive, possible, vehicle_mover
 from tools.scenes.vehicles import KINDS, Vehicle, VehicleKind, draw_vehicle
 from tools.scenes.world import LAYOUTS, LayoutKind, Site, build_site, draw_road, shrubs
@@ -124,6 +124,8 @@ class Factors:
         Other vehicles that send.
     noise, rain, point_times
         See `LidarFlaws`; ``noise`` also scales a stereo camera's.
+    turning : str
+        How a LiDAR turns, of `TURNINGS`; one that takes all points at once is a flash.
     systematic : float
         Scales the sensors' errors that are common to many points.
     bleed_px, gross, focal_px
@@ -167,6 +169,7 @@ class Factors:
     noise: float = 1.0
     rain: float | None = None
     point_times: bool | None = None
+    turning: Turning | None = None
     systematic: float = 1.0
     bleed_px: float | None = None
     gross: float | None = None
@@ -485,7 +488,8 @@ def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCam
         if kind == name:
             focal = draw.given(factors.focal_px, "focal", lambda rng: float(rng.uniform(800.0, 1500.0)))
             return stereo_camera(name, focal)
-    return lidar(next(name for name in LIDARS if name == kind))
+    scanner = lidar(next(name for name in LIDARS if name == kind))
+    return scanner.turning(draw.choice(factors.turning, "turning", TURNINGS, (0.6, 0.2, 0.2)))
 
 
 def _mount(

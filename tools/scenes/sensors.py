@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -13,6 +13,9 @@ from tools.scenes.geometry import Hits, Material, RayCaster
 
 LidarName = Literal["lidar_8", "lidar_16", "lidar_32", "lidar_64", "lidar_128", "lidar_rosette"]
 LIDARS: tuple[LidarName, ...] = get_args(LidarName)
+
+Turning = Literal["clockwise", "counter-clockwise", "at once"]
+TURNINGS: tuple[Turning, ...] = get_args(Turning)
 
 REFLECTIVITY = {
     Material.ROAD: 0.12,
@@ -82,6 +85,12 @@ class Lidar:
     pointing_rad: tuple[float, float]
     reach_m: float
     repeats: bool = True
+
+    def turning(self, way: Turning) -> Lidar:
+        """Return the scanner with its beams fired in this order; one whose frames differ has its own."""
+        if not self.repeats or way == "clockwise":
+            return self
+        return replace(self, offset_s=0.0 * self.offset_s if way == "at once" else self.offset_s.max() - self.offset_s)
 
     @cached_property
     def field_rad(self) -> tuple[float, float, float]:
