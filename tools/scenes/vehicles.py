@@ -349,8 +349,7 @@ def _articulated(rng: np.random.Generator) -> Vehicle:
 
 def _with_caravan(rng: np.random.Generator) -> Vehicle:
     """Build a car and the caravan, or the trailer with a box, on its ball."""
-    kind, shape = (("estate", ESTATE), ("suv", SUV), ("van", VAN))[int(rng.integers(3))]
-    car = _car(rng, kind, shape)  # type: ignore[arg-type]
+    car = _car(rng, *CARS[int(rng.choice([1, 3, 4]))])
     caravan = rng.random() < 0.5
     length, width = (rng.uniform(4.2, 6.0), rng.uniform(2.1, 2.5)) if caravan else rng.uniform((1.8, 1.2), (3.2, 1.8))
     height = rng.uniform(2.4, 2.7) if caravan else rng.uniform(0.9, 1.9)
