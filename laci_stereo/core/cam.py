@@ -12,7 +12,7 @@ from scipy.interpolate import Akima1DInterpolator
 from laci_stereo.core.cam_repair import dimensions, fitting, levers, usual_speed
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
-from laci_stereo.core.folding import LONGEST_RIGID_M, folded
+from laci_stereo.core.folding import folded, longest_rigid
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.slope import Slope, slope_of
 from laci_stereo.core.world import World
@@ -167,7 +167,7 @@ class VehicleTrack:
     @cached_property
     def folded(self) -> BoolArray:
         """At which messages it folds in a bend, so that it is no rigid body, shape (n,)."""
-        return folded(self.stamps_s, self.xy, self.yaw_rad, self.length_m)
+        return folded(self.stamps_s, self.xy, self.yaw_rad, (self.length_m, self.width_m))
 
     def _position(self, stamps_s: FloatArray) -> FloatArray:
         if len(self.stamps_s) == 2:  # through which SciPy before 1.16 lays a curve
@@ -220,9 +220,9 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     if slope is not None:
         xy_reference, yaw = slope.along_ground(xy_reference), slope.yaw_along_ground(yaw)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
-    folds = folded(stamps_s, xy, yaw, float(length))
+    folds = folded(stamps_s, xy, yaw, (float(length), float(width)))
     if folds.any():
-        remarks += (_check_folding(log, folds, float(length)),)
+        remarks += (_check_folding(log, folds, (float(length), float(width))),)
     return VehicleTrack(
         stamps_s=stamps_s,
         epoch_ns=epoch_ns,
@@ -260,7 +260,7 @@ def _fitting(log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[flo
     return fits
 
 
-def _check_folding(log: CamLog, folds: BoolArray, length_m: float) -> str:
+def _check_folding(log: CamLog, folds: BoolArray, size_m: tuple[float, float]) -> str:
     """Say how many of the messages are of no use because the vehicle folds.
 
     Raises
@@ -268,9 +268,10 @@ def _check_folding(log: CamLog, folds: BoolArray, length_m: float) -> str:
     TrackError
         If no two messages in a row are left.
     """
+    length_m, width_m = size_m
     what = (
-        f"the vehicle of station {log.station_id[0]} is {length_m:.1f} m long, more than a rigid one may be "
-        f"({LONGEST_RIGID_M:.0f} m), so it folds in bends"
+        f"the vehicle of station {log.station_id[0]} is {length_m:.1f} m long, more than a rigid one that is "
+        f"{width_m:.1f} m wide may be ({longest_rigid(width_m):g} m), so it folds in bends"
     )
     if (folds[1:] | folds[:-1]).all():
         raise TrackError(f"{what}, which it does at {np.count_nonzero(folds)} of {len(folds)} messages: drive straight")

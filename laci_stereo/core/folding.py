@@ -1,4 +1,4 @@
-"""What is longer than any rigid body folds in bends: a semi-trailer behind its tractor, or an articulated bus.
+"""What is longer than any rigid body folds in bends: a lorry or a car with its trailer, or an articulated bus.
 
 How far what is behind the joint is off then depends on hitches and drawbars that no message tells. By about how much it
 folds follows from the way, and so does when it is straight again.
@@ -9,10 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.core.outline import HEAVY_WIDTH_M
 from laci_stereo.core.tractrix import body_yaw
 
 LONGEST_RIGID_M = 15.0
 """Lorries without a trailer end at 12 m, buses that do not fold at 15 m (Directive 96/53/EC, annex I)."""
+
+LONGEST_VAN_M = 7.5
+"""What is no lorry or bus is a car or a van, the longest of which are 7.4 m long."""
 
 TOWED_M = 8.0
 """A semi-trailer's axles are 7.5 to 8.2 m behind its kingpin; with shorter drawbars it folds less."""
@@ -21,7 +25,12 @@ STRAIGHT_RAD = 0.02
 """What folds by less is off by 0.25 m at its end, as much as a length or a position may be; headings err by less."""
 
 
-def folded(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray, length_m: float) -> BoolArray:
+def longest_rigid(width_m: float) -> float:
+    """Return how long a rigid vehicle of some width may be, metres."""
+    return LONGEST_VAN_M if width_m < HEAVY_WIDTH_M else LONGEST_RIGID_M
+
+
+def folded(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray, size_m: tuple[float, float]) -> BoolArray:
     """Tell when a vehicle is no longer straight, shape (n,): never where it is short enough to be rigid.
 
     A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix (see `body_yaw`).
@@ -30,9 +39,11 @@ def folded(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray, length_m: 
     ----------
     stamps_s, yaw_rad : ndarray, shape (n,)
     xy : ndarray, shape (n, 2)
-    length_m : float
+    size_m : tuple of float
+        Length and width.
     """
-    if length_m <= LONGEST_RIGID_M:
+    length_m, width_m = size_m
+    if length_m <= longest_rigid(width_m):
         return np.zeros(len(stamps_s), dtype=bool)
     turned, _ = body_yaw(stamps_s, xy, yaw_rad).at(stamps_s, TOWED_M)
     found: BoolArray = np.abs(turned) > STRAIGHT_RAD

@@ -8,7 +8,7 @@ import pytest
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cam import FRONT, vehicle_track
 from laci_stereo.core.errors import TrackError
-from laci_stereo.core.folding import LONGEST_RIGID_M, STRAIGHT_RAD, TOWED_M, folded
+from laci_stereo.core.folding import STRAIGHT_RAD, TOWED_M, folded
 from laci_stereo.core.frames import BoolArray, invert, transform
 from laci_stereo.core.world import World
 from tests.articulated import LENGTH_M, articulated, fold, messages
@@ -20,13 +20,20 @@ ROUND = Drive((38.0, -10.0), 150.0, ((60.0, -250.0),), ((0.0, 7.0),), start_s=-3
 BENDS_IN_VIEW = Drive((46.0, -26.0), 90.0, ((6.0, 0.0), (17.0, 85.0)), ((0.0, 7.0),), start_s=-1.0)
 
 
-def told(drive: Drive, length_m: float) -> BoolArray:
+def told(drive: Drive, length_m: float, width_m: float = 2.5) -> BoolArray:
     stamps = np.arange(-3.0, 14.0, 0.1)
-    return folded(stamps, *drive.at(stamps), length_m)
+    return folded(stamps, *drive.at(stamps), (length_m, width_m))
 
 
-def test_what_may_be_rigid_never_folds() -> None:
-    assert not told(BEND, LONGEST_RIGID_M).any()
+@pytest.mark.parametrize(("length_m", "width_m"), [(15.0, 2.55), (12.0, 2.5), (7.4, 2.1), (4.5, 1.8)])
+def test_what_may_be_rigid_never_folds(length_m: float, width_m: float) -> None:
+    assert not told(BEND, length_m, width_m).any()
+
+
+@pytest.mark.parametrize(("length_m", "width_m"), [(16.5, 2.55), (18.7, 2.5), (10.5, 1.8), (12.0, 2.1)])
+def test_lorries_and_cars_with_trailers_and_articulated_buses_do(length_m: float, width_m: float) -> None:
+    assert told(BEND, length_m, width_m).any()
+    assert not told(Drive((0.0, 0.0), 20.0), length_m, width_m).any()
 
 
 def test_it_folds_as_a_trailer_does() -> None:
