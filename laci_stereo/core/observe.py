@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +17,8 @@ from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, transform
-from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
+from laci_stereo.core.ground import GroundPlane, fit_farther_ground
+from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.settings import Settings
@@ -141,7 +142,8 @@ def _driven(seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: S
 def _on_the_farther(seen: Observation, source: PointCloudSource, settings: Settings) -> Observation | None:
     """Observe again on the ground farther away, if there is one."""
     try:
-        return observe(source, settings, _ground(seen.survey, seen.axes, settings, fit_farther_ground))
+        farther = fit_farther_ground(*_gathered(seen.survey), seen.axes.up, settings.ground)
+        return observe(source, settings, farther)
     except CalibrationError:
         return None
 
@@ -151,17 +153,18 @@ def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
     return [cloud[np.arange(0, len(cloud), step)] for cloud in survey]
 
 
-def _ground(
-    survey: Sequence[PointCloud], axes: Axes, settings: Settings, fit: Callable[..., GroundPlane] = fit_ground
-) -> GroundPlane:
+def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    ground = fit(
+    ground = ground_below(*_gathered(survey), axes, settings.ground)
+    log.info("ground: %.3f m below the sensor", ground.height_m)
+    return ground
+
+
+def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the points of all clouds, and their noise along and across the line of sight."""
+    return (
         np.concatenate([cloud.points for cloud in survey]),
         np.concatenate([cloud.sigma_along_m for cloud in survey]),
         np.concatenate([cloud.sigma_across_m for cloud in survey]),
-        axes.up,
-        settings.ground,
     )
-    log.info("ground: %.3f m below the sensor", ground.height_m)
-    return ground

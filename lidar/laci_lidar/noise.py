@@ -10,7 +10,8 @@ from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from laci_stereo.core.frames import Axes, FloatArray, IntArray
-from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.settings import GroundSettings
 
 START_SIGMA_M = 0.02
@@ -91,7 +92,7 @@ def estimate_range_sigma(
     points = points[:: max(1, len(points) // GROUND_POINTS)]
     range_m = np.linalg.norm(points, axis=1)
     along = np.full(len(points), START_SIGMA_M)
-    ground = fit_ground(points, along, range_m * angle_sigma_rad, axes.up, settings)
+    ground = ground_below(points, along, range_m * angle_sigma_rad, axes, settings)
     differences, leverage = np.concatenate([_differences(scan, ground) for scan in scans], axis=1)
     if len(differences) < _MIN_PAIRS:
         return None
