@@ -10,7 +10,7 @@ LEFT_OUT = {
     "cut": "cut by the border of the field of view",
     "far": "too far away",
     "thin": "too thin",
-    "unknown": "without a CAM",
+    "unknown": "without CAMs that tell where it stands",
     "bare": "without a point of the outline",
 }
 
