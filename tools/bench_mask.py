@@ -251,7 +251,7 @@ class Simulated:
         return {stamp_ns: self.boxes_at(index) for index, stamp_ns in enumerate(self.scene.stamps_ns.tolist())}
 
     def _numbers(self) -> list[int]:
-        names = {mover.name for mover in vehicles_in(self.scene)}
+        names = {body.name for mover in vehicles_in(self.scene) for body in mover.bodies}
         return [number for number, body in enumerate(self.scene.bodies) if body.name in names]
 
 

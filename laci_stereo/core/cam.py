@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.folding import folded, longest_rigid
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
 from laci_stereo.core.slope import Slope, slope_of
+from laci_stereo.core.tractrix import BodyYaw, body_yaw
 from laci_stereo.core.world import World
 
 MAX_GAP_S = 1.5
@@ -167,7 +168,14 @@ class VehicleTrack:
     @cached_property
     def folded(self) -> BoolArray:
         """At which messages it folds in a bend, so that it is no rigid body, shape (n,)."""
-        return folded(self.stamps_s, self.xy, self.yaw_rad, (self.length_m, self.width_m))
+        if self.length_m <= longest_rigid(self.width_m):
+            return np.zeros(len(self.stamps_s), dtype=bool)
+        return folded(self.body, self.stamps_s)
+
+    @cached_property
+    def body(self) -> BodyYaw:
+        """By how much the body is turned against the headings, for any lever."""
+        return body_yaw(self.stamps_s, self.xy, self.yaw_rad)
 
     def _position(self, stamps_s: FloatArray) -> FloatArray:
         if len(self.stamps_s) == 2:  # through which SciPy before 1.16 lays a curve
@@ -220,10 +228,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     if slope is not None:
         xy_reference, yaw = slope.along_ground(xy_reference), slope.yaw_along_ground(yaw)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
-    folds = folded(stamps_s, xy, yaw, (float(length), float(width)))
-    if folds.any():
-        remarks += (_check_folding(log, folds, (float(length), float(width))),)
-    return VehicleTrack(
+    track = VehicleTrack(
         stamps_s=stamps_s,
         epoch_ns=epoch_ns,
         xy=xy,
@@ -237,6 +242,9 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         slope=slope,
         altitude_told=bool(np.isfinite(log.altitude_m).any()),
     )
+    if not track.folded.any():
+        return track
+    return replace(track, remarks=(*remarks, _check_folding(track, int(log.station_id[0]))))
 
 
 def _fitting(log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[float, float]]) -> BoolArray:
@@ -260,22 +268,22 @@ def _fitting(log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[flo
     return fits
 
 
-def _check_folding(log: CamLog, folds: BoolArray, size_m: tuple[float, float]) -> str:
-    """Say how many of the messages are of no use because the vehicle folds.
+def _check_folding(track: VehicleTrack, station: int) -> str:
+    """Say how many of a station's messages are of no use because its vehicle folds.
 
     Raises
     ------
     TrackError
         If no two messages in a row are left.
     """
-    length_m, width_m = size_m
+    folds, count = track.folded, f"{np.count_nonzero(track.folded)} of {len(track.folded)} messages"
     what = (
-        f"the vehicle of station {log.station_id[0]} is {length_m:.1f} m long, more than a rigid one that is "
-        f"{width_m:.1f} m wide may be ({longest_rigid(width_m):g} m), so it folds in bends"
+        f"the vehicle of station {station} is {track.length_m:.1f} m long, more than a rigid one that is "
+        f"{track.width_m:.1f} m wide may be ({longest_rigid(track.width_m):g} m), so it folds in bends"
     )
     if (folds[1:] | folds[:-1]).all():
-        raise TrackError(f"{what}, which it does at {np.count_nonzero(folds)} of {len(folds)} messages: drive straight")
-    return f"{what}: {np.count_nonzero(folds)} of {len(folds)} messages are left out, at which it does"
+        raise TrackError(f"{what}, which it does at {count}: drive straight")
+    return f"{what}: {count} are left out, at which it does"
 
 
 def _position_sigma(log: CamLog) -> float:

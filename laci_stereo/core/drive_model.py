@@ -13,7 +13,6 @@ from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
 from laci_stereo.core.settings import JointSettings, with_turn
-from laci_stereo.core.tractrix import body_yaw
 
 FIRST_OWN = 5
 """Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own: clock offset, heading
@@ -270,7 +269,6 @@ class DriveModel:
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN] = outline.SHAPE_MEAN
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
-        self.body = body_yaw(drive.vehicle.stamps_s, drive.vehicle.xy, drive.vehicle.yaw_rad)
         self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
         by = _corrected(self.own)
@@ -454,7 +452,7 @@ class DriveModel:
 
     def _poses(self, x: FloatArray) -> Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
-        return poses_at(at, self.drive.vehicle, self.body, x[_HEADING], x[_LEVER])
+        return poses_at(at, self.drive.vehicle, x[_HEADING], x[_LEVER])
 
     def _into_vehicle(
         self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray

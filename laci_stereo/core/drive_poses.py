@@ -66,7 +66,7 @@ class Poses:
     known: BoolArray
 
 
-def poses_at(at: FloatArray, vehicle: VehicleTrack, body: BodyYaw, heading_error: float, lever: float) -> Poses:
+def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever: float) -> Poses:
     """Return a vehicle's poses.
 
     Parameters
@@ -74,8 +74,6 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, body: BodyYaw, heading_error
     at : ndarray, shape (m,)
         Times of the messages, seconds.
     vehicle : VehicleTrack
-    body : BodyYaw
-        Of the same vehicle.
     heading_error : float
         To be added to what is told.
     lever : float
@@ -86,6 +84,7 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, body: BodyYaw, heading_error
         return smooth(vehicle, stamps_s)
 
     xy, heading, known = smoothed(at)
+    body = vehicle.body
     bent, by_lever = body.at(at, lever)
     span_s = (float(vehicle.stamps_s[0]), float(vehicle.stamps_s[-1]))
     return Poses(

@@ -10,7 +10,7 @@ import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.core.outline import HEAVY_WIDTH_M
-from laci_stereo.core.tractrix import body_yaw
+from laci_stereo.core.tractrix import BodyYaw
 
 LONGEST_RIGID_M = 15.0
 """Lorries without a trailer end at 12 m, buses that do not fold at 15 m (Directive 96/53/EC, annex I)."""
@@ -30,21 +30,10 @@ def longest_rigid(width_m: float) -> float:
     return LONGEST_VAN_M if width_m < HEAVY_WIDTH_M else LONGEST_RIGID_M
 
 
-def folded(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray, size_m: tuple[float, float]) -> BoolArray:
-    """Tell when a vehicle is no longer straight, shape (n,): never where it is short enough to be rigid.
+def folded(body: BodyYaw, stamps_s: FloatArray) -> BoolArray:
+    """Tell when a vehicle that is too long to be rigid is no longer straight, shape (n,).
 
-    A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix (see `body_yaw`).
-
-    Parameters
-    ----------
-    stamps_s, yaw_rad : ndarray, shape (n,)
-    xy : ndarray, shape (n, 2)
-    size_m : tuple of float
-        Length and width.
+    A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix.
     """
-    length_m, width_m = size_m
-    if length_m <= longest_rigid(width_m):
-        return np.zeros(len(stamps_s), dtype=bool)
-    turned, _ = body_yaw(stamps_s, xy, yaw_rad).at(stamps_s, TOWED_M)
-    found: BoolArray = np.abs(turned) > STRAIGHT_RAD
+    found: BoolArray = np.abs(body.at(stamps_s, TOWED_M)[0]) > STRAIGHT_RAD
     return found

@@ -81,6 +81,7 @@ def observe(
     survey = list(source.survey())
     thinned = _thinned(survey)
     ground = ground or _ground(thinned, source.axes, settings)
+    log.info("ground: %.3f m below the sensor", ground.height_m)
     T_level_sensor = ground.T_level_sensor(source.axes)
     background = learn_background(
         [transform(T_level_sensor, cloud.points) for cloud in survey],
@@ -156,9 +157,7 @@ def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
 def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    ground = ground_below(*_gathered(survey), axes, settings.ground)
-    log.info("ground: %.3f m below the sensor", ground.height_m)
-    return ground
+    return ground_below(*_gathered(survey), axes, settings.ground)
 
 
 def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, FloatArray]:

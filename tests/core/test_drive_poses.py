@@ -7,7 +7,6 @@ import pytest
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_poses import heading_noise, own_weight, poses_at, smooth
-from laci_stereo.core.tractrix import body_yaw
 from tests.core.outlines import ROUNDABOUT, told
 
 
@@ -25,7 +24,7 @@ def test_messages_are_smoothed_along_an_arc() -> None:
 
 def test_rates_are_those_of_the_arc() -> None:
     vehicle, at = told(ROUNDABOUT, 6.0), np.arange(0.5, 5.5, 0.1)
-    poses = poses_at(at, vehicle, body_yaw(vehicle.stamps_s, vehicle.xy, vehicle.yaw_rad), 0.0, 0.0)
+    poses = poses_at(at, vehicle, 0.0, 0.0)
     heading = vehicle.at(at)[1]
     true = 7.0 * np.column_stack([np.cos(heading), np.sin(heading)])
     for rates in (poses.rates, poses.now):

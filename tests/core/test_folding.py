@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import FRONT, vehicle_track
+from laci_stereo.core.cam import FRONT, VehicleTrack, vehicle_track
 from laci_stereo.core.errors import TrackError
-from laci_stereo.core.folding import STRAIGHT_RAD, TOWED_M, folded
+from laci_stereo.core.folding import STRAIGHT_RAD, TOWED_M
 from laci_stereo.core.frames import BoolArray, invert, transform
 from laci_stereo.core.world import World
 from tests.articulated import LENGTH_M, articulated, fold, messages
@@ -22,7 +22,7 @@ BENDS_IN_VIEW = Drive((46.0, -26.0), 90.0, ((6.0, 0.0), (17.0, 85.0)), ((0.0, 7.
 
 def told(drive: Drive, length_m: float, width_m: float = 2.5) -> BoolArray:
     stamps = np.arange(-3.0, 14.0, 0.1)
-    return folded(stamps, *drive.at(stamps), (length_m, width_m))
+    return VehicleTrack(stamps, 0, *drive.at(stamps), length_m, width_m).folded
 
 
 @pytest.mark.parametrize(("length_m", "width_m"), [(15.0, 2.55), (12.0, 2.5), (7.4, 2.1), (4.5, 1.8)])

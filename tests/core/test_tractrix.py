@@ -5,7 +5,7 @@ import pytest
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import FloatArray, rotate_xy
-from laci_stereo.core.tractrix import LEVERS_M, body_yaw
+from laci_stereo.core.tractrix import LEVERS_M
 from tests.simulated import Drive
 
 TURN = Drive((0.0, 0.0), 20.0, ((15.0, 0.0), (14.0, 90.0), (6.0, -40.0)), ((0.0, 7.0), (3.0, 4.0), (6.0, 8.0)))
@@ -31,7 +31,7 @@ def test_the_body_follows_the_point(lever_m: float, backwards: bool) -> None:
     track, stamps, yaw = driven(lever_m, backwards)
     by_heading = np.degrees(np.abs(track.yaw_rad - yaw)).max()
     assert by_heading > 4 * lever_m
-    turned, _ = body_yaw(track.stamps_s, track.xy, track.yaw_rad).at(stamps, lever_m)
+    turned, _ = track.body.at(stamps, lever_m)
     off = np.degrees(np.abs(track.yaw_rad + turned - yaw))
     # The way's curvature jumps four times, and with it the heading: around these messages it is anything in between.
     assert np.percentile(off, 90) < 0.1
@@ -40,14 +40,14 @@ def test_the_body_follows_the_point(lever_m: float, backwards: bool) -> None:
 
 def test_without_a_lever_the_heading_is_the_body_s() -> None:
     track, stamps, _ = driven(3.0)
-    turned, _ = body_yaw(track.stamps_s, track.xy, track.yaw_rad).at(stamps, 0.0)
+    turned, _ = track.body.at(stamps, 0.0)
     assert (turned == 0.0).all()
 
 
 def test_on_a_straight_road_levers_do_not_matter() -> None:
     stamps = np.arange(0.0, 5.0, 0.1)
     track = VehicleTrack(stamps, 0, np.column_stack([7.0 * stamps, 0.0 * stamps]), 0.0 * stamps, 4.6, 1.8)
-    turned, by_lever = body_yaw(track.stamps_s, track.xy, track.yaw_rad).at(stamps, 3.0)
+    turned, by_lever = track.body.at(stamps, 3.0)
     assert turned == pytest.approx(0.0)
     assert by_lever == pytest.approx(0.0)
 
@@ -55,7 +55,7 @@ def test_on_a_straight_road_levers_do_not_matter() -> None:
 @pytest.mark.parametrize("lever_m", [0.2, 1.3, 3.7, 7.9, 13.1])
 def test_the_derivative_is_that_of_the_turn(lever_m: float) -> None:
     track, stamps, _ = driven(3.0)
-    body = body_yaw(track.stamps_s, track.xy, track.yaw_rad)
+    body = track.body
     _, by_lever = body.at(stamps, lever_m)
     more, less = body.at(stamps, lever_m + 1e-4)[0], body.at(stamps, lever_m - 1e-4)[0]
     assert by_lever == pytest.approx((more - less) / 2e-4, abs=1e-6)

@@ -27,7 +27,7 @@ class Trailer:
 
     Attributes
     ----------
-    length_m, width_m, height_m : float
+    width_m : float
     hitch_m : float
         Where it hangs, along the x axis of the vehicle that tows it.
     drawbar_m : float
@@ -37,9 +37,7 @@ class Trailer:
     mesh : Mesh
     """
 
-    length_m: float
     width_m: float
-    height_m: float
     hitch_m: float
     drawbar_m: float
     axle_m: float
@@ -343,7 +341,7 @@ def _articulated(rng: np.random.Generator) -> Vehicle:
             *_pairs((axle - 1.31, axle, axle + 1.31), width),
         ]
     )
-    trailer = Trailer(trailer_length, width, height, rear_axle + before_axle, -rear - kingpin - axle, axle, towed)
+    trailer = Trailer(width, rear_axle + before_axle, -rear - kingpin - axle, axle, towed)
     return Vehicle("trailer", length, width, height, width + 2 * reach, rear_axle, wheelbase, mesh, trailer)
 
 
@@ -358,7 +356,7 @@ def _with_caravan(rng: np.random.Generator) -> Vehicle:
     shaft = box((length / 2 - 0.1, -0.06, 0.4), (length / 2 + rng.uniform(0.9, 1.3), 0.06, 0.5), METAL)
     towed = merged([body([ring, replace(ring, z_m=height)], [Skin()]), shaft, *_pairs((axle,), width, 0.32, 0.2)])
     ball = float(shaft.vertices[:, 0].max())
-    trailer = Trailer(length, width, height, -car.length_m / 2 - 0.08, ball - axle, axle, towed)
+    trailer = Trailer(width, -car.length_m / 2 - 0.08, ball - axle, axle, towed)
     return replace(car, kind="caravan", trailer=trailer)
 
 
