@@ -77,6 +77,8 @@ class Choice:
         What that is, in words.
     doubt : str
         Why the track may yet be a stranger's; empty where that is out of the question.
+    beside : int
+        In how many frames something else moves as one with it; see `companion`.
     """
 
     station: int
@@ -88,6 +90,7 @@ class Choice:
     log_likelihood_margin: float
     second_is: str
     doubt: str = ""
+    beside: int = 0
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from laci_stereo.core.errors import CamError, MatchError, TrackError
 from laci_stereo.core.frames import planar
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
-from laci_stereo.core.placement import place_by_paper, place_jointly
+from laci_stereo.core.pieces import companion, whole
+from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
 from laci_stereo.core.quality import Placement, covariance_of, judge
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
@@ -92,7 +93,9 @@ def locate(
     def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
         return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
 
-    choice = choose_track(seen.tracks, vehicles, settings.match, likeness)
+    tracks = whole(seen.tracks, vehicles.values(), settings)
+    choice = choose_track(tracks, vehicles, settings.match, likeness)
+    choice = replace(choice, beside=companion(choice.track, tracks))
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     for remark in vehicle.remarks:
@@ -102,8 +105,7 @@ def locate(
         placement = place_jointly(choice, vehicle, seen.ground.height_m, settings)
     else:
         placement = paper
-    if choice.doubt:
-        placement = replace(placement, contradictions=(*placement.contradictions, choice.doubt))
+    placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
     match, middle = placement.match, placement.middle_level
     ground_covariance = seen.ground.covariance_level(seen.axes)
     return Calibration(

@@ -14,7 +14,8 @@ from laci_stereo.core.errors import MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.joint import JointFit, fit_jointly
-from laci_stereo.core.matching import match_track
+from laci_stereo.core.matching import PlanarMatch, match_track
+from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
 from laci_stereo.core.settings import MatchSettings, Settings
 from laci_stereo.core.tracking import Track
@@ -57,12 +58,15 @@ def place_jointly(choice: Choice, vehicle: VehicleTrack, height_m: float, settin
     Raises
     ------
     MatchError
-        If too few frames show anything of the outline.
+        If too few frames show anything of the outline, or an end of the vehicle is missing where something else is.
     OpenError
         If the drive leaves a direction open.
     """
     drive = evidence_of(choice.track, vehicle, height_m)
     fit = fit_jointly([drive], choice.fit, [choice.time_offset_s], settings.joint)
+    lacks = _lacks(drive, fit.match, fit.time_offsets_s[0])
+    if choice.beside and lacks:
+        raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
     return place(fit, [drive], len(choice.track.sightings), settings)
 
 
@@ -128,8 +132,40 @@ def place(
             for name, corrections in zip(names, fit.corrections, strict=True)
             for correction in corrections
             if abs(correction.value) > 4.0 * correction.sigma
+        )
+        + tuple(
+            f"{f'{name}: ' if name else ''}{lacks}: what was seen may be another piece of it, or its length wrong, and "
+            "the position off by as much along the way"
+            for name, drive, offset_s in zip(names, drives, fit.time_offsets_s, strict=True)
+            if (lacks := _lacks(drive, fit.match, offset_s))
         ),
     )
+
+
+def doubts_of(choice: Choice) -> tuple[str, ...]:
+    """Say why what was chosen may not be the vehicle."""
+    doubts = [choice.doubt] if choice.doubt else []
+    if choice.beside:
+        doubts.append(
+            f"{_besides(choice.beside)}: a trailer that its messages do not tell, or a piece of it, may have been "
+            "taken for the vehicle"
+        )
+    return tuple(doubts)
+
+
+def _besides(frames: int) -> str:
+    return f"something else moves with the vehicle, right behind or ahead of it, in {frames} frames"
+
+
+def _lacks(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> str:
+    """Say which end of the vehicle was never seen, if one was not."""
+    least_m = LEAST_UNSEEN_M + 3.0 * drive.vehicle.guessed_m[0]
+    ends_m = dict(zip(("rear", "front"), unseen_m(drive, match, time_offset_s), strict=True))
+    missing = [f"the {end} {end_m:.1f} m" for end, end_m in ends_m.items() if end_m > least_m]
+    if not missing:
+        return ""
+    whole_m = drive.vehicle.length_m
+    return f"{' and '.join(missing)} of the vehicle's {whole_m:.1f} m were never seen, although its side was"
 
 
 def _in_words(correction: Correction) -> str:

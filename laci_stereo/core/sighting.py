@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from laci_stereo.core.box import Box, fit_box
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.cluster import cluster
 from laci_stereo.core.errors import BoxError
-from laci_stereo.core.frames import BoolArray, FloatArray, transform
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, transform
 from laci_stereo.core.settings import Settings, VehicleSettings
 
 Flaw = Literal["cut", "far", "thin"]
@@ -143,6 +144,44 @@ def box_around(points: FloatArray, settings: Settings) -> Box:
     return fit_box(points[dense(points[:, :2], settings.vehicle), :2], settings.box)
 
 
+def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
+    """Return two sightings in one frame, which are pieces of one thing, as one."""
+    main, other = sorted((first, second), key=lambda one: one.count, reverse=True)
+    count = main.count + other.count
+    kept = [_evenly(len(one.points), round(KEPT_POINTS * one.count / count) + 1) for one in (main, other)]
+    stamp_s = (main.count * main.stamp_s + other.count * other.stamp_s) / count
+    points = _of_both(main.points, other.points, kept)
+    late_s = None
+    if main.late_s is not None and other.late_s is not None:
+        late_s = _of_both(main.late_s + main.stamp_s - stamp_s, other.late_s + other.stamp_s - stamp_s, kept)
+    try:
+        box = box_around(points, settings)
+    except BoxError:
+        box = main.box
+    return replace(
+        main,
+        stamp_s=stamp_s,
+        points=points,
+        sigma_along_m=_of_both(main.sigma_along_m, other.sigma_along_m, kept),
+        sigma_across_m=_of_both(main.sigma_across_m, other.sigma_across_m, kept),
+        count=count,
+        middle=np.median(points[:, :2], axis=0),
+        box=box,
+        flaw=other.flaw if other.flaw == "cut" else main.flaw,
+        late_s=late_s,
+    )
+
+
+def _of_both(main: FloatArray, other: FloatArray, kept: Sequence[IntArray]) -> FloatArray:
+    return np.concatenate([main[kept[0]], other[kept[1]]])
+
+
+def _evenly(count: int, most: int) -> IntArray:
+    """Return which of so many are kept if these are the most."""
+    kept: IntArray = np.unique(np.linspace(0, count - 1, most).round().astype(int))
+    return kept
+
+
 def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: Settings) -> Sighting | None:
     limits = settings.vehicle
     sigma_m = float(np.median(cloud.sigma_along_m))
@@ -159,7 +198,7 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
         return None
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
-    kept = np.unique(np.linspace(0, len(points) - 1, KEPT_POINTS).round().astype(int))
+    kept = _evenly(len(points), KEPT_POINTS)
     late_s = 0.0 if cloud.offset_s is None else float(np.median(cloud.offset_s))
     return Sighting(
         stamp_s=frame_s + late_s,

@@ -1,0 +1,182 @@
+"""Vehicles that are seen in pieces: where little of a body sends light back, its cluster falls apart."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.cam_repair import WIDEST_M
+from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.settings import Settings
+from laci_stereo.core.sighting import Sighting, together
+from laci_stereo.core.track_likelihood import SIZE_SIGMA_M
+from laci_stereo.core.tracking import Track
+
+LEAST_FRAMES = 5
+"""Two pieces are seen together in so many frames at least, and in half of those of the one that is seen less."""
+
+LARGEST_GAP_M = 2.0
+"""Between pieces, in half of the frames: where one hides the other it looks wider. Queues stand as close, but nobody
+drives so close behind another by more than a vehicle's length."""
+
+MOSTLY = 0.9
+"""In this share of the frames both together are no larger than the vehicle."""
+
+SIDE_SEEN_RAD = 0.35
+"""Where rays meet a side at this angle or a steeper one, its far end is seen as well: at 20 deg, three points there are
+as far apart along the side as one is from the next across the view."""
+
+LEAST_UNSEEN_M = 1.0
+"""A bonnet that lies below a sparse scanner's layers, or mirrors what a camera looks for, is up to a metre long."""
+
+_DIRECTIONS = np.pi / 18 * np.arange(18)
+_ACROSS = np.array([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
+
+
+def whole(tracks: Sequence[Track], vehicles: Collection[VehicleTrack], settings: Settings) -> list[Track]:
+    """Join tracks that are seen at once and can only be one vehicle.
+
+    They are if they stay close together while they move by more than their common length, and if that is no longer
+    than some sender's vehicle.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        Those of boxes that a detector gave stay as they are.
+    vehicles : collection of VehicleTrack
+    settings : Settings
+
+    Returns
+    -------
+    list of Track
+        The one with most sightings first.
+    """
+    sizes = [(vehicle.length_m, vehicle.width_m) for vehicle in vehicles]
+    joined = list(tracks)
+    place = list(range(len(tracks)))
+    for pair in _often_close(tracks, max(length_m for length_m, _ in sizes)):
+        first, second = sorted(_root(place, index) for index in pair)
+        if first == second:
+            continue
+        pairs = _at_once(joined[first], joined[second])
+        if _move_as_one(pairs, joined[first], joined[second]) and _fit_one(pairs, sizes):
+            joined[first] = _both(pairs, joined[first], joined[second], settings)
+            place[second] = first
+    left = [track for index, track in enumerate(joined) if place[index] == index]
+    return sorted(left, key=lambda track: len(track.sightings), reverse=True)
+
+
+def companion(track: Track, tracks: Sequence[Track]) -> int:
+    """Return in how many frames something else is seen that moves as one with a vehicle, in line; 0 if nothing is.
+
+    What is too thin for a box, such as matches that bleed from the vehicle, does not count.
+    """
+    vehicle, most = Track(track.usable), 0
+    for other in (Track(one.usable) for one in tracks if not track.shares(one)):
+        pairs = _at_once(vehicle, other)
+        if _move_as_one(pairs, vehicle, other):
+            in_line = _extents_m(pairs).min(axis=1) < WIDEST_M + _over_m(pairs)
+            most = max(most, len(pairs) if in_line.mean() > 0.5 else 0)
+    return most
+
+
+def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple[float, float]:
+    """Return how much of a vehicle's rear and of its front was never seen, although its side was.
+
+    Parameters
+    ----------
+    drive : Evidence
+    match : PlanarMatch
+        From the level into the world frame.
+    time_offset_s : float
+        Of the drive.
+
+    Returns
+    -------
+    rear_m, front_m : float
+        What all but a tenth of the frames lack of it; 0 if its side was seen in less than `LEAST_FRAMES`.
+    """
+    vehicle = drive.vehicle
+    half = np.array([vehicle.length_m, vehicle.width_m]) / 2
+    xy, yaw, known = vehicle.at(drive.stamps_s + time_offset_s)
+    sensor = np.abs(rotate_xy(-yaw, match(np.zeros((1, 2))) - xy))
+    side = known & (np.arctan2(sensor[:, 1] - half[1], sensor[:, 0] + half[0]) > SIDE_SEEN_RAD)
+    along = rotate_xy(-yaw[drive.frame], match(drive.points[:, :2]) - xy[drive.frame])[:, 0]
+    each = np.split(along, np.searchsorted(drive.frame, np.arange(1, len(drive))))
+    ends = np.array([np.quantile(one, (0.02, 0.98)) for one, seen in zip(each, side, strict=True) if seen and len(one)])
+    if len(ends) < LEAST_FRAMES:
+        return 0.0, 0.0
+    rear_m, front_m = np.quantile(half[0] + ends * (1.0, -1.0), 1.0 - MOSTLY, axis=0)
+    return max(float(rear_m), 0.0), max(float(front_m), 0.0)
+
+
+def _often_close(tracks: Sequence[Track], length_m: float) -> list[tuple[int, int]]:
+    """Return the pairs of tracks whose middles are no farther apart than that, those most often so first."""
+    frames: dict[float, list[tuple[int, FloatArray]]] = {}
+    for index, track in enumerate(tracks):
+        for one in track.sightings:
+            if len(one.points):
+                frames.setdefault(one.frame_s, []).append((index, one.middle))
+    often: Counter[tuple[int, int]] = Counter()
+    for seen in frames.values():
+        middles = np.array([middle for _, middle in seen])
+        often.update((seen[i][0], seen[j][0]) for i, j in KDTree(middles).query_pairs(length_m))
+    return [pair for pair, count in often.most_common() if count >= LEAST_FRAMES]
+
+
+def _root(place: Sequence[int], index: int) -> int:
+    while place[index] != index:
+        index = place[index]
+    return index
+
+
+Pairs = Sequence[tuple[Sighting, Sighting]]
+"""What is seen of two tracks in the same frames."""
+
+
+def _at_once(first: Track, second: Track) -> Pairs:
+    by_frame = {one.frame_s: one for one in second.sightings if len(one.points)}
+    return [(one, by_frame[one.frame_s]) for one in first.sightings if one.frame_s in by_frame and len(one.points)]
+
+
+def _move_as_one(pairs: Pairs, first: Track, second: Track) -> bool:
+    """Tell whether two tracks stay close together while they move by more than their common length."""
+    if len(pairs) < max(LEAST_FRAMES, min(len(first.sightings), len(second.sightings)) / 2):
+        return False
+    moved_m = min(np.linalg.norm(np.ptp([one.middle for one in each], axis=0)) for each in zip(*pairs, strict=True))
+    if moved_m < np.quantile(_extents_m(pairs).max(axis=1), MOSTLY):
+        return False
+    gap_m = [np.min(KDTree(a.points[:, :2]).query(b.points[:, :2])[0]) for a, b in pairs]
+    return bool(np.median(gap_m) <= LARGEST_GAP_M)
+
+
+def _fit_one(pairs: Pairs, sizes: Sequence[tuple[float, float]]) -> bool:
+    """Tell whether both together are no larger than one of some vehicles."""
+    extents_m = _extents_m(pairs)
+    across_m, along_m = extents_m.min(axis=1), extents_m.max(axis=1)
+    over_m = _over_m(pairs)
+    return any(
+        np.mean((along_m < np.hypot(length_m, width_m) + over_m) & (across_m < width_m + over_m)) >= MOSTLY
+        for length_m, width_m in sizes
+    )
+
+
+def _over_m(pairs: Pairs) -> FloatArray:
+    """Return by how much both together may look larger than they are, shape (n,): by clusters' reach, and noise."""
+    return SIZE_SIGMA_M + 5 * np.array([max(a.sigma_m, b.sigma_m) for a, b in pairs])
+
+
+def _extents_m(pairs: Pairs) -> FloatArray:
+    """Return how far both together extend in each of 18 directions, shape (n, 18)."""
+    return np.array([np.ptp(np.vstack([a.points, b.points])[:, :2] @ _ACROSS, axis=0) for a, b in pairs])
+
+
+def _both(pairs: Pairs, first: Track, second: Track, settings: Settings) -> Track:
+    merged = {id(a): together(a, b, settings) for a, b in pairs}
+    return Track(tuple(merged.get(id(one), one) for one in first.sightings)).joined(second)
