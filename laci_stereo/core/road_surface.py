@@ -2,7 +2,8 @@
 
 A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
 Here the crown is a part of the model: where both of its sides are seen, it is told from the plane; where only one is,
-how far the road falls stays as open as it was. Heights are those above a plane that was found before.
+how far the road falls stays as open as it was. It runs along the way, or the way crosses it, as in a turn and around a
+roundabout's island. Heights are those above a plane that was found before.
 """
 
 from __future__ import annotations
@@ -26,7 +27,13 @@ higher or lower, and falls by twice as much."""
 
 _FALLS = np.arange(0.0, 0.031, 0.0025)
 _CROWNS_M = np.arange(-7.0, 7.1, 0.5)
-"""Falls, and how far to the left of the way the crown is, within two lanes of it: all are as likely."""
+"""Falls, and how far to the left of the way a crown along it is, within two lanes: all are as likely."""
+
+_ACROSS_RAD = np.pi / 8 * np.arange(8)
+_ACROSS = np.stack([np.cos(_ACROSS_RAD), np.sin(_ACROSS_RAD)])
+_CROSSED = (0.15, 0.325, 0.5, 0.675, 0.85)
+"""Crowns that the way crosses are straight: directions in which the road falls from one, and which shares of what is
+seen are on one side of it. As often as not the crown is such a one; all of each kind are as likely."""
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
@@ -102,8 +109,12 @@ class Surface:
         self.cells = cells
         self.middle = cells.xy.mean(axis=0)
         prior = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
-        patches = _merged(np.column_stack([self._basis(cells.xy), _crowns(cells.left_m)]), cells)
-        basis, crowns, z, sigma_m, variance, xy = np.split(patches, np.cumsum([6, len(_CROWNS_M), 1, 1, 1]), axis=1)
+        self.crossed_m = np.quantile((cells.xy - self.middle) @ _ACROSS, _CROSSED, axis=0)
+        crowns = self._crowns(cells)
+        of_each = [len(_CROWNS_M), self.crossed_m.size]
+        before = -np.log(np.repeat(of_each, of_each))[:, None]
+        patches = _merged(np.column_stack([self._basis(cells.xy), crowns]), cells)
+        basis, crowns, z, sigma_m, variance, xy = np.split(patches, np.cumsum([6, crowns.shape[1], 1, 1, 1]), axis=1)
         noise = np.diag(variance[:, 0]) + shared_noise_share**2 * sigma_m @ sigma_m.T + (basis * prior) @ basis.T
         alike = np.exp(-np.linalg.norm(xy[:, None] - xy, axis=2) / REACH_M)
         found = []
@@ -112,7 +123,7 @@ class Surface:
             by_z, by_basis, by_crowns = np.split(cho_solve(factor, np.hstack([z, basis, crowns])), [1, 7], axis=1)
             squares = float(z[:, 0] @ by_z[:, 0]) - 2.0 * (crowns.T @ by_z) * _FALLS
             squares = squares + (crowns * by_crowns).sum(axis=0)[:, None] * _FALLS**2
-            log_likely = -0.5 * (squares + uneven**2) - np.log(np.diag(factor[0])).sum()
+            log_likely = before - 0.5 * (squares + uneven**2) - np.log(np.diag(factor[0])).sum()
             covariance = np.diag(prior) - prior[:, None] * (basis.T @ by_basis) * prior
             by_fall = prior[:, None] * (basis.T @ by_crowns)
             found.append((log_likely, prior * (basis.T @ by_z)[:, 0], covariance, by_fall))
@@ -122,7 +133,7 @@ class Surface:
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Return the height of the even surface at some cells, and its variance, each of shape (n,)."""
-        basis, crowns = self._basis(cells.xy), _crowns(cells.left_m)
+        basis, crowns = self._basis(cells.xy), self._crowns(cells)
         first, second = np.zeros(len(cells)), np.zeros(len(cells))
         for each in self.given:
             flat, falls, likely = basis @ each.mean, crowns - basis @ each.by_fall, each.likely.sum()
@@ -146,8 +157,7 @@ class Surface:
         """
         to_plane = np.eye(3, 6)
         to_plane[0] = self._basis(self.cells.xy).mean(axis=0)
-        of_crowns = np.zeros((3, len(_CROWNS_M)))
-        of_crowns[0] = _crowns(self.cells.left_m).mean(axis=0)
+        of_crowns = np.outer((1.0, 0.0, 0.0), self._crowns(self.cells).mean(axis=0))
         first, second, within, bent = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
         for each in self.given:
             values = (to_plane @ each.mean)[:, None, None] + (of_crowns - to_plane @ each.by_fall)[:, :, None] * _FALLS
@@ -166,6 +176,13 @@ class Surface:
         within[2, 1] += both
         return first, within + by_crown, by_crown
 
+    def _crowns(self, cells: Cells) -> FloatArray:
+        """Return by how much places are lower than each crown if the road falls by 1, negative, shape (n, crowns)."""
+        along = cells.left_m[:, None] - _CROWNS_M
+        crossed = ((cells.xy - self.middle) @ _ACROSS)[:, None] - self.crossed_m
+        crowns: FloatArray = -np.abs(np.column_stack([along, crossed.reshape(len(cells), -1)]))
+        return crowns
+
     def _basis(self, xy: FloatArray) -> FloatArray:
         """Return what a plane and its bends are made of, shape (n, 6)."""
         x, y = (xy - self.middle).T
@@ -176,12 +193,6 @@ def _squares(values: FloatArray, likely: FloatArray) -> FloatArray:
     """Return the mean of the products of values, shape (k, crowns, falls), by how likely they are."""
     squares: FloatArray = np.einsum("icf,jcf,cf->ij", values, values, likely)
     return squares
-
-
-def _crowns(left_m: FloatArray) -> FloatArray:
-    """Return by how much places are lower than each crown if the road falls by 1, negative, shape (n, crowns)."""
-    crowns: FloatArray = -np.abs(left_m[:, None] - _CROWNS_M)
-    return crowns
 
 
 def _merged(columns: FloatArray, cells: Cells) -> FloatArray:

@@ -73,6 +73,44 @@ def test_the_doubt_is_that_of_the_error_over_random_roads() -> None:
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
 
 
+def crossed(rng: np.random.Generator, slopes: FloatArray, fall: float, towards_rad: float, radius_m: float) -> Cells:
+    """Return noisy cells around an arc of a way, which begins along x and crosses a straight crown in its middle."""
+    angle = rng.uniform(-8.0, 8.0, 400) / radius_m
+    left = rng.uniform(-4.0, 4.0, 400)
+    xy = np.column_stack([(radius_m - left) * np.sin(angle), radius_m - (radius_m - left) * np.cos(angle)])
+    away = np.linalg.norm(xy[:, None] - xy, axis=2)
+    uneven = np.linalg.cholesky(CLASS_B_M**2 * np.exp(-away / REACH_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
+    from_crown = xy @ [np.cos(towards_rad), np.sin(towards_rad)]
+    noise = np.full(400, SIGMA_M)
+    z = xy @ slopes - fall * np.abs(from_crown) + uneven + rng.normal(0.0, SIGMA_M, 400)
+    return Cells(xy, z, noise**2, noise, left, np.zeros(400, dtype=np.int64))
+
+
+@pytest.mark.parametrize("radius_m", [12.0, 25.0, 1e4])
+@pytest.mark.parametrize("towards_deg", [0.0, 30.0, -50.0])
+def test_a_crown_that_the_way_crosses_is_told_from_the_plane(towards_deg: float, radius_m: float) -> None:
+    # Around a roundabout's island, or in a turn, the way crosses the crowns of others' roads.
+    slopes = np.array([0.01, -0.02])
+    seen = crossed(np.random.default_rng(0), slopes, 0.02, float(np.radians(towards_deg)), radius_m)
+    value, covariance, _ = Surface(seen, 0.0).plane()
+    off = value[1:] - slopes
+    assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
+    assert np.degrees(np.abs(off)).max() < 0.4
+
+
+def test_the_doubt_is_that_of_the_error_where_ways_cross_crowns() -> None:
+    rng = np.random.default_rng(1)
+    squares = []
+    for _ in range(60):
+        slopes, fall = rng.normal(0.0, 0.015, 2), rng.uniform(0.0, 0.025)
+        seen = crossed(rng, slopes, fall, rng.uniform(-np.pi, np.pi), np.exp(rng.uniform(np.log(10.0), np.log(100.0))))
+        value, covariance, _ = Surface(seen, 0.0).plane()
+        off = value[1:] - slopes
+        squares.append(off @ np.linalg.solve(covariance[1:, 1:], off))
+    assert 0.2 < np.mean(squares) < 2.0
+    assert np.mean(np.array(squares) > 3.0**2) < 0.05
+
+
 def test_what_all_points_share_is_in_the_doubt() -> None:
     seen = road(np.random.default_rng(0), (-LANE_M, LANE_M), np.zeros(2), 0.0, 0.0)
     alone, together = (Surface(seen, share).plane()[1][0, 0] for share in (0.0, 1.0))
