@@ -80,9 +80,14 @@ def test_unless_it_is_of_another_length() -> None:
 
 
 def test_a_drive_that_is_seen_from_ahead_only() -> None:
-    towards = scene(Drive((60.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(), last_s=3.8)
+    towards = scene(Drive((34.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(layers=12), last_s=2.0)
     with pytest.raises(MatchError, match=r"the vehicle's outline is seen in \d frames .* needed are 10"):
         calibrate(towards.recording, towards.messages)
+
+
+def test_from_ahead_bonnet_and_windscreen_are_pieces_of_one_vehicle() -> None:
+    towards = scene(Drive((60.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(), last_s=3.8)
+    covered(towards, calibrate(towards.recording, towards.messages))
 
 
 @pytest.mark.parametrize("last_s", [1.6, 5.0])
