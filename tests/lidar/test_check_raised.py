@@ -167,6 +167,7 @@ def test_what_is_not_there_is_not_found(
     assert found.lines_found == 0
 
 
+@pytest.mark.slow
 def test_border_that_is_no_step_tells_nothing() -> None:
     """Unlike a curbstone: a map's border of a road may be grass."""
     grass = [line((x, -30.0), (x, 30.0), kind="road_border") for x in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)]

@@ -47,6 +47,7 @@ def middle_frame(simulated: Simulated) -> int:
     return int(seen[len(seen) // 2])
 
 
+@pytest.mark.slow
 def test_boxes_in_the_image_are_around_what_is_seen(simulated: Simulated) -> None:
     scene, index = simulated.scene, middle_frame(simulated)
     stamp = int(scene.stamps_ns[index])
@@ -105,6 +106,7 @@ def test_frames_matched_once_are_those_of_the_recording(masked: bool, tmp_path: 
             np.testing.assert_array_equal(found.points, expected.points)
 
 
+@pytest.mark.slow
 def test_rendered_scenes_are_smaller_and_their_trees_stand_still() -> None:
     scene = draw_scene(1, "stereo_05", **CLOSE)
     small = small_and_calm(scene)

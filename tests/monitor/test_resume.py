@@ -41,7 +41,9 @@ def contents(out: Path) -> dict[str, bytes]:
     return {name: (out / name).read_bytes() for name in FILES}
 
 
-@pytest.mark.parametrize("frames", [(3, 26, 40), (61, 99, 148), (75, 76, 100)])
+@pytest.mark.parametrize(
+    "frames", [(3, 26, 40), *(pytest.param(at, marks=pytest.mark.slow) for at in ((61, 99, 148), (75, 76, 100)))]
+)
 def test_killed_and_started_again_ends_the_same_byte_for_byte(
     whole: Monitor, tmp_path: Path, frames: tuple[int, ...]
 ) -> None:

@@ -93,6 +93,7 @@ def test_sensors_in_turn_share_the_seeds():
     ]
 
 
+@pytest.mark.slow
 def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
     scene = draw_scene(3, "stereo_05", density=0.0, parked=0)
     small = replace(scene.sensor, size_px=(96, 64), focal_px=80.0)

@@ -99,7 +99,9 @@ def test_rain_is_near_and_as_frequent_as_stated():
     assert drops.sum() == pytest.approx(expected, abs=5 * np.sqrt(expected))
 
 
-@pytest.mark.parametrize("sensor", ["lidar_16", "lidar_rosette", "stereo_05"])
+@pytest.mark.parametrize(
+    "sensor", ["lidar_16", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("lidar_rosette", "stereo_05"))]
+)
 def test_scenes_follow_their_seed_and_show_the_sender(sensor):
     one, two, other = draw_scene(2, sensor), draw_scene(2, sensor), draw_scene(3, sensor)
     np.testing.assert_array_equal(one.T_utm_sensor, two.T_utm_sensor)
@@ -141,7 +143,7 @@ def test_what_is_set_is_so():
     assert scene.T_world_sensor[2, 2] < 0.0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_company_comes_near_the_sender(seed):
     scene = draw_scene(seed, "lidar_16", vehicles=1, walkers=2, cyclists=0, near_m=2.0)
     times = np.arange(scene.times_s[0], scene.times_s[-1], 0.02)
