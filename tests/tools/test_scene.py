@@ -127,6 +127,31 @@ def test_one_factor_changes_no_other():
     assert not np.array_equal(base.messages.latitude_deg, changed.messages.latitude_deg)
 
 
+def test_a_mast_leans_about_its_foot_by_as_much_as_is_set():
+    calm = draw_scene(4, "lidar_16", min_seen=0)
+    gusts = replace(calm, factors=replace(calm.factors, lean_deg=0.2))
+    times_s = np.arange(0.0, 300.0, 0.1)
+    np.testing.assert_allclose(calm.T_world_sensor_at(3.0), calm.T_world_sensor, atol=1e-12)
+    poses = np.array([gusts.T_world_sensor_at(time_s) for time_s in times_s])
+    moved = poses @ invert(calm.T_world_sensor)
+    tilts_deg = np.degrees(moved[:, [2, 0], [1, 2]])
+    np.testing.assert_allclose(tilts_deg.std(axis=0), 0.2, rtol=0.1)
+    np.testing.assert_allclose(tilts_deg.mean(axis=0), 0.0, atol=0.02)
+    foot = np.array([*calm.T_world_sensor[:2, 3], 0.0, 1.0])
+    np.testing.assert_allclose(moved @ foot, np.tile(foot, (len(times_s), 1)), atol=1e-9)
+    index = np.argmax(np.abs(tilts_deg).sum(axis=1)) % len(calm.times_s)
+    assert not np.array_equal(swept_frame(gusts, index).points, swept_frame(calm, index).points)
+
+
+def test_stamps_miss_the_frames_by_as_much_as_is_set():
+    exact = draw_scene(4, "lidar_16", min_seen=0)
+    jittering = replace(exact, factors=replace(exact.factors, stamp_jitter_s=0.01))
+    off_s = (jittering.stamps_ns - exact.stamps_ns) / 1e9
+    assert off_s.std() == pytest.approx(0.01, rel=0.3)
+    assert (np.diff(jittering.stamps_ns) > 0).all()
+    np.testing.assert_array_equal(swept_frame(jittering, 7).points, swept_frame(exact, 7).points)
+
+
 def test_what_is_set_is_so():
     scene = draw_scene(
         1, "lidar_32", height_m=5.0, tilt_deg=10.0, roll_deg=0.0, hanging="upside down", drive="left_turn", frames=95,

@@ -76,6 +76,9 @@ NEEDED_M = 15.0
 SCORED_M = 60.0
 """The track is scored within this distance from the sensor."""
 
+GUSTS_HZ, MASTS_HZ = (0.1, 0.5), (0.7, 2.0)
+"""How often gusts come, and how fast a mast of 5 to 15 m swings to and fro."""
+
 TRIES = 60
 
 T = TypeVar("T")
@@ -126,6 +129,10 @@ class Factors:
         See `LidarFlaws`; ``noise`` also scales a stereo camera's.
     turning : str
         How a LiDAR turns, of `TURNINGS`; one that takes all points at once is a flash.
+    lean_deg : float
+        By how much a LiDAR's mast leans in gusts, along x and along y: one standard deviation.
+    stamp_jitter_s : float
+        Standard deviation by which the frames' stamps miss the frames.
     systematic : float
         Scales the sensors' errors that are common to many points.
     bleed_px, gross, focal_px
@@ -170,6 +177,8 @@ class Factors:
     rain: float | None = None
     point_times: bool | None = None
     turning: Turning | None = None
+    lean_deg: float = 0.0
+    stamp_jitter_s: float = 0.0
     systematic: float = 1.0
     bleed_px: float | None = None
     gross: float | None = None
@@ -268,7 +277,18 @@ class Scene:
     @property
     def stamps_ns(self) -> IntArray:
         """Of the frames, shape (n,)."""
-        return EPOCH_NS + np.round(self.times_s * 1e9).astype(np.int64)
+        jitter = np.random.default_rng([self.seed, 17]).normal(size=len(self.times_s)).clip(-3.0, 3.0)
+        stamps_s = self.times_s + self.factors.stamp_jitter_s * jitter
+        return EPOCH_NS + np.round(stamps_s * 1e9).astype(np.int64)
+
+    def T_world_sensor_at(self, time_s: float) -> FloatArray:
+        """Return where the sensor is while its mast leans: about its foot, slowly in gusts and as a mast swings."""
+        rng = np.random.default_rng([self.seed, 19])
+        turns = time_s * np.array([rng.uniform(*GUSTS_HZ, 2), rng.uniform(*MASTS_HZ, 2)])
+        x_deg, y_deg = self.factors.lean_deg * np.sin(2.0 * np.pi * (turns + rng.random((2, 2)))).sum(axis=0)
+        lean = rigid(Rotation.from_euler("xy", [x_deg, y_deg], degrees=True).as_matrix(), np.zeros(3))
+        foot = rigid(np.eye(3), self.T_world_sensor[:3, 3] * (1.0, 1.0, 0.0))
+        return foot @ lean @ invert(foot) @ self.T_world_sensor
 
     @cached_property
     def track_utm(self) -> FloatArray:
@@ -675,7 +695,7 @@ def _scan(scene: Scene, index: int) -> Scan:
 def swept_frame(scene: Scene, index: int) -> Swept:
     """Simulate a LiDAR's frame; the points are in the scanner's own axes."""
     assert isinstance(scene.sensor, Lidar)
-    T_world_own = scene.T_world_sensor @ own_axes(scene)
+    T_world_own = scene.T_world_sensor_at(float(scene.times_s[index])) @ own_axes(scene)
     first_s = float(scene.times_s[0])
     return sweep(scene.sensor, scene.lidar_flaws, scene.caster, T_world_own, index, scene.seed, first_s)
 
