@@ -245,7 +245,6 @@ class DriveModel:
         self.centre = centre
         self.settings = settings
         self.size = (drive.vehicle.length_m, drive.vehicle.width_m)
-        self.highest_m = outline.highest_of(self.size[1])
         first, last = drive.stamps_s[[0, -1]] if len(drive) else (0.0, 0.0)
         knots = max(2, int(np.ceil((last - first) * KNOTS_PER_TIME / settings.bias_time_s)) + 1)
         self.knots_s = np.linspace(first, max(last, first + 1e-3), knots)
@@ -266,7 +265,7 @@ class DriveModel:
             ]
         )
         self.mean = np.zeros(self.own)
-        self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN] = outline.SHAPE_MEAN
+        self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
         self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
@@ -300,7 +299,7 @@ class DriveModel:
         ways[1, 3] = 1.0
         ways[2, :2] = 1.0 - fixed, fixed
         ways[3, 2] = 0.5
-        covariance[shape, shape] = np.diag(outline.SHAPE_SIGMA**2) + (ways.T * variances[2:]) @ ways
+        covariance[shape, shape] = np.diag(self.shape_sigma**2) + (ways.T * variances[2:]) @ ways
         partial = _PARTIAL - FIRST_OWN
         covariance[partial, partial] = PARTIAL_SIGMA**2
         knots, count = _KNOTS - FIRST_OWN, len(self.knots_s)
@@ -418,7 +417,8 @@ class DriveModel:
     def _wall(self, x: FloatArray, poses: Poses) -> Met:
         met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
         z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
-        return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, self.highest_m)]
+        highest_m = outline.highest_of(self.size[1], met.hits.face, self.size[0] / 2 - met.xy[:, 0])
+        return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, highest_m)]
 
     def _shares(self, met: Met) -> FloatArray:
         drive, points, face = self.drive, met.points, met.hits.face

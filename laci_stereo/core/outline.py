@@ -1,8 +1,9 @@
 """The visible outline of a vehicle on the ground plan: which side each line of sight meets, and how far off a point is.
 
 The outline is the rectangle that the messages tell, with what makes a real body differ from it: ends and sides that may
-stand a few centimetres in or out, bow and taper, and corners that are round. Only the
-lower part of a body, below the bonnet and the windows, is that wide and that long; `LOWEST_M` and `HIGHEST_M` bound it.
+stand a few centimetres in or out, bow and taper, corners that are round, and a lorry's cab, which is narrower than what
+it carries. Only the lower part of a body, below the bonnet and the windows, is that wide and that long; `LOWEST_M` and
+`HIGHEST_M` bound it.
 """
 
 from __future__ import annotations
@@ -27,21 +28,33 @@ HEAVY_HIGHEST_M = 3.0
 """...up to their roofs, at 3 m and more, ..."""
 
 HEAVY_FRONT_HIGHEST_M = 1.2
-"""...but in front only up to the windscreen, which stands back and begins at 1.2 m so that the driver sees the road."""
+"""...but in front only up to the windscreen, which stands back and begins at 1.2 m so that drivers see the road, ..."""
+
+MIRRORS_M = 1.0
+"""...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m."""
 
 BOW_POWER = 2
 TAPER_POWER = 4
 """The ends bow as the square of the distance from the middle; the sides taper over the length of a wing."""
 
-SHAPE = ("front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "front_radius", "rear_radius")
-"""The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
-left, how far ends and sides stand back where they end, and the radii of the corners."""
+CAB_M = 2.0
+"""A lorry's cab is 1.6 m long without a berth, 2.3 m with one."""
 
-SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.25, 0.25])
-SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.12, 0.12])
+SHAPE = ("front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "cab", "front_radius", "rear_radius")
+"""The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
+left, how far ends and sides stand back where they end, how far the cab's sides do, and the radii of the corners."""
+
+SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.0, 0.25, 0.25])
+SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.001, 0.12, 0.12])
 """What is known of the shape of any vehicle at this height. Length and width bound the whole body, at its handles,
 wheel arches and bumper's edge; panels and bumpers stand back from that by up to 3 cm, ends and sides curve by as much,
 and the corners' radii are 0.1 m for a van and 0.5 m for a small car."""
+
+HEAVY_CAB_M = (0.04, 0.05)
+"""Mean and standard deviation of how far a cab's sides stand back, of what is as wide as a lorry: cabs are 2.3 to 2.5 m
+wide, what they carry up to 2.55 m, and a bus has none."""
+
+_CAB, _RADII = 7, slice(8, 10)
 
 SHARP_M = 0.05
 """Below this a radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
@@ -73,7 +86,7 @@ class Hits(Columns):
         Of the distance: noise of the point, and the outline's own.
     normal : ndarray, shape (n, 2)
         Outward, vehicle frame.
-    by_shape : ndarray, shape (n, 9)
+    by_shape : ndarray, shape (n, 10)
         Derivative of the distance by `SHAPE`.
     face : ndarray of int, shape (n,)
         0 rear, 1 front, 2 right, 3 left, 4 passed by.
@@ -115,10 +128,10 @@ def meet(
         Noise on the ground plan, along and across the line of sight.
     size : tuple of float
         Length and width that the messages tell.
-    shape : ndarray, shape (9,)
+    shape : ndarray, shape (10,)
         See `SHAPE`.
     """
-    front, rear, side, lever_y, front_bow, rear_bow, taper, _, _ = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, _, _ = shape
     half = np.array([size[0] / 2, size[1] / 2])
     ray = xy - origin
     far = np.hypot(ray[:, 0], ray[:, 1])
@@ -137,7 +150,8 @@ def meet(
         eta = np.clip((o_y + t_end * u[:, 1]) / half[1], -1.0, 1.0)
         t_end = (end_x - sign_x * bow * eta**BOW_POWER - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
-        t_side = (side_y - sign_y * taper * xi**TAPER_POWER - o_y) / u[:, 1]
+        beside_cab = half[0] * (1.0 - xi) < CAB_M
+        t_side = (side_y - sign_y * (taper * xi**TAPER_POWER + cab * beside_cab) - o_y) / u[:, 1]
     t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
     t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
     at_end = t_end >= t_side
@@ -182,7 +196,7 @@ def meet(
     of_front = np.where(round_, outward[:, 0] > 0.0, ahead)
     of_end, of_side = round_ | at_end, round_ | ~at_end
     out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
-    fading = 1.0 / (1.0 + np.exp(-shape[7:] / SHARP_M))
+    fading = 1.0 / (1.0 + np.exp(-shape[_RADII] / SHARP_M))
     by_radius = np.where(round_, np.abs(normal[:, 0]) + np.abs(normal[:, 1]) - 1.0, 0.0) * np.where(of_front, *fading)
     return Hits(
         distance=distance,
@@ -197,6 +211,7 @@ def meet(
                 np.where(of_front, out_x * bent, 0.0),
                 np.where(of_front, 0.0, out_x * bent),
                 out_y * tapered,
+                out_y * np.where(round_, of_front, beside_cab),
                 np.where(of_front, by_radius, 0.0),
                 np.where(of_front, 0.0, by_radius),
             ]
@@ -217,22 +232,38 @@ def _leave(o_x: FloatArray, o_y: FloatArray, u: FloatArray, half: FloatArray) ->
 
 def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
     """Return where the four corners would be without their arcs, and their radii, shape (4, 3)."""
-    front, rear, side, lever_y, front_bow, rear_bow, taper, *radii = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, *radii = shape
     x = np.array([half[0] + front - front_bow, -half[0] - rear + rear_bow])
-    y = half[1] + side - taper
+    y = half[1] + side - taper - np.array([cab, 0.0])
     radius = np.clip(SHARP_M * np.logaddexp(0.0, np.divide(radii, SHARP_M)), 1e-3, 0.9 * y)
     return np.array(
-        [[x[end], lever_y + way * y, radius[end]] for end, way in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))]
+        [[x[end], lever_y + way * y[end], radius[end]] for end, way in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))]
     )
 
 
-def highest_of(width_m: float) -> FloatArray:
-    """Return up to what height each side of a vehicle of this width is upright, shape (FACES,), metres."""
+def expected_shape(width_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of the shape of a vehicle of this width, shape (10,) each."""
+    mean, sigma = SHAPE_MEAN.copy(), SHAPE_SIGMA.copy()
+    if width_m >= HEAVY_WIDTH_M:
+        mean[_CAB], sigma[_CAB] = HEAVY_CAB_M
+    return mean, sigma
+
+
+def highest_of(width_m: float, face: IntArray, behind_m: FloatArray) -> FloatArray:
+    """Return up to what height a vehicle of this width is upright, shape (n,), metres.
+
+    Parameters
+    ----------
+    width_m : float
+    face : ndarray of int, shape (n,)
+        Side that is met.
+    behind_m : ndarray, shape (n,)
+        How far behind the front end.
+    """
     if width_m < HEAVY_WIDTH_M:
-        return np.full(FACES, HIGHEST_M)
-    highest = np.full(FACES, HEAVY_HIGHEST_M)
-    highest[[_FRONT, _PASSED]] = HEAVY_FRONT_HIGHEST_M
-    return highest
+        return np.full(len(face), HIGHEST_M)
+    low = (face == _FRONT) | (face == _PASSED) | (behind_m < MIRRORS_M)
+    return np.where(low, HEAVY_FRONT_HIGHEST_M, HEAVY_HIGHEST_M)
 
 
 def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray, highest_m: FloatArray) -> BoolArray:
@@ -249,10 +280,10 @@ def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray,
         Height of the points, and its noise. What lies within three sigma of the ground was taken for ground, so below
         five sigma the near half of the noise would be missing.
     hits : Hits
-    highest_m : ndarray, shape (FACES,)
+    highest_m : ndarray, shape (n,)
         See `highest_of`.
     """
     met = height_m + (z - height_m) * hits.reach
     lowest_m = np.maximum(LOWEST_M, 3.0 * sigma_z) + 2.0 * sigma_z
-    chosen: BoolArray = (met > lowest_m) & (met < highest_m[hits.face])
+    chosen: BoolArray = (met > lowest_m) & (met < highest_m)
     return chosen

@@ -9,13 +9,16 @@ from hypothesis import strategies as st
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.outline import (
+    CAB_M,
     HEAVY_FRONT_HIGHEST_M,
     HEAVY_HIGHEST_M,
     HIGHEST_M,
     LOWEST_M,
+    MIRRORS_M,
     SHAPE,
     SHAPE_MEAN,
     SHARP_M,
+    expected_shape,
     highest_of,
     meet,
     on_the_wall,
@@ -126,7 +129,7 @@ def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_
     measured = far + off
     z = height + (z_met - height) * measured / far
     hits = replace(met(np.array([[0.0, 0.9]]), np.array([0.0, 20.9])), reach=np.array([far / measured]))
-    chosen = on_the_wall(height, np.array([z]), hits, np.array([sigma_z]), highest_of(1.8))
+    chosen = on_the_wall(height, np.array([z]), hits, np.array([sigma_z]), highest_of(1.8, hits.face, np.zeros(1)))
     assert chosen[0] == (z_met > max(LOWEST_M, 3 * sigma_z) + 2 * sigma_z)
 
 
@@ -147,7 +150,37 @@ def test_a_side_is_used_as_far_up_as_it_is_upright(
     z = np.array([highest_m - 0.1, highest_m + 0.1])
     on_it = np.sign(origin) * np.array(SIZE) / 2
     hits = met(np.array([on_it, on_it]), np.array(origin))
-    assert on_the_wall(highest_m, z, hits, np.full(2, 0.02), highest_of(width_m)).tolist() == [True, False]
+    highest = highest_of(width_m, hits.face, SIZE[0] / 2 - np.full(2, on_it[0]))
+    assert on_the_wall(highest_m, z, hits, np.full(2, 0.02), highest).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(("width_m", "highest_m"), [(1.8, HIGHEST_M), (2.5, HEAVY_FRONT_HIGHEST_M)])
+def test_mirrors_are_not_the_sides(width_m: float, highest_m: float) -> None:
+    # They stand out of a lorry's sides at 1.6 to 2.6 m, right behind its front.
+    behind = np.array([0.0, 0.5, MIRRORS_M - 0.01, MIRRORS_M + 0.01])
+    found = highest_of(width_m, np.full(4, 3), behind)
+    assert found[:3].tolist() == [highest_m] * 3
+    assert found[3] == (HIGHEST_M if width_m < 2.0 else HEAVY_HIGHEST_M)
+
+
+def test_the_sides_of_a_cab_stand_back_and_no_others() -> None:
+    origin = np.array([9.0, 12.0])
+    xy = rectangle_points(origin, 300, np.random.default_rng(0))
+    shape = FLAT.copy()
+    shape[SHAPE.index("cab")] = 0.08
+    hits, flat = met(xy, origin, shape), met(xy, origin)
+    off = hits.distance - flat.distance
+    beside = (flat.face == 3) & (np.abs(xy[:, 0] - SIZE[0] / 2 + CAB_M) > 0.3) & (np.abs(xy[:, 0]) < 0.45 * SIZE[0])
+    of_cab = xy[:, 0] > SIZE[0] / 2 - CAB_M
+    assert (beside & of_cab).any()
+    assert (beside & ~of_cab).any()
+    assert off[beside & of_cab] == pytest.approx(0.08, abs=0.005)
+    assert off[beside & ~of_cab] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_only_what_is_as_wide_as_a_lorry_may_have_a_cab() -> None:
+    cab = SHAPE.index("cab")
+    assert [expected_shape(width)[1][cab] > 0.01 for width in (1.8, 2.1, 2.3, 2.55)] == [False, False, True, True]
 
 
 def test_a_turned_vehicle_is_met_alike() -> None:
