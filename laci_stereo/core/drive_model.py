@@ -202,7 +202,7 @@ class Rows(Columns):
     distance, variance : ndarray, shape (n,)
     cos : ndarray, shape (n,)
         By which ranges are longer than distances; 0 where there is no range.
-    jacobian : ndarray, shape (n, 18)
+    jacobian : ndarray, shape (n, 19)
         Of the range, times the cosine: what is measured is the range, while the line of sight is known.
     by_time : ndarray, shape (n,)
         The same by the time of the messages, at that moment.

@@ -13,7 +13,7 @@ from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.outline import SIDES
+from laci_stereo.core.outline import SHAPE, SIDES
 from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import BRAKING, CIRCLE, STRAIGHT, TRUTH, TURN, evidence, told
 from tests.simulated import Drive
@@ -203,7 +203,8 @@ def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
     x = np.zeros(FIRST_OWN + model.own)
     x[0], x[1:3] = TRUTH.yaw_rad, TRUTH(model.centre[None])[0]
-    x[FIRST_OWN + 10 : FIRST_OWN + 12] = -1.0  # the sharpest corners
+    radii = FIRST_OWN + 3 + SHAPE.index("front_radius")
+    x[radii : radii + 2] = -1.0  # the sharpest corners
     return model, x
 
 

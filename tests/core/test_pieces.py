@@ -84,9 +84,9 @@ def test_what_a_car_tows_is_warned_of(drive: Drive) -> None:
 
 
 def test_where_either_of_two_may_be_the_vehicle_it_is_refused() -> None:
-    # What is nearest to the length that is told lacks an end, and beside it is the rest, or another.
+    # The length that is told is neither the car's, nor the caravan's, nor that of both.
     with pytest.raises(MatchError, match=r"moves with the vehicle.*were never seen.*which of them is the vehicle"):
-        calibrated(seen_as((part(0.5, 3.5, 2.0), part(-7.3, -0.8, 2.3)), (8.5, 2.3)))
+        calibrated(seen_as((part(-0.9, 3.5, 2.1), part(-7.6, -2.2, 2.1)), (7.0, 2.1), LEFT_TURN))
 
 
 def test_beside_another_in_the_next_lane_nothing_is_towed() -> None:
