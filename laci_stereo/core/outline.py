@@ -54,7 +54,7 @@ HEAVY_CAB_M = (0.04, 0.05)
 """Mean and standard deviation of how far a cab's sides stand back, of what is as wide as a lorry: cabs are 2.3 to 2.5 m
 wide, what they carry up to 2.55 m, and a bus has none."""
 
-_CAB, _RADII = 7, slice(8, 10)
+_CAB = SHAPE.index("cab")
 
 SHARP_M = 0.05
 """Below this a radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
@@ -131,7 +131,7 @@ def meet(
     shape : ndarray, shape (10,)
         See `SHAPE`.
     """
-    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, _, _ = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, *radii = shape
     half = np.array([size[0] / 2, size[1] / 2])
     ray = xy - origin
     far = np.hypot(ray[:, 0], ray[:, 1])
@@ -196,7 +196,7 @@ def meet(
     of_front = np.where(round_, outward[:, 0] > 0.0, ahead)
     of_end, of_side = round_ | at_end, round_ | ~at_end
     out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
-    fading = 1.0 / (1.0 + np.exp(-shape[_RADII] / SHARP_M))
+    fading = 1.0 / (1.0 + np.exp(-np.divide(radii, SHARP_M)))
     by_radius = np.where(round_, np.abs(normal[:, 0]) + np.abs(normal[:, 1]) - 1.0, 0.0) * np.where(of_front, *fading)
     return Hits(
         distance=distance,

@@ -29,8 +29,8 @@ MOSTLY = 0.9
 """In this share of the frames both together are no larger than the vehicle."""
 
 SIDE_SEEN_RAD = 0.35
-"""Where rays meet a side at this angle or a steeper one, its far end is seen as well: at 20 deg, three points there are
-as far apart along the side as one is from the next across the view."""
+"""Where rays meet a side at this angle or a steeper one, its far end is seen as well: at 20 deg its points are three
+times as far apart along it as across the view."""
 
 LEAST_UNSEEN_M = 1.0
 """A bonnet that lies below a sparse scanner's layers, or mirrors what a camera looks for, is up to a metre long."""

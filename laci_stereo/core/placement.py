@@ -23,6 +23,10 @@ from laci_stereo.core.tracking import Track
 LEAST_EXPLAINED = 0.5
 """Of the points; where the outline stands for fewer, it is something else that was registered."""
 
+ANOTHER_PIECE = (
+    "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
+)
+
 
 def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Placement:
     """Match the boxes' centres with the positions of the messages (paper section III-D).
@@ -64,8 +68,7 @@ def place_jointly(choice: Choice, vehicle: VehicleTrack, height_m: float, settin
     """
     drive = evidence_of(choice.track, vehicle, height_m)
     fit = fit_jointly([drive], choice.fit, [choice.time_offset_s], settings.joint)
-    lacks = _lacks(drive, fit.match, fit.time_offsets_s[0])
-    if choice.beside and lacks:
+    if choice.beside and (lacks := _lacks(drive, fit.match, fit.time_offsets_s[0])):
         raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
     return place(fit, [drive], len(choice.track.sightings), settings)
 
@@ -115,6 +118,17 @@ def place(
         )
     frames = sum(map(len, drives))
     left_out = {"unknown": sightings - frames, "bare": frames - fit.frames}
+    contradicted = [
+        (name, _in_words(correction))
+        for name, corrections in zip(names, fit.corrections, strict=True)
+        for correction in corrections
+        if abs(correction.value) > 4.0 * correction.sigma
+    ]
+    contradicted += [
+        (name, f"{lacks}: {ANOTHER_PIECE}")
+        for name, drive, offset_s in zip(names, drives, fit.time_offsets_s, strict=True)
+        if (lacks := _lacks(drive, fit.match, offset_s))
+    ]
     return Placement(
         match=fit.match,
         middle_level=fit.centre_level,
@@ -127,18 +141,7 @@ def place(
         turn=fit.turn,
         remarks=(_turning(fit),) if any(drive.turn_s for drive in drives) else (),
         advice=advice,
-        contradictions=tuple(
-            f"{name}: {_in_words(correction)}" if name else _in_words(correction)
-            for name, corrections in zip(names, fit.corrections, strict=True)
-            for correction in corrections
-            if abs(correction.value) > 4.0 * correction.sigma
-        )
-        + tuple(
-            f"{f'{name}: ' if name else ''}{lacks}: what was seen may be another piece of it, or its length wrong, and "
-            "the position off by as much along the way"
-            for name, drive, offset_s in zip(names, drives, fit.time_offsets_s, strict=True)
-            if (lacks := _lacks(drive, fit.match, offset_s))
-        ),
+        contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
     )
 
 
