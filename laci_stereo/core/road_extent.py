@@ -21,6 +21,9 @@ REACH_M = 9.0
 
 CELL_M = 0.5
 
+NO_WINDOW_RAD = 1e-6
+"""Narrower than what two cells are apart."""
+
 COARSE_M = 0.003
 """What squares of that size differ by on an even road: chippings, markings, covers."""
 
@@ -138,7 +141,11 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     piece = 2 * (along_m // PIECE_M).astype(np.int64) + (left_m > 0.0)
     beside = np.abs(dot_xy(forward, off)) < 2 * CELL_M  # and neither before the way nor behind it
     even = spread < GATE * np.sqrt(noise + COARSE_M**2)
-    return Cells(middle, height, variance, np.sqrt(noise), left_m, piece)[beside & even]
+    bearing = np.column_stack(
+        [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
+    )
+    sight = bearing / max(NO_WINDOW_RAD, *(cloud.window_rad for cloud in clouds))
+    return Cells(middle, height, variance, np.sqrt(noise), left_m, piece, sight)[beside & even]
 
 
 def _medians(values: FloatArray, group: IntArray) -> FloatArray:

@@ -58,6 +58,9 @@ class Cells(Columns):
         How far to the left of the way.
     piece : ndarray of int, shape (n,)
         Piece of the way, one number for each of its sides.
+    sight : ndarray, shape (n, 2)
+        Azimuth and elevation in which the sensor sees it, in windows of its matcher: what is in one has all noise in
+        common. A scanner's windows are too narrow for two.
     """
 
     xy: FloatArray
@@ -66,6 +69,7 @@ class Cells(Columns):
     sigma_m: FloatArray
     left_m: FloatArray
     piece: IntArray
+    sight: FloatArray
 
     def __len__(self) -> int:
         return len(self.z)
@@ -114,8 +118,11 @@ class Surface:
         of_each = [len(_CROWNS_M), self.crossed_m.size]
         before = -np.log(np.repeat(of_each, of_each))[:, None]
         patches = _merged(np.column_stack([self._basis(cells.xy), crowns]), cells)
-        basis, crowns, z, sigma_m, variance, xy = np.split(patches, np.cumsum([6, crowns.shape[1], 1, 1, 1]), axis=1)
-        noise = np.diag(variance[:, 0]) + shared_noise_share**2 * sigma_m @ sigma_m.T + (basis * prior) @ basis.T
+        widths = np.cumsum([6, crowns.shape[1], 1, 1, 1, 2])
+        basis, crowns, z, sigma_m, variance, xy, sight = np.split(patches, widths, axis=1)
+        overlap = np.maximum(0.0, 1.0 - np.abs(sight[:, None] - sight)).prod(axis=2)
+        noise = np.sqrt(variance @ variance.T) * overlap
+        noise += shared_noise_share**2 * sigma_m @ sigma_m.T + (basis * prior) @ basis.T
         alike = np.exp(-np.linalg.norm(xy[:, None] - xy, axis=2) / REACH_M)
         found = []
         for uneven in _CLASSES:
@@ -205,9 +212,12 @@ def _merged(columns: FloatArray, cells: Cells) -> FloatArray:
         if patch.max() < _PATCHES:
             break
         side_m *= 1.2
+    window = np.floor(cells.sight).astype(np.int64)
+    _, alike, count = np.unique(np.column_stack([patch, window]), axis=0, return_inverse=True, return_counts=True)
     weight = 1.0 / cells.variance
     total = np.bincount(patch, weight)
-    rows = np.column_stack([columns, cells.z, cells.sigma_m, cells.variance, cells.xy])
+    told = np.bincount(patch, weight / count[alike.reshape(-1)])
+    rows = np.column_stack([columns, cells.z, cells.sigma_m, cells.variance, cells.xy, cells.sight])
     means = np.stack([np.bincount(patch, weight * row) / total for row in rows.T], axis=1)
-    means[:, -3] = 1.0 / total
+    means[:, -5] = 1.0 / told
     return means

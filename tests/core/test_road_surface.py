@@ -11,11 +11,17 @@ SIGMA_M = 0.01
 LANE_M = 3.5
 
 
+def apart(n: int) -> FloatArray:
+    """Return directions of which no two are in one window."""
+    return np.repeat(np.arange(n, dtype=np.float64)[:, None], 2, axis=1)
+
+
 def cells(left_m: FloatArray, along_m: FloatArray, z: FloatArray) -> Cells:
     """Return cells along a straight way along x, of exact places."""
     n = len(z)
     noise = np.full(n, SIGMA_M)
-    return Cells(np.column_stack([along_m, left_m]), z, noise**2, noise, left_m, np.zeros(n, dtype=np.int64))
+    piece = np.zeros(n, dtype=np.int64)
+    return Cells(np.column_stack([along_m, left_m]), z, noise**2, noise, left_m, piece, apart(n))
 
 
 def road(
@@ -83,7 +89,7 @@ def crossed(rng: np.random.Generator, slopes: FloatArray, fall: float, towards_r
     from_crown = xy @ [np.cos(towards_rad), np.sin(towards_rad)]
     noise = np.full(400, SIGMA_M)
     z = xy @ slopes - fall * np.abs(from_crown) + uneven + rng.normal(0.0, SIGMA_M, 400)
-    return Cells(xy, z, noise**2, noise, left, np.zeros(400, dtype=np.int64))
+    return Cells(xy, z, noise**2, noise, left, np.zeros(400, dtype=np.int64), apart(400))
 
 
 @pytest.mark.parametrize("radius_m", [12.0, 25.0, 1e4])
@@ -115,6 +121,33 @@ def test_what_all_points_share_is_in_the_doubt() -> None:
     seen = road(np.random.default_rng(0), (-LANE_M, LANE_M), np.zeros(2), 0.0, 0.0)
     alone, together = (Surface(seen, share).plane()[1][0, 0] for share in (0.0, 1.0))
     assert together - alone == pytest.approx(SIGMA_M**2, rel=0.1)
+
+
+def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_windows() -> None:
+    # Far away several cells of the ground plan are in one window of a camera that hangs 5 m high.
+    rng = np.random.default_rng(2)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(12.0, 36.0, 0.5), np.arange(-4.0, 4.0, 0.5)))
+    sight = np.column_stack([np.arctan2(y, x), -np.arctan2(5.0, x)]) / 0.02
+    alike = np.maximum(0.0, 1.0 - np.abs(sight[:, None] - sight)).prod(axis=2)
+    noise = 0.05 * (x / 25.0) ** 2
+    away = np.hypot(x[:, None] - x, y[:, None] - y)
+    both = noise[:, None] * noise * alike + CLASS_B_M**2 * np.exp(-away / REACH_M)
+    root = np.linalg.cholesky(both + 1e-8 * np.eye(len(x)))
+    squares = []
+    for _ in range(60):
+        seen = Cells(
+            np.column_stack([x, y]),
+            root @ rng.normal(size=len(x)),
+            noise**2,
+            noise,
+            y,
+            np.zeros(len(x), dtype=np.int64),
+            sight,
+        )
+        value, covariance, _ = Surface(seen, 0.0).plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+    assert 0.2 < np.mean(squares) < 2.0
+    assert np.mean(np.array(squares) > 3.0**2) < 0.05
 
 
 def test_a_surface_is_known_where_it_was_seen_and_less_beyond() -> None:
