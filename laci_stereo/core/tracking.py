@@ -32,6 +32,9 @@ FILTERED = 10
 """So many sightings at the beginning of a track tell its velocity there."""
 
 
+STRAY = 0.5
+"""Cost of taking a sighting at an end of a track for something else's, in gates."""
+
 Times = tuple[tuple[float, float], ...]
 """Intervals, each from one time to another."""
 
@@ -245,40 +248,53 @@ def _pairs(cost: FloatArray) -> dict[int, int]:
 
 
 def _stitched(parts: Sequence[Moving], settings: TrackSettings) -> list[Track]:
-    """Close the gaps between what ends and what begins, over all pairs at once."""
-    first = [backwards(part, settings) for part in parts]
-    begins_s = np.array([part.last.stamp_s for part in first])
-    ends_s = np.array([part.last.stamp_s for part in parts])
-    gap_s = begins_s - ends_s[:, None]
-    strains = {
-        (int(i), int(j)): found
-        for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s))
-        if (found := strain(parts[i], first[j], float(gap_s[i, j]), settings)) < 1.0
-    }
-    rows, columns = (sorted({pair[axis] for pair in strains}) for axis in (0, 1))
-    cost = np.full((len(rows), len(columns)), UNLINKED)
-    for (i, j), found in strains.items():
-        cost[rows.index(i), columns.index(j)] = found
-    after_of = {rows[before]: columns[after] for after, before in _pairs(cost).items()}
+    """Close the gaps between what ends and what begins, over all pairs at once.
+
+    What ends with a sighting of something else has lost its way by that; without it the gap may close.
+    """
+    found: dict[tuple[int, int], tuple[float, int, int]] = {}
+    for stray_last, stray_first in ((0, 0), (1, 0), (0, 1)):
+        ends = [_without_last(part, stray_last, settings) for part in parts]
+        begins = [backwards(part.sightings[stray_first:] or part.sightings, settings) for part in parts]
+        gap_s = np.subtract.outer([one.last.stamp_s for one in begins], [one.last.stamp_s for one in ends]).T
+        for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s)).tolist():
+            cost = strain(ends[i], begins[j], float(gap_s[i, j]), settings) + STRAY * (stray_last + stray_first)
+            if i != j and cost < found.get((i, j), (1.0,))[0]:
+                found[i, j] = cost, stray_last, stray_first
+    rows, columns = (sorted({pair[axis] for pair in found}) for axis in (0, 1))
+    costs = np.full((len(rows), len(columns)), UNLINKED)
+    for (i, j), (cost, *_) in found.items():
+        costs[rows.index(i), columns.index(j)] = cost
+    after_of = {rows[before]: columns[after] for after, before in _pairs(costs).items()}
     tracks = []
     for index in range(len(parts)):
         if index in after_of.values():
             continue
         sightings = list(parts[index].sightings)
         while index in after_of:
+            _, stray_last, stray_first = found[index, after_of[index]]
             index = after_of[index]
-            sightings += parts[index].sightings
+            sightings = sightings[: len(sightings) - stray_last] + parts[index].sightings[stray_first:]
         tracks.append(Track(tuple(sightings)))
     return tracks
 
 
-def backwards(part: Moving, settings: TrackSettings) -> Moving:
-    """Filter a track's beginning against time, so that its last sighting is the first one."""
-    few = part.sightings[:FILTERED][::-1]
-    turned = [replace(one, stamp_s=-one.stamp_s) for one in few]
-    moving = Moving(turned[0], settings)
-    for one in turned[1:]:
+def _without_last(part: Moving, strays: int, settings: TrackSettings) -> Moving:
+    left = part.sightings[: len(part.sightings) - strays]
+    return _filtered(left, settings) if strays and left else part
+
+
+def _filtered(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
+    moving = Moving(sightings[0], settings)
+    for one in sightings[1:]:
         moving.add(one, settings)
+    return moving
+
+
+def backwards(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
+    """Filter the beginning of a track against time, so that its last sighting is the first one."""
+    few = list(sightings[:FILTERED][::-1])
+    moving = _filtered([replace(one, stamp_s=-one.stamp_s) for one in few], settings)
     moving.state[1] = -moving.state[1]
     moving.sightings = few
     return moving

@@ -178,7 +178,7 @@ class Linker:
         """Put a track behind one that was lost before, where the velocities agree with the way in between."""
         part = Moving(live.head[0], settings)
         part.sightings = list(live.head)
-        begin = backwards(part, settings)
+        begin = backwards(part.sightings, settings)
         strains = [np.inf]
         for one in self.lost:
             gap_s = live.first_s - one.last_s

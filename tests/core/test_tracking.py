@@ -126,6 +126,20 @@ def test_a_long_occlusion_is_bridged(rate_hz: float, lost_s: float) -> None:
     assert same(found, seen)
 
 
+@pytest.mark.parametrize("off_m", [(-4.5, 1.0), (-4.0, -2.0), (4.5, 0.0), (1.0, 4.0)])
+@pytest.mark.parametrize("lost", [2, 3])
+def test_a_track_that_ended_with_something_else_goes_on(lost: int, off_m: tuple[float, float]) -> None:
+    true = driven(Drive((-20.0, 0.0), 0.0, speeds=((0.0, 8.0),)), 3.3, jitter_m=0.2)
+    shown = true.sightings[:8] + true.sightings[8 + lost :]
+    # While something passes before it, only a piece of that is seen.
+    there = true.sightings[7 + lost]
+    stray = sighting(there.stamp_s, there.middle + off_m)
+    found = {id(one) for one in link_tracks(frames_of(Track(shown), Track((stray,))))[0].sightings}
+    assert id(stray) not in found
+    # The piece may have taken the next sighting with it.
+    assert len({id(one) for one in shown} - found) <= 1
+
+
 def test_what_comes_the_other_way_does_not_take_over_what_is_lost() -> None:
     east = driven(Drive((-20.0, 0.0), 0.0, speeds=((0.0, 12.0),)), 10.0, last_s=2.0)
     west = driven(Drive((33.0, 3.5), 180.0, speeds=((0.0, 12.0),)), 10.0)
