@@ -1,6 +1,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,10 @@ from laci_lidar.settings import LidarSettings
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.frames import invert, transform
+from laci_stereo.core.frames import invert, rigid, transform
 from tools.scenes.disparity import SURFACES, Mounted, StereoFlaws, match_frame, reproject, stereo_camera
 from tools.scenes.geometry import Body, Material, Mesh, RayCaster
-from tools.scenes.scene import Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
+from tools.scenes.scene import STATION, Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
 from tools.scenes.sensors import LIDARS, LidarFlaws, lidar, sweep
 from tools.scenes.traffic import collide
 from tools.scenes.world import LAYOUTS, draw_road, still
@@ -329,26 +330,58 @@ def test_an_easy_scene_is_calibrated_to_a_part_of_a_car(sensor):
     assert errors.rotation_deg < 3.0
 
 
-def test_errors_of_the_truth_are_nothing():
-    class Exact:
-        world = type("World", (), {"crs": ""})()
-        quality = type("Quality", (), {"track_xy_sigma_m": 0.1, "yaw_sigma_deg": 0.2, "tilt_sigma_deg": 0.1})()
+def exact(scene, station_id=STATION):
+    """Return a calibration without an error, that claims 0.1 m and some angles about the middle of the track."""
+    middle = scene.track_utm_of(station_id).mean(axis=0)
+    return SimpleNamespace(
+        world=SimpleNamespace(crs=scene.crs, from_utm=lambda utm: utm - middle),
+        T_utm_sensor=scene.T_utm_sensor.copy(),
+        station_id=station_id,
+        covariance=np.diag([0.0, 0.0, 0.0, 0.005, 0.005, 0.0]),
+        centre_world=np.zeros(3),
+        quality=SimpleNamespace(yaw_sigma_deg=0.2, tilt_sigma_deg=0.1),
+    )
 
+
+def test_errors_count_where_the_vehicle_drove_that_was_taken():
+    # A turn about the middle of another's track moves what is there by less than what is elsewhere.
+    scene = draw_scene(7, "lidar_16", vehicles=1, stations=1)
+    its = scene.track_utm_of(STATION + 1)
+    its = its[np.linalg.norm(its - scene.T_utm_sensor[:2, 3], axis=1) < 60.0]
+    about = rigid(np.eye(3), np.append(its.mean(axis=0), 0.0))
+    turn = rigid(Rotation.from_rotvec([0.0, 0.0, 1.0], degrees=True).as_matrix(), np.zeros(3))
+    turned = exact(scene, STATION + 1)
+    turned.T_utm_sensor = about @ turn @ np.linalg.inv(about) @ scene.T_utm_sensor
+    expected_m = 2.0 * np.sin(np.radians(0.5)) * np.sqrt(((its - its.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert errors_of(turned, scene).track_xy_cm == pytest.approx(100.0 * expected_m, rel=1e-6)
+
+
+def test_errors_are_held_against_what_is_claimed_where_they_are():
     scene = draw_scene(7, "lidar_16")
-    exact = Exact()
-    exact.world.crs, exact.T_utm_sensor = scene.crs, scene.T_utm_sensor
-    errors = errors_of(exact, scene)
+    found = exact(scene)
+    found.T_utm_sensor[0, 3] += 0.05
+    assert errors_of(found, scene).sigma_ratio == pytest.approx(0.5, rel=1e-6)
+    found.covariance[2, 2] = np.radians(1.0) ** 2
+    track = scene.track_utm[np.linalg.norm(scene.track_utm - scene.T_utm_sensor[:2, 3], axis=1) < 60.0]
+    away = np.sqrt(((track - scene.track_utm.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert errors_of(found, scene).sigma_ratio == pytest.approx(0.05 / np.hypot(0.1, np.radians(1.0) * away), rel=1e-6)
+
+
+def test_errors_of_the_truth_are_nothing():
+    scene = draw_scene(7, "lidar_16")
+    found = exact(scene)
+    errors = errors_of(found, scene)
     assert errors.track_xy_cm == pytest.approx(0.0, abs=1e-4)
     assert errors.rotation_deg == pytest.approx(0.0, abs=1e-6)
     turned = scene.T_utm_sensor.copy()
     turned[0, 3] += 0.05
-    exact.T_utm_sensor = turned
-    assert errors_of(exact, scene).track_xy_cm == pytest.approx(5.0, abs=1e-3)
+    found.T_utm_sensor = turned
+    assert errors_of(found, scene).track_xy_cm == pytest.approx(5.0, abs=1e-3)
     for turn, ratio in ((np.array([0.0, 0.0, 1.0]), 5.0), (np.array([0.6, 0.8, 0.0]), 10.0)):
         R = Rotation.from_rotvec(turn, degrees=True).as_matrix()
-        exact.T_utm_sensor = scene.T_utm_sensor.copy()
-        exact.T_utm_sensor[:3, :3] = R @ scene.T_utm_sensor[:3, :3]
-        assert errors_of(exact, scene).rotation_ratio == pytest.approx(ratio, rel=1e-3)
+        found.T_utm_sensor = scene.T_utm_sensor.copy()
+        found.T_utm_sensor[:3, :3] = R @ scene.T_utm_sensor[:3, :3]
+        assert errors_of(found, scene).rotation_ratio == pytest.approx(ratio, rel=1e-3)
 
 
 def test_a_data_set_is_what_was_simulated(tmp_path: Path):

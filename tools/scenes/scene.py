@@ -293,7 +293,12 @@ class Scene:
     @cached_property
     def track_utm(self) -> FloatArray:
         """The middle of the sender's box in UTM at the frames' stamps, shape (n, 2)."""
-        return self.place.to_utm(self.sender.track(self.times_s)[0])
+        return self.track_utm_of(STATION)
+
+    def track_utm_of(self, station: int) -> FloatArray:
+        """Return the same of the vehicle of a station: others may send as well."""
+        mover = self.sender if station == STATION else _talking(self.others)[station - STATION - 1]
+        return self.place.to_utm(mover.track(self.times_s)[0])
 
     @cached_property
     def T_utm_sensor(self) -> FloatArray:
@@ -318,7 +323,7 @@ class Errors:
         Root mean square error of ground points under the vehicle's true track, in the plane and in height.
     rotation_deg, position_cm : float
     sigma_ratio : float
-        ``track_xy_cm`` over what the calibration claims.
+        ``track_xy_cm`` over what the calibration's covariance claims for the same points.
     rotation_ratio : float
         The error of yaw, or of tilt where that is worse, over what is claimed of it.
     """
@@ -334,11 +339,12 @@ class Errors:
 def errors_of(calibration: Calibration, scene: Scene) -> Errors:
     """Hold a calibration against the truth: ground points along the track within 60 m, carried over by both.
 
-    Both must be in the same UTM zone: on a border, pass ``scene.crs`` to the calibration.
+    The track is that of the vehicle whose messages were taken. Both must be in the same UTM zone: on a border, pass
+    ``scene.crs`` to the calibration.
     """
     assert calibration.world.crs == scene.crs, f"{calibration.world.crs} is not {scene.crs}"
     T_true, T_found = scene.T_utm_sensor, calibration.T_utm_sensor
-    track = scene.track_utm
+    track = scene.track_utm_of(calibration.station_id)
     track = track[np.linalg.norm(track - T_true[:2, 3], axis=1) < SCORED_M]
     ground = np.column_stack([track, np.zeros(len(track))])
     error = transform(T_found @ invert(T_true), ground) - ground
@@ -350,9 +356,18 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
         track_z_cm=100 * float(np.sqrt((error[:, 2] ** 2).mean())),
         rotation_deg=float(np.degrees(2 * np.arcsin(min(apart, 1.0)))),
         position_cm=100 * float(np.linalg.norm((T_found - T_true)[:3, 3])),
-        sigma_ratio=track_xy / max(calibration.quality.track_xy_sigma_m, 1e-9),
+        sigma_ratio=track_xy / max(_claimed_xy_m(calibration, track), 1e-9),
         rotation_ratio=_rotation_ratio(T_found[:3, :3] @ T_true[:3, :3].T, calibration.quality),
     )
+
+
+def _claimed_xy_m(calibration: Calibration, track_utm: FloatArray) -> float:
+    """Return the root mean square error in the plane that a calibration claims for ground points."""
+    x, y = (calibration.world.from_utm(track_utm) - calibration.centre_world[:2]).T
+    none, one = np.zeros_like(x), np.ones_like(x)
+    # A rotation vector moves (x, y, 0) by (-z y, z x); what tilts moves it upwards.
+    by = np.array([[none, none, -y, one, none, none], [none, none, x, none, one, none]])
+    return float(np.sqrt(np.einsum("api,pq,aqi->i", by, calibration.covariance, by).mean()))
 
 
 def _rotation_ratio(R_error: FloatArray, quality: Quality) -> float:
@@ -583,11 +598,15 @@ def _messages(
 ) -> CamLog:
     span = (float(times_s[0]) - 1.5, float(times_s[-1]) + 1.5)
     logs = [cam_log(sender, place, flaws, span, STATION, vehicle.mirror_width_m, draw.rng("cam"))]
-    talking = [mover for mover in others if mover.name.startswith("other_vehicle")][:stations]
-    for number, mover in enumerate(talking, start=1):
+    for number, mover in enumerate(_talking(others)[:stations], start=1):
         rng = draw.rng(f"cam {number}")
         logs.append(cam_log(mover, place, flaws, span, STATION + number, mover.width_m + 0.3, rng))
     return together(logs)
+
+
+def _talking(others: Sequence[Mover]) -> list[Mover]:
+    """Return the other vehicles in the order in which they become stations."""
+    return [mover for mover in others if mover.name.startswith("other_vehicle")]
 
 
 def _lidar_flaws(draw: Draw, factors: Factors, sensor: Lidar | StereoCamera) -> LidarFlaws:
