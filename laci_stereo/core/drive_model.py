@@ -36,6 +36,10 @@ that err together must not pull the messages with them."""
 KNOTS_PER_TIME = 4
 """Knots of an error's course in the time over which it decays."""
 
+SAME_ERROR_M = 10.0
+"""A matcher errs by texture, by gloss and by what is behind an edge, and so alike until the vehicle is seen from
+elsewhere: 20 m from the camera it has turned by 30 deg after so much of its way."""
+
 FINEST_M = 0.01
 """No position is better than that: its last digit in the message is a centimetre."""
 
@@ -143,13 +147,15 @@ class Fitness:
         information: FloatArray = (self.jacobian * self.precision[:, None]).T @ self.jacobian
         return information
 
-    @property
-    def scatter(self) -> FloatArray:
-        """Squares of the scores' sums over each block of time, summed, shape (p, p)."""
-        blocks = np.zeros((int(self.block.max(initial=0)) + 1, self.scores.shape[1]))
-        np.add.at(blocks, self.block, self.scores)
-        scatter: FloatArray = blocks.T @ blocks
-        return scatter
+    def by_block(self) -> tuple[FloatArray, FloatArray]:
+        """Return of each block of time the sum of its scores, shape (b, p), and what it tells, shape (b, p, p)."""
+        block = np.unique(self.block, return_inverse=True)[1].reshape(-1)
+        count, size = int(block.max(initial=-1)) + 1, self.scores.shape[1]
+        scores = np.zeros((count, size))
+        np.add.at(scores, block, self.scores)
+        parts = [np.flatnonzero(block == one) for one in range(count)]
+        told = [(self.jacobian[part] * self.precision[part, None]).T @ self.jacobian[part] for part in parts]
+        return scores, np.array(told).reshape(-1, size, size)
 
 
 @dataclass(frozen=True)
@@ -368,6 +374,26 @@ class DriveModel:
             rows=float(len(rows.distance)),
             frames=int(held.sum()),
         )
+
+    def lasting(self, rows: Rows, fitness: Fitness) -> FloatArray:
+        """Return what the gradient varies by, shape (p, p), because a matcher's errors last from frame to frame.
+
+        What points on one side of a frame have in common decays with the way; what they have within the frame is in
+        their weights.
+        """
+        size = fitness.jacobian.shape[1]
+        total: FloatArray = np.zeros((size, size))
+        if self.drive.window_rad == 0.0 or not len(self.drive.points):
+            return total
+        way = _way_m(self.drive)
+        alike = np.exp(-np.abs(way[:, None] - way) / SAME_ERROR_M) - np.eye(len(way))
+        pulls = fitness.jacobian * (fitness.precision * fitness.jacobian[:, BIAS])[:, None]
+        for side in range(outline.SIDES):
+            its = rows.face == side
+            by_frame = np.zeros((len(way), size))
+            np.add.at(by_frame, rows.frame[its], pulls[its])
+            total += by_frame.T @ alike @ by_frame
+        return self.settings.shared_noise_share * total
 
     def gain(self, rows: Rows, before: Rows, shares: FloatArray) -> float:
         """Return by how much likelier the ranges are than before, with noise and angles of incidence held as they were.
@@ -593,14 +619,19 @@ def _worth(drive: Evidence) -> FloatArray:
     """
     if not len(drive):
         return np.ones(0)
-    xy = drive.vehicle.at(drive.stamps_s)[0]
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))) / SAME_VIEW_M
+    way = _way_m(drive) / SAME_VIEW_M
     total = np.append(0.0, np.cumsum(way))
     first, last, own = np.searchsorted(way, way - 1.0), np.searchsorted(way, way + 1.0), np.arange(len(way))
     before = (own - first) * (1.0 - way) + total[own] - total[first]
     after = (last - own) * (1.0 + way) - total[last] + total[own]
     worth: FloatArray = 1.0 / (before + after)
     return worth
+
+
+def _way_m(drive: Evidence) -> FloatArray:
+    """Return how far the vehicle has come at each frame, shape (m,)."""
+    xy = drive.vehicle.at(drive.stamps_s)[0]
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
 
 
 def mean_overlap(extent: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.scatter import Blocks, grown
 from laci_stereo.core.settings import JointSettings, with_turn
 
 SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
@@ -322,7 +323,7 @@ class _Problem:
             if (x - before) @ information @ (x - before) < CONVERGED:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        return _Solved(x, self._covariance(inverse, fitness), tuple(fitness), tuple(self.own))
+        return _Solved(x, self._covariance(inverse, fitness, rows), tuple(fitness), tuple(self.own))
 
     def _climb(
         self, x: FloatArray, rows: Sequence[Rows], shares: Sequence[FloatArray], chosen: Sequence[Chosen]
@@ -394,19 +395,18 @@ class _Problem:
             total[np.ix_(index, index)] += part
         return total
 
-    def _covariance(self, inverse: FloatArray, fitness: Sequence[Fitness]) -> FloatArray:
+    def _covariance(self, inverse: FloatArray, fitness: Sequence[Fitness], rows: Sequence[Rows]) -> FloatArray:
         """Return the covariance of all parameters, no smaller than the residuals' scatter says.
 
-        The scores of a second of frames each are summed as they are (cluster-robust, Huber 1967): where residuals of
-        successive frames agree more than the model has it, the covariance grows in that direction.
+        Where residuals of successive frames agree more than the model has it, the covariance grows in that direction;
+        and by what lasts from frame to frame, which the estimate may have followed all the way.
         """
-        scatter = self._with_prior([each.scatter for each in fitness])
-        robust = inverse @ scatter @ inverse
-        root = np.linalg.cholesky(inverse)
-        whitened = np.linalg.solve(root, np.linalg.solve(root, robust).T)
-        values, vectors = np.linalg.eigh((whitened + whitened.T) / 2)
-        grown: FloatArray = root @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ root.T
-        return grown
+        places = self._places()
+        parts = [Blocks(index, *each.by_block()) for index, each in zip(places, fitness, strict=True)]
+        lasting = np.zeros_like(inverse)
+        for model, each, its, index in zip(self.models, fitness, rows, places, strict=True):
+            lasting[np.ix_(index, index)] += model.lasting(its, each)
+        return grown(inverse, self.precision, parts) + inverse @ lasting @ inverse
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,28 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert np.max(squared) < 16.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", [STRAIGHT, TURN], ids=["straight", "turn"])
+def test_errors_of_a_matcher_that_last_are_in_the_covariance(drive: Drive) -> None:
+    # A part of the noise is common to all points of a frame, and decays over ten metres of the way.
+    squared = []
+    for seed in range(40):
+        plain = replace(evidence(drive, seed=seed, sigma_m=0.3, per_frame=30), window_rad=0.005)
+        xy = plain.vehicle.at(plain.stamps_s)[0]
+        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+        alike = np.exp(-np.abs(way[:, None] - way) / 10.0) + 1e-9 * np.eye(len(way))
+        common = np.linalg.cholesky(alike) @ np.random.default_rng([seed, 3]).normal(size=len(way))
+        off_m = np.sqrt(JointSettings().shared_noise_share) * plain.sigma_along_m * common[plain.frame]
+        sensor = np.array([0.0, 0.0, plain.height_m])
+        sight = plain.points - sensor
+        longer = 1.0 + off_m / np.linalg.norm(sight[:, :2], axis=1)
+        fit = fit_jointly([replace(plain, points=sensor + longer[:, None] * sight)], TRUTH, close=True)
+        squared.append(error(fit)[0] ** 2 / fit.covariance[0, 0])
+    # Chi-square of one degree of freedom, 40 times.
+    assert 0.5 < np.mean(squared) < 1.7
+    assert np.max(squared) < 4.0**2
+
+
 @pytest.mark.parametrize("offset_s", [-0.3, 0.12, 0.3])
 @pytest.mark.parametrize("drive", [TURN, BRAKING], ids=["turn", "braking"])
 def test_an_unknown_clock_is_found_where_the_speed_changes(drive: object, offset_s: float) -> None:
