@@ -256,7 +256,8 @@ def _stitched(parts: Sequence[Moving], settings: TrackSettings) -> list[Track]:
     for stray_last, stray_first in ((0, 0), (1, 0), (0, 1)):
         ends = [_without_last(part, stray_last, settings) for part in parts]
         begins = [backwards(part.sightings[stray_first:] or part.sightings, settings) for part in parts]
-        gap_s = np.subtract.outer([one.last.stamp_s for one in begins], [one.last.stamp_s for one in ends]).T
+        begins_s, ends_s = (np.array([one.last.stamp_s for one in each]) for each in (begins, ends))
+        gap_s = begins_s - ends_s[:, None]
         for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s)).tolist():
             cost = strain(ends[i], begins[j], float(gap_s[i, j]), settings) + STRAY * (stray_last + stray_first)
             if i != j and cost < found.get((i, j), (1.0,))[0]:
