@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -34,6 +35,13 @@ FILTERED = 10
 
 STRAY = 0.5
 """Cost of taking a sighting at an end of a track for something else's, in gates."""
+
+LEAST_PIECE = 3
+"""Sightings that tell a velocity."""
+
+UNLIKELY, MOST_KEPT = 1.0, 2.0
+"""Two are exchanged if the squares of the strains are smaller so by this: half of nine times that are odds of a hundred
+to one; and a track that is cut has at most this square, twice a gate's."""
 
 Times = tuple[tuple[float, float], ...]
 """Intervals, each from one time to another."""
@@ -190,6 +198,11 @@ def _noise(settings: TrackSettings) -> float:
     return (settings.jitter_m / 2) ** 2
 
 
+Links = dict[tuple[int, int], tuple[float, int, int]]
+"""What may follow what: the cost, and how many sightings are then strays, at the end of the one and the beginning of
+the other."""
+
+
 class Moving:
     """A track that grows: its sightings, and where it is and how fast, with the covariance of each axis."""
 
@@ -247,27 +260,27 @@ def _pairs(cost: FloatArray) -> dict[int, int]:
     return {int(c): int(r) for r, c in zip(rows, columns, strict=True) if cost[r, c] < UNLINKED}
 
 
-def _stitched(parts: Sequence[Moving], settings: TrackSettings) -> list[Track]:
+def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
     """Close the gaps between what ends and what begins, over all pairs at once.
 
-    What ends with a sighting of something else has lost its way by that; without it the gap may close.
+    What ends with a sighting of something else has lost its way by that; without it the gap may close. Where a track
+    changes its motion as no gap would be closed, two may have met and been exchanged: it is cut there, and goes on as
+    it did unless they fit so much better the other way round.
     """
-    found: dict[tuple[int, int], tuple[float, int, int]] = {}
-    for stray_last, stray_first in ((0, 0), (1, 0), (0, 1)):
-        ends = [_without_last(part, stray_last, settings) for part in parts]
-        begins = [backwards(part.sightings[stray_first:] or part.sightings, settings) for part in parts]
-        begins_s, ends_s = (np.array([one.last.stamp_s for one in each]) for each in (begins, ends))
-        gap_s = begins_s - ends_s[:, None]
-        for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s)).tolist():
-            cost = strain(ends[i], begins[j], float(gap_s[i, j]), settings) + STRAY * (stray_last + stray_first)
-            if i != j and cost < found.get((i, j), (1.0,))[0]:
-                found[i, j] = cost, stray_last, stray_first
+    parts: list[Moving] = []
+    kept: Links = {}
+    for track in tracks:
+        for strained, piece in _cut(track, settings):
+            if strained:
+                kept[len(parts) - 1, len(parts)] = min(strained**2 - UNLIKELY, MOST_KEPT) - UNLINKED, 0, 0
+            parts.append(piece)
+    found = _links(parts, kept, settings)
     rows, columns = (sorted({pair[axis] for pair in found}) for axis in (0, 1))
     costs = np.full((len(rows), len(columns)), UNLINKED)
     for (i, j), (cost, *_) in found.items():
         costs[rows.index(i), columns.index(j)] = cost
     after_of = {rows[before]: columns[after] for after, before in _pairs(costs).items()}
-    tracks = []
+    stitched = []
     for index in range(len(parts)):
         if index in after_of.values():
             continue
@@ -276,8 +289,56 @@ def _stitched(parts: Sequence[Moving], settings: TrackSettings) -> list[Track]:
             _, stray_last, stray_first = found[index, after_of[index]]
             index = after_of[index]
             sightings = sightings[: len(sightings) - stray_last] + parts[index].sightings[stray_first:]
-        tracks.append(Track(tuple(sightings)))
-    return tracks
+        stitched.append(Track(tuple(sightings)))
+    return stitched
+
+
+def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Links:
+    """Return which parts may follow which, beside those that do, with the square of the strain as the cost."""
+    found = dict(kept)
+    for stray_last, stray_first in ((0, 0), (1, 0), (0, 1)):
+        ends = [_without_last(part, stray_last, settings) for part in parts]
+        begins = [backwards(part.sightings[stray_first:] or part.sightings, settings) for part in parts]
+        begins_s, ends_s = (np.array([one.last.stamp_s for one in each]) for each in (begins, ends))
+        gap_s = begins_s - ends_s[:, None]
+        for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s)).tolist():
+            strained = strain(ends[i], begins[j], float(gap_s[i, j]), settings) + STRAY * (stray_last + stray_first)
+            if i != j and strained**2 < found.get((i, j), (1.0,))[0]:
+                found[i, j] = strained**2, stray_last, stray_first
+    return found
+
+
+def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
+    """Cut a track where it changes its motion most, again and again, as long as no such gap would be closed.
+
+    Returns
+    -------
+    list of tuple
+        Each piece, and the strain between it and the one before; 0 for the first.
+    """
+    count = len(track.sightings)
+    before = _states(track.sightings, settings)
+    after = [_turned(one) for one in _states(_mirrored(track.sightings), settings)[::-1]]
+    gaps_s = np.diff([one.stamp_s for one in track.sightings])
+    strains = [
+        strain(before[i], after[i + 1], float(gaps_s[i]), settings) for i in range(LEAST_PIECE - 1, count - LEAST_PIECE)
+    ]
+    if max(strains, default=0.0) < 1.0:
+        return [(0.0, track)]
+    first = LEAST_PIECE + int(np.argmax(strains))
+    pieces = [_filtered(part, settings) for part in (track.sightings[:first], track.sightings[first:])]
+    (_, following), *others = _cut(pieces[1], settings)
+    return [*_cut(pieces[0], settings), (max(strains), following), *others]
+
+
+def _states(sightings: Sequence[Sighting], settings: TrackSettings) -> list[Moving]:
+    """Return a track as it was at each of its sightings."""
+    moving = Moving(sightings[0], settings)
+    states = [copy(moving)]
+    for one in sightings[1:]:
+        moving.add(one, settings)
+        states.append(copy(moving))
+    return states
 
 
 def _without_last(part: Moving, strays: int, settings: TrackSettings) -> Moving:
@@ -294,11 +355,21 @@ def _filtered(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
 
 def backwards(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
     """Filter the beginning of a track against time, so that its last sighting is the first one."""
-    few = list(sightings[:FILTERED][::-1])
-    moving = _filtered([replace(one, stamp_s=-one.stamp_s) for one in few], settings)
-    moving.state[1] = -moving.state[1]
-    moving.sightings = few
+    few = list(sightings[:FILTERED])
+    moving = _turned(_filtered(_mirrored(few), settings))
+    moving.sightings = few[::-1]
     return moving
+
+
+def _mirrored(sightings: Sequence[Sighting]) -> list[Sighting]:
+    return [replace(one, stamp_s=-one.stamp_s) for one in sightings[::-1]]
+
+
+def _turned(moving: Moving) -> Moving:
+    """Return the same with the velocity in time, not against it."""
+    turned = copy(moving)
+    turned.state = moving.state * np.array([[1.0], [-1.0]])
+    return turned
 
 
 def strain(before: Moving, after: Moving, gap_s: float, settings: TrackSettings) -> float:

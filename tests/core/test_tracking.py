@@ -140,6 +140,26 @@ def test_a_track_that_ended_with_something_else_goes_on(lost: int, off_m: tuple[
     assert len({id(one) for one in shown} - found) <= 1
 
 
+@pytest.mark.parametrize("lost", [1, 2])
+@pytest.mark.parametrize("apart_m", [3.0, 4.0])
+@pytest.mark.parametrize(("up_mps", "down_mps"), [(2.0, 6.0), (3.0, 8.0), (5.0, 10.0)])
+def test_two_that_met_in_one_sighting_are_not_exchanged(
+    up_mps: float, down_mps: float, apart_m: float, lost: int
+) -> None:
+    stamps = np.arange(20) / 3.3
+    met = 8
+    late_s = stamps - stamps[met] - 0.3
+    still = np.zeros_like(stamps)
+    down = track(stamps, np.column_stack([still, -down_mps * late_s]), count=1500)
+    up = track(stamps, np.column_stack([still + apart_m, up_mps * late_s]), count=700)
+    frames = [[one, other] for one, other in zip(down.sightings, up.sightings, strict=True)]
+    both = sighting(stamps[met], down.sightings[met].middle + np.array([2.5, 0.0]), count=2700)
+    found = link_tracks([*frames[:met], [both], *frames[met + lost :]])
+    ids = [{id(one) for one in true.sightings} for true in (down, up)]
+    # One beside the meeting may be taken for the other's.
+    assert all(min(sum(id(one) in its for one in each.sightings) for its in ids) <= 1 for each in found)
+
+
 def test_what_comes_the_other_way_does_not_take_over_what_is_lost() -> None:
     east = driven(Drive((-20.0, 0.0), 0.0, speeds=((0.0, 12.0),)), 10.0, last_s=2.0)
     west = driven(Drive((33.0, 3.5), 180.0, speeds=((0.0, 12.0),)), 10.0)
