@@ -11,7 +11,7 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
+from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, rotate_xy, turned
 from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
@@ -631,7 +631,7 @@ def _worth(drive: Evidence) -> FloatArray:
 def _way_m(drive: Evidence) -> FloatArray:
     """Return how far the vehicle has come at each frame, shape (m,)."""
     xy = drive.vehicle.at(drive.stamps_s)[0]
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+    return along_line(xy)
 
 
 def mean_overlap(extent: FloatArray) -> FloatArray:

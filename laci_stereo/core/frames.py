@@ -99,6 +99,11 @@ def turned(xy: FloatArray) -> FloatArray:
     return np.column_stack([-xy[:, 1], xy[:, 0]])
 
 
+def along_line(xy: FloatArray) -> FloatArray:
+    """Return how far along a line each of its points lies, shape (n,); the points' shape is (n, d)."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+
+
 def wrap(angle_rad: FloatArray | float) -> FloatArray:
     """Bring angles into [-pi, pi)."""
     wrapped: FloatArray = (np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -389,8 +389,13 @@ class _Problem:
         return self._with_prior([each.curvature for each in fitness]), gradient, fitness
 
     def _with_prior(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Add up what the priors tell, and each drive of the sensor's parameters and its own."""
-        total: FloatArray = self.precision.copy()
+        """Add up what the priors and each drive tell."""
+        total: FloatArray = self.precision + self._sum_of(parts)
+        return total
+
+    def _sum_of(self, parts: Iterable[FloatArray]) -> FloatArray:
+        """Add up square matrices, one per drive, of the sensor's parameters and the drive's own."""
+        total = np.zeros_like(self.precision)
         for part, index in zip(parts, self._places(), strict=True):
             total[np.ix_(index, index)] += part
         return total
@@ -401,11 +406,10 @@ class _Problem:
         Where residuals of successive frames agree more than the model has it, the covariance grows in that direction;
         and by what lasts from frame to frame, which the estimate may have followed all the way.
         """
-        places = self._places()
-        parts = [Blocks(index, *each.by_block()) for index, each in zip(places, fitness, strict=True)]
-        lasting = np.zeros_like(inverse)
-        for model, each, its, index in zip(self.models, fitness, rows, places, strict=True):
-            lasting[np.ix_(index, index)] += model.lasting(its, each)
+        parts = [Blocks(index, *each.by_block()) for index, each in zip(self._places(), fitness, strict=True)]
+        lasting = self._sum_of(
+            model.lasting(its, each) for model, its, each in zip(self.models, rows, fitness, strict=True)
+        )
         return grown(inverse, self.precision, parts) + inverse @ lasting @ inverse
 
 

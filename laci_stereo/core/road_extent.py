@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, transform, turned
+from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
 from laci_stereo.core.road_surface import OTHER, Cells, Surface
@@ -64,7 +64,7 @@ def places(track: Track) -> FloatArray:
     cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / CELL_M)
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
     seen = (cells[first] + 0.5) * CELL_M
-    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(seen, axis=0), axis=1)))
+    along_m = along_line(seen)
     at_m = np.arange(0.0, along_m[-1] + CELL_M, CELL_M)
     middles = np.column_stack([np.interp(at_m, along_m, column) for column in seen.T])
     number = np.arange(len(middles))
@@ -136,7 +136,7 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     variance = np.pi / 2 * np.maximum(noise, spread**2) / count + SHARED_IN_CELL * noise + COARSE_M**2
     nearest = np.asarray(cKDTree(way).query(middle)[1])
     forward, off = _directions(way)[nearest], middle - way[nearest]
-    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))[nearest]
+    along_m = along_line(way)[nearest]
     left_m = dot_xy(turned(forward), off)
     piece = 2 * (along_m // PIECE_M).astype(np.int64) + (left_m > 0.0)
     beside = np.abs(dot_xy(forward, off)) < 2 * CELL_M  # and neither before the way nor behind it

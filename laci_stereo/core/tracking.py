@@ -296,9 +296,12 @@ def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
 def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Links:
     """Return which parts may follow which, beside those that do, with the square of the strain as the cost."""
     found = dict(kept)
+    ends_by = [[_without_last(part, strays, settings) for part in parts] for strays in (0, 1)]
+    begins_by = [
+        [backwards(part.sightings[strays:] or part.sightings, settings) for part in parts] for strays in (0, 1)
+    ]
     for stray_last, stray_first in ((0, 0), (1, 0), (0, 1)):
-        ends = [_without_last(part, stray_last, settings) for part in parts]
-        begins = [backwards(part.sightings[stray_first:] or part.sightings, settings) for part in parts]
+        ends, begins = ends_by[stray_last], begins_by[stray_first]
         begins_s, ends_s = (np.array([one.last.stamp_s for one in each]) for each in (begins, ends))
         gap_s = begins_s - ends_s[:, None]
         for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s)).tolist():

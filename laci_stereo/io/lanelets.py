@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from laci_stereo.core.errors import MapError
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import FloatArray, along_line
 from laci_stereo.io.file_content import read_content
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.io.safe_xml import XmlError, parse_xml
@@ -134,6 +134,6 @@ def _length_m(line: FloatArray) -> float:
 
 def _resampled(line: FloatArray, count: int) -> FloatArray:
     """Return so many points at equal shares of a line's length, shape (count, 2)."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    along = along_line(line)
     places = np.linspace(0.0, along[-1], count)
     return np.column_stack([np.interp(places, along, line[:, axis]) for axis in (0, 1)])

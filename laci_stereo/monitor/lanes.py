@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from laci_stereo.core.errors import MapError
-from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.core.frames import BoolArray, FloatArray, along_line
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.io.lanelets import Lane
 
@@ -67,7 +67,7 @@ class Strip:
 
     @cached_property
     def _along(self) -> FloatArray:
-        return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1)))
+        return along_line(self.xy)
 
     def locate(self, xy: FloatArray) -> Located:
         """Find the nearest places on the line to positions, shape (n, 2), world."""

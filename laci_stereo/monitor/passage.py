@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.tracking import GATE
 from laci_stereo.monitor.linking import UNIT_M, Kept
@@ -91,7 +91,7 @@ class Passage:
             if np.linalg.norm(centre - self.centres[corners[-1]]) >= CHORD_M:
                 corners.append(i)
         xy, yaw_rad = self.centres[corners], np.unwrap(self.yaw_rad)[corners]
-        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+        along = along_line(xy)
         places = np.arange(step_m / 2, along[-1], step_m)
         return np.column_stack([np.interp(places, along, axis) for axis in xy.T]), np.interp(places, along, yaw_rad)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from laci_stereo.core.frames import BoolArray, FloatArray
+from laci_stereo.core.frames import BoolArray, FloatArray, along_line
 
 MAX_STEPS = 2000
 """Pieces of one straight line at most, so that one of many kilometres costs no more."""
@@ -48,7 +48,7 @@ def runs(kept: BoolArray) -> list[slice]:
 
 def dashes(line: FloatArray, on: float, off: float) -> list[FloatArray]:
     """Cut a line, shape (n, d), into dashes along its length."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    along = along_line(line)
     if along[-1] == 0.0:
         return []
     starts = np.arange(0.0, along[-1], on + off)

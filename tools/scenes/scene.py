@@ -30,6 +30,7 @@ from laci_stereo.core.frames import (
     rotation_z,
     transform,
 )
+from laci_stereo.core.quality import Doubt
 from laci_stereo.core.result import Calibration, Quality
 from laci_stereo.stereo.recording import surveyed
 from tools.scenes.cams import EPOCH_NS, CamFlaws, ReceiverName, Rounding, cam_log, together
@@ -363,11 +364,8 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
 
 def _claimed_xy_m(calibration: Calibration, track_utm: FloatArray) -> float:
     """Return the root mean square error in the plane that a calibration claims for ground points."""
-    x, y = (calibration.world.from_utm(track_utm) - calibration.centre_world[:2]).T
-    none, one = np.zeros_like(x), np.ones_like(x)
-    # A rotation vector moves (x, y, 0) by (-z y, z x); what tilts moves it upwards.
-    by = np.array([[none, none, -y, one, none, none], [none, none, x, none, one, none]])
-    return float(np.sqrt(np.einsum("api,pq,aqi->i", by, calibration.covariance, by).mean()))
+    arms = calibration.world.from_utm(track_utm) - calibration.centre_world[:2]
+    return Doubt(calibration.covariance[2:5, 2:5], arms).track_xy_m
 
 
 def _rotation_ratio(R_error: FloatArray, quality: Quality) -> float:
