@@ -329,6 +329,7 @@ def test_a_log_that_ends_before_the_vehicle_comes_is_refused(site: Site) -> None
     site.refused(UNUSABLE, str(site.cam), "1 CAMs with a position", "needed are at least 2")
 
 
+@pytest.mark.slow
 def test_an_empty_road_is_not_calibrated(site: Site) -> None:
     for folder in (site.left, site.right):
         quiet = [path.readlink() for path in images(folder)[:4]]
@@ -436,6 +437,7 @@ def test_folders_without_permission_are_refused(site: Site) -> None:
     site.refused(UNUSABLE, str(closed), "cannot be written", "Permission denied", "needed", out=closed / "result")
 
 
+@pytest.mark.slow
 def test_overwrite_replaces_a_result_as_a_whole(site: Site) -> None:
     earlier_result(site)
     (site.out / "overlay_9.png").write_text("of a longer recording", encoding="utf-8")
@@ -506,7 +508,7 @@ def until_writing(process: subprocess.Popen[str], site: Site) -> None:
     ("ending", "wait"),
     [
         pytest.param(signal.SIGINT, until_logged("first look"), id="Ctrl-C in the survey", marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, until_logged("background"), id="Ctrl-C among the frames"),
+        pytest.param(signal.SIGINT, until_logged("background"), id="Ctrl-C among the frames", marks=pytest.mark.slow),
         pytest.param(signal.SIGINT, until_writing, id="Ctrl-C while it writes"),
         pytest.param(signal.SIGTERM, until_writing, id="SIGTERM while it writes", marks=pytest.mark.slow),
     ],

@@ -103,6 +103,7 @@ def test_the_covariance_of_the_ground_is_honest(bias_m: float) -> None:
     assert np.mean(squared) > 0.3  # and it claims no more than a few times of what it errs by
 
 
+@pytest.mark.slow
 def test_on_a_bent_road_the_tilt_holds_where_vehicles_are() -> None:
     """As the road's slope differs there from that of one plane, as seldom beyond three sigma as of a plane's own error.
 

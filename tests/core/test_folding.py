@@ -63,6 +63,7 @@ def test_no_message_of_a_tractor_in_a_narrow_bend_is_taken_for_wrong(rate_hz: fl
     assert len(track.stamps_s) == len(log)
 
 
+@pytest.mark.slow
 def test_where_it_is_straight_it_calibrates(caplog: pytest.LogCaptureFixture) -> None:
     made = articulated(THEN_BENDS, last_s=7.0)
     with caplog.at_level(logging.WARNING):

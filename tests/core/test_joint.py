@@ -62,7 +62,7 @@ def test_the_truth_is_found_to_centimetres(sigma_m: float, behind: float) -> Non
         ),
     ],
 )
-@pytest.mark.parametrize("sigma_m", [0.05, 0.5])
+@pytest.mark.parametrize("sigma_m", [0.05, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_a_poor_start_ends_in_the_same_place(yaw_deg: float, x: float, y: float, sigma_m: float) -> None:
     drive = evidence(sigma_m=sigma_m, behind=0.2)
     good, poor = (fit_jointly([drive], start) for start in (TRUTH, off_by(yaw_deg, x, y, drive)))
@@ -151,7 +151,9 @@ def with_headings_off(drive: Evidence, sigma_deg: float, seed: int) -> Evidence:
     return replace(drive, vehicle=replace(vehicle, xy=centre, yaw_rad=yaw, reference=(vehicle.length_m / 2, 0.0)))
 
 
-@pytest.mark.parametrize("drive", [STRAIGHT, TURN], ids=["straight", "turn"])
+@pytest.mark.parametrize(
+    "drive", [pytest.param(STRAIGHT, id="straight"), pytest.param(TURN, id="turn", marks=pytest.mark.slow)]
+)
 def test_the_noise_of_headings_tells_neither_clock_nor_lever(drive: Drive) -> None:
     # Read as a manoeuvre it would put the straight drive 10 to 60 cm off along its way.
     fits = [fit_jointly([with_headings_off(evidence(drive, seed=seed), 1.0, seed)], TRUTH) for seed in range(4)]
@@ -171,6 +173,7 @@ def test_two_drives_know_more_than_either() -> None:
     assert len(both.time_offsets_s) == len(both.corrections) == 2
 
 
+@pytest.mark.slow
 def test_from_what_each_drive_says_no_other_start_is_needed() -> None:
     one, other = evidence(seed=1), evidence(STRAIGHT, seed=2)
     alone = fit_jointly([one], TRUTH)

@@ -107,6 +107,7 @@ def test_the_papers_method_stands_beside() -> None:
     assert "no answer" in read(page(replace(true, paper=None))).one("section", id="paper").text
 
 
+@pytest.mark.slow
 def test_the_drives_of_several_are_named() -> None:
     true = recorded()[0][1]
     combined = replace(true, others=tuple(replace(one, match=true.match) for one in passages()[1:]))
