@@ -453,10 +453,12 @@ def scene(
     static: Sequence[Solid] = HOUSES,
     rate_hz: float = 10.0,
     seed: int = 0,
+    height_m: float = 6.0,
+    down_deg: float = 14.0,
 ) -> Scene:
-    """A sensor 6 m above the origin that looks along x and down by 14 deg; in the end all is turned by yaw."""
+    """A sensor above the origin that looks along x and down; in the end all is turned by yaw."""
     sensor = sensor or lidar()
-    T_world_sensor = mounted(sensor, (0.0, 0.0), 6.0, 0.0, 14.0, 1.5)
+    T_world_sensor = mounted(sensor, (0.0, 0.0), height_m, 0.0, down_deg, 1.5)
     times = np.arange(0.0, last_s, 1.0 / frames_hz)
     recording = Recording(sensor, T_world_sensor, tuple(static), (car(drive), *others), times, seed)
     recording = recording.turned(float(np.radians(yaw_deg)))

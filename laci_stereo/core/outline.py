@@ -266,6 +266,16 @@ def highest_of(width_m: float, face: IntArray, behind_m: FloatArray) -> FloatArr
     return np.where(low, HEAVY_FRONT_HIGHEST_M, HEAVY_HIGHEST_M)
 
 
+def lowest_of(sigma_z: FloatArray) -> FloatArray:
+    """Return above what height points with this noise of their heights are surely not of the road, shape (n,), metres.
+
+    What lies within three sigma of the ground was taken for ground, so below five sigma the near half of the noise
+    would be missing.
+    """
+    lowest_m: FloatArray = np.maximum(LOWEST_M, 3.0 * sigma_z) + 2.0 * sigma_z
+    return lowest_m
+
+
 def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray, highest_m: FloatArray) -> BoolArray:
     """Tell which lines of sight meet the outline at a height where it is upright.
 
@@ -277,13 +287,11 @@ def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray,
     height_m : float
         Of the sensor above the ground.
     z, sigma_z : ndarray, shape (n,)
-        Height of the points, and its noise. What lies within three sigma of the ground was taken for ground, so below
-        five sigma the near half of the noise would be missing.
+        Height of the points, and its noise.
     hits : Hits
     highest_m : ndarray, shape (n,)
         See `highest_of`.
     """
     met = height_m + (z - height_m) * hits.reach
-    lowest_m = np.maximum(LOWEST_M, 3.0 * sigma_z) + 2.0 * sigma_z
-    chosen: BoolArray = (met > lowest_m) & (met < highest_m)
+    chosen: BoolArray = (met > lowest_of(sigma_z)) & (met < highest_m)
     return chosen

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from laci_stereo.core import outline
 from laci_stereo.core.association import Choice
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import Correction
@@ -22,6 +23,9 @@ from laci_stereo.core.tracking import Track
 
 LEAST_EXPLAINED = 0.5
 """Of the points; where the outline stands for fewer, it is something else that was registered."""
+
+A_SIDE = (np.array([outline.SIDES - 1]), np.array([np.inf]))
+"""Of a vehicle, far behind its front: where it is upright highest."""
 
 ANOTHER_PIECE = (
     "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
@@ -99,7 +103,7 @@ def place(
     if fit.frames < settings.match.min_frames:
         raise MatchError(
             f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
-            f"{settings.match.min_frames}"
+            f"{settings.match.min_frames}{_blurred(drives)}"
         )
     if fit.explained < LEAST_EXPLAINED:
         raise MatchError(
@@ -196,6 +200,21 @@ def _turning(fit: JointFit) -> str:
 def _told(vehicle: VehicleTrack) -> float:
     """Return the standard deviation of the positions that the messages tell, 0 where they do not."""
     return vehicle.position_sigma_m if np.isfinite(vehicle.position_sigma_m) else 0.0
+
+
+def _blurred(drives: Sequence[Evidence]) -> str:
+    """Say that the heights of the points are known too badly to tell the outline from the road, if that is so."""
+    noise_m = np.concatenate([drive.sigma_z_m for drive in drives])
+    if not len(noise_m):  # boxes of a detector
+        return ""
+    sigma_m = float(np.median(noise_m))
+    highest_m = max(float(outline.highest_of(drive.vehicle.width_m, *A_SIDE)[0]) for drive in drives)
+    if outline.lowest_of(np.array([sigma_m]))[0] < highest_m:
+        return ""
+    return (
+        f"; the heights of its points are known to {sigma_m:.2f} m, so that the outline below {highest_m:.2f} m cannot "
+        "be told from the road: record it nearer, from a lower place or with a longer baseline"
+    )
 
 
 def _advice(fit: JointFit, doubt: Doubt, drive: Evidence) -> str:

@@ -13,7 +13,7 @@ from laci_stereo.core.errors import CamError, MatchError, OpenError
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.core.test_calibrate import errors
-from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, cam_log, car, lidar, scene
+from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, cam_log, car, lidar, scene, stereo
 
 pytestmark = pytest.mark.usefixtures("observed_once")
 
@@ -83,6 +83,13 @@ def test_a_drive_that_is_seen_from_ahead_only() -> None:
     towards = scene(Drive((34.0, 0.0), 180.0, speeds=((0.0, 8.0),)), lidar(layers=12), last_s=2.0)
     with pytest.raises(MatchError, match=r"the vehicle's outline is seen in \d frames .* needed are 10"):
         calibrate(towards.recording, towards.messages)
+
+
+def test_heights_that_are_known_too_badly_to_tell_the_outline_from_the_road() -> None:
+    short, long = (scene(LEFT_TURN, stereo(baseline_m=one), height_m=14.0, down_deg=28.0) for one in (0.4, 1.2))
+    with pytest.raises(MatchError, match=r"needed are 10; the heights of its points are known to 0\.[12]\d m, so that"):
+        calibrate(short.recording, short.messages)
+    covered(long, calibrate(long.recording, long.messages))
 
 
 def test_from_ahead_bonnet_and_windscreen_are_pieces_of_one_vehicle() -> None:
