@@ -42,7 +42,9 @@ HALF_VEHICLE_M = 1.25
 """So far to either side there is road: vehicles are up to 2.55 m wide (EU directive 96/53/EC)."""
 
 NEAR_M, START_STEPS = 0.05, 20
-"""So near to the plane that most of a lane is on is road at first, beside noise; and steps to that plane."""
+"""What is nearer than that, or than its noise, to the plane that most of a lane is on is road at first: a kerb, were it
+among that, would be explained as a steep crown, and what is left out comes back with what is seen around it. And the
+steps to that plane."""
 
 STEP_M = 1.0
 """The road goes on by so much at a time: over more, what is not known of it yet would hide a kerb."""
@@ -97,7 +99,7 @@ def road_along(
     away_m = np.abs(cells.left_m)
     limit_m = np.full(cells.piece.max() + 1, HALF_VEHICLE_M)
     on_road = away_m < HALF_VEHICLE_M
-    on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy)) < NEAR_M + GATE * np.sqrt(cells.variance)
+    on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy)) < np.maximum(NEAR_M, np.sqrt(cells.variance))
     for _ in range(round(REACH_M / STEP_M)):
         if on_road.sum() < FIRST_CELLS:
             return None

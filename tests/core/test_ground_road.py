@@ -13,6 +13,8 @@ from laci_stereo.core.road_surface import FALL
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
 from tests.core.tracks import sighting
+from tools.scenes.scene import SensorKind, draw_scene
+from tools.scenes.seeing import see
 
 AXES = Axes(forward=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
 HEIGHT_M, SIGMA_M = 6.0, 0.02
@@ -150,6 +152,19 @@ def crowned(fall: float, *, far_side: bool) -> PointCloud:
     near, far = ((HEIGHT_M + side * fall * ROAD_Y_M) / (side * fall * ray[:, 1] - ray[:, 2]) for side in (1.0, -1.0))
     beyond = np.where((far * ray[:, 1] < ROAD_Y_M + 4.0) & far_side, far, np.inf)
     return measured(ray, np.where(near * ray[:, 1] < ROAD_Y_M, near, beyond), rng)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["stereo_05", "stereo_10"])
+def test_the_pavement_beside_who_backs_out_of_a_yard_is_not_taken_for_the_road(sensor: SensorKind) -> None:
+    # Taken for a steep crown, it put the ground 0.6 deg off, at five sigma.
+    scene = draw_scene(70048, sensor)
+    observation = see(scene, "simulated").observation
+    true_up = observation.T_level_sensor[:3, :3] @ scene.T_utm_sensor[2, :3]
+    off_rad = np.cross(true_up, [0.0, 0.0, 1.0])[:2]
+    covariance = observation.ground.covariance_level(observation.axes)[:2, :2]
+    assert off_rad @ np.linalg.solve(covariance, off_rad) < 9.0
+    assert np.degrees(np.linalg.norm(off_rad)) < 0.2
 
 
 def test_what_moves_is_left_out_of_its_frame_alone() -> None:
