@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -93,10 +94,10 @@ def road_along(
         Into the level frame of a plane that is near the road's.
     settings : GroundSettings
     """
-    cells = _cells(way, clouds, T_level_sensor)
-    if not len(cells):
+    on_plane = _cells(way, clouds, T_level_sensor)
+    if not len(on_plane):
         return None
-    away_m = np.abs(cells.left_m)
+    cells, away_m = on_plane, np.abs(on_plane.left_m)
     limit_m = np.full(cells.piece.max() + 1, HALF_VEHICLE_M)
     on_road = away_m < HALF_VEHICLE_M
     on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy)) < np.maximum(NEAR_M, np.sqrt(cells.variance))
@@ -107,6 +108,7 @@ def road_along(
         off_m, variance = cells.z - height, variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
         on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance)
+        cells = _at_height(on_plane, np.where(on_road, height, 0.0), way, T_level_sensor[2, 3])
     return None if on_road.sum() < LEAST_CELLS else Surface(cells[on_road], settings.shared_noise_share)
 
 
@@ -124,6 +126,7 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     low = np.abs(level[:, 2]) < LOW_M + np.minimum(GATE * sigma_m, LOW_M)
     z, sigma_m = level[low, 2], sigma_m[low]
     # Noise moves points along their lines of sight, which are known: else a scan's ring would be as steep as these are.
+    # So they are taken to where these meet the plane, and later the road's surface.
     xy = level[low, :2] * (sensor[2] / (sensor[2] - z))[:, None]
     near = np.asarray(cKDTree(way).query(xy, distance_upper_bound=REACH_M)[0]) < REACH_M
     xy, z, sigma_m = xy[near], z[near], sigma_m[near]
@@ -136,18 +139,28 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     spread = 1.4826 * _medians(np.abs(z - height[cell]), cell)
     # A median is less exact than a mean by pi / 2.
     variance = np.pi / 2 * np.maximum(noise, spread**2) / count + SHARED_IN_CELL * noise + COARSE_M**2
-    nearest = np.asarray(cKDTree(way).query(middle)[1])
-    forward, off = _directions(way)[nearest], middle - way[nearest]
-    along_m = along_line(way)[nearest]
-    left_m = dot_xy(turned(forward), off)
-    piece = 2 * (along_m // PIECE_M).astype(np.int64) + (left_m > 0.0)
-    beside = np.abs(dot_xy(forward, off)) < 2 * CELL_M  # and neither before the way nor behind it
+    nearest, left_m, beyond_m = _beside(way, middle)
+    piece = 2 * (along_line(way)[nearest] // PIECE_M).astype(np.int64) + (left_m > 0.0)
+    beside = np.abs(beyond_m) < 2 * CELL_M  # and neither before the way nor behind it
     even = spread < GATE * np.sqrt(noise + COARSE_M**2)
     bearing = np.column_stack(
         [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
     )
     sight = bearing / max(NO_WINDOW_RAD, *(cloud.window_rad for cloud in clouds))
     return Cells(middle, height, variance, np.sqrt(noise), left_m, piece, sight)[beside & even]
+
+
+def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: float) -> Cells:
+    """Move cells along their lines of sight from the plane to a height, shape (n,): a crown is seen from aside."""
+    xy = cells.xy * (1.0 - height / sensor_m)[:, None]
+    return replace(cells, xy=xy, left_m=_beside(way, xy)[1])
+
+
+def _beside(way: FloatArray, xy: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return which place of a way is nearest to others, and how far to the left of it and beyond it they are."""
+    nearest = np.asarray(cKDTree(way).query(xy)[1])
+    forward, off = _directions(way)[nearest], xy - way[nearest]
+    return nearest, dot_xy(turned(forward), off), dot_xy(forward, off)
 
 
 def _medians(values: FloatArray, group: IntArray) -> FloatArray:

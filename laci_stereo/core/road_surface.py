@@ -26,7 +26,7 @@ OTHER = (0.3, 2.0 * FALL, 2.0 * FALL)
 higher or lower, and falls by twice as much."""
 
 _FALLS = np.arange(0.0, 0.031, 0.0025)
-_CROWNS_M = np.arange(-7.0, 7.1, 0.5)
+_CROWNS_M = np.arange(-7.0, 7.1, 0.25)
 """Falls, and how far to the left of the way a crown along it is, within two lanes: all are as likely."""
 
 _ACROSS_RAD = np.pi / 8 * np.arange(8)

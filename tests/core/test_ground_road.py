@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import Axes, FloatArray
+from laci_stereo.core.frames import Axes, FloatArray, rigid
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
 from laci_stereo.core.ground_road import road_ground, standing
+from laci_stereo.core.road_extent import places, road_along
 from laci_stereo.core.road_surface import FALL
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
@@ -143,6 +144,24 @@ def test_both_sides_of_the_crown_tell_the_road(crown: float) -> None:
     assert tilt_deg(ground) < 3.0 * tilt_sigma_deg(ground)
     assert tilt_deg(ground) < 0.2
     assert tilt_sigma_deg(ground) < 0.2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> None:
+    """Its sides are nearer and farther than a plane on which they would be seen in the same direction."""
+    rng = np.random.default_rng(seed)
+    fall, kerb_m, half_m = 0.02, 0.08, 3.5
+    ray = rays(np.arange(30.0, 150.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
+    near, far = ((HEIGHT_M + side * fall * ROAD_Y_M) / (side * fall * ray[:, 1] - ray[:, 2]) for side in (1.0, -1.0))
+    road, pavement = np.where(near * ray[:, 1] < ROAD_Y_M, near, far), (HEIGHT_M - kerb_m) / -ray[:, 2]
+    cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
+    lane = Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40)))
+    surface = road_along(places(lane), [cloud], rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M])), GroundSettings())
+    assert surface is not None
+    plane, covariance, _ = surface.plane()
+    off = plane[1:]
+    assert off @ np.linalg.solve(covariance[1:, 1:], off) < 4.0
+    assert np.degrees(np.linalg.norm(off)) < 0.06
 
 
 def crowned(fall: float, *, far_side: bool) -> PointCloud:
