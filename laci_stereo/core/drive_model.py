@@ -630,8 +630,7 @@ def _worth(drive: Evidence) -> FloatArray:
 
 def _way_m(drive: Evidence) -> FloatArray:
     """Return how far the vehicle has come at each frame, shape (m,)."""
-    xy = drive.vehicle.at(drive.stamps_s)[0]
-    return along_line(xy)
+    return along_line(drive.vehicle.at(drive.stamps_s)[0])
 
 
 def mean_overlap(extent: FloatArray) -> FloatArray:

@@ -24,9 +24,6 @@ from laci_stereo.core.tracking import Track
 LEAST_EXPLAINED = 0.5
 """Of the points; where the outline stands for fewer, it is something else that was registered."""
 
-A_SIDE = (np.array([outline.SIDES - 1]), np.array([np.inf]))
-"""Of a vehicle, far behind its front: where it is upright highest."""
-
 ANOTHER_PIECE = (
     "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
 )
@@ -208,7 +205,8 @@ def _blurred(drives: Sequence[Evidence]) -> str:
     if not len(noise_m):  # boxes of a detector
         return ""
     sigma_m = float(np.median(noise_m))
-    highest_m = max(float(outline.highest_of(drive.vehicle.width_m, *A_SIDE)[0]) for drive in drives)
+    sides, behind_m = np.arange(outline.SIDES), np.full(outline.SIDES, np.inf)
+    highest_m = max(float(outline.highest_of(drive.vehicle.width_m, sides, behind_m).max()) for drive in drives)
     if outline.lowest_of(np.array([sigma_m]))[0] < highest_m:
         return ""
     return (

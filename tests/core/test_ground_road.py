@@ -152,7 +152,7 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     rng = np.random.default_rng(seed)
     fall, kerb_m, half_m = 0.02, 0.08, 3.5
     ray = rays(np.arange(30.0, 150.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
-    near, far = ((HEIGHT_M + side * fall * ROAD_Y_M) / (side * fall * ray[:, 1] - ray[:, 2]) for side in (1.0, -1.0))
+    near, far = both_sides(ray, fall)
     road, pavement = np.where(near * ray[:, 1] < ROAD_Y_M, near, far), (HEIGHT_M - kerb_m) / -ray[:, 2]
     cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
     lane = Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40)))
@@ -164,11 +164,16 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     assert np.degrees(np.linalg.norm(off)) < 0.06
 
 
+def both_sides(ray: FloatArray, fall: float) -> list[FloatArray]:
+    """Return how far along rays the nearer and the farther side of a crown at `ROAD_Y_M` are."""
+    return [(HEIGHT_M + way * fall * ROAD_Y_M) / (way * fall * ray[:, 1] - ray[:, 2]) for way in (1.0, -1.0)]
+
+
 def crowned(fall: float, *, far_side: bool) -> PointCloud:
     """Return rays to a road that falls from its crown to both sides; a hedge on the crown may hide the farther one."""
     rng = np.random.default_rng(0)
     ray = rays(np.arange(30.0, 150.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
-    near, far = ((HEIGHT_M + side * fall * ROAD_Y_M) / (side * fall * ray[:, 1] - ray[:, 2]) for side in (1.0, -1.0))
+    near, far = both_sides(ray, fall)
     beyond = np.where((far * ray[:, 1] < ROAD_Y_M + 4.0) & far_side, far, np.inf)
     return measured(ray, np.where(near * ray[:, 1] < ROAD_Y_M, near, beyond), rng)
 
