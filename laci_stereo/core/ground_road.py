@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 from laci_stereo.core.box import Box
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import Axes, FloatArray, transform
+from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.road_extent import places, road_along
@@ -37,11 +37,12 @@ FALSE_ALARM = 0.05
 """Probability that a ground is replaced although it is the road's: to observe again takes time, and gains nothing."""
 
 PASSES, SETTLED = 5, 0.01
-"""What is above a plane is placed a little wrongly by it, so the road is looked at again from its own, until that moves
-by less than a tenth of its doubt, squared here."""
+"""What is far above a plane is not looked at from it, so the road is looked at again from its own, until that moves by
+less than a tenth of its doubt, squared here."""
 
-FARTHEST = 3.0
-"""What is farther from the ground than land is from roads, by so many standard deviations, is something else."""
+FARTHEST = 5.0
+"""What is farther from the ground than land is from roads, by so many standard deviations, is something else: it falls
+by 15 %, or is 1.5 m higher."""
 
 ROOM_M = 1.0
 """What moves is left out with so much around it: boxes lack what is not seen."""
@@ -72,7 +73,7 @@ def road_ground(
     by_plane = _by_plane(chart, axes, way.mean(axis=0))
     found, found_off = ground, np.zeros(3)
     for _ in range(PASSES):
-        seen = _seen_from(found, survey, axes, _carried(way, ground, found, axes), settings)
+        seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
             log.debug("no road is seen along the way")
             doubt = chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
@@ -119,21 +120,32 @@ def standing(
 
 
 def _seen_from(
-    ground: GroundPlane, survey: Sequence[PointCloud], axes: Axes, way: FloatArray, settings: GroundSettings
+    found: GroundPlane,
+    ground: GroundPlane,
+    survey: Sequence[PointCloud],
+    axes: Axes,
+    way: FloatArray,
+    settings: GroundSettings,
 ) -> tuple[GroundPlane, GroundPlane] | None:
-    """Return the plane of the road along a way in the level frame of a ground near it; None if none is seen.
+    """Return the plane of the road along a way on a ground, looked at in the level frame of what was found of it.
 
-    It is there twice: with all of its doubt, and with what the crown leaves open.
+    It is there twice: with all of its doubt, and with what the crown leaves open. None if no road is seen near the
+    ground.
     """
-    surface = road_along(way, survey, ground.T_level_sensor(axes), settings)
+    T_level_sensor, T_ground_sensor = found.T_level_sensor(axes), ground.T_level_sensor(axes)
+    T_level_ground = T_level_sensor @ invert(T_ground_sensor)
+    carried = transform(T_level_ground, np.column_stack([way, np.zeros(len(way))]))[:, :2]
+    normal, origin = T_level_ground[:3, 2], T_level_ground[:3, 3]
+    before = np.append(normal @ origin, -normal[:2]) / normal[2]
+    surface = road_along(carried, survey, T_level_sensor, axes.up, before, settings)
     if surface is None:
         return None
     plane, covariance, by_crown = surface.plane()
     if (np.abs(plane) > FARTHEST * np.array(OTHER)).any():
         return None
-    chart = Chart.around(ground)
+    chart = Chart.around(found)
     by_plane = _by_plane(chart, axes, surface.middle)
-    value = chart.values([ground])[0] + by_plane @ plane
+    value = chart.values([found])[0] + by_plane @ plane
     return chart.plane(value, by_plane @ covariance @ by_plane.T), chart.plane(value, by_plane @ by_crown @ by_plane.T)
 
 
@@ -166,12 +178,6 @@ def _as_uncertain(ground: GroundPlane, chart: Chart, covariance: FloatArray) -> 
     """Return a ground with another covariance, given in a chart."""
     (value,) = chart.values([ground])
     return replace(ground, covariance_sensor=chart.plane(value, covariance).covariance_sensor)
-
-
-def _carried(way: FloatArray, before: GroundPlane, after: GroundPlane, axes: Axes) -> FloatArray:
-    """Return places on one ground in the level frame of another."""
-    T_after_before = after.T_level_sensor(axes) @ np.linalg.inv(before.T_level_sensor(axes))
-    return transform(T_after_before, np.column_stack([way, np.zeros(len(way))]))[:, :2]
 
 
 def _spread(by_plane: FloatArray, sigmas: tuple[float, float, float]) -> FloatArray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from laci_stereo.core.association import choose_track
 from laci_stereo.core.background import Background, learn_background
@@ -21,11 +22,15 @@ from laci_stereo.core.ground import GroundPlane, fit_farther_ground
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
+from laci_stereo.core.road_extent import REACH_M, places
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
 from laci_stereo.core.tracking import Track, link_tracks
 
 log = logging.getLogger(__name__)
+
+LOOKS = 2
+"""So often the road is looked for."""
 
 GROUND_POINTS = 100_000
 """So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
@@ -107,6 +112,9 @@ def on_the_road(
 ) -> Observation:
     """Hold the ground against the road below the sender, and observe again where it is another one.
 
+    On a wrong ground a stranger may pass for the sender, on land of its own. Where the sender is found elsewhere then,
+    this is done once more.
+
     Parameters
     ----------
     seen : Observation
@@ -117,18 +125,28 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    track = _driven(seen, vehicles, settings)
-    if track is None and seen.ground.unevenness_m > ONE_SURFACE_M:
-        other = _on_the_farther(seen, source, settings)
-        track = None if other is None else _driven(other, vehicles, settings)
-        seen = seen if other is None or track is None else other
-    if track is None:
-        return seen  # and it will be said why
-    survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
-    ground = road_ground(survey, seen.axes, seen.ground, track, settings.ground)
-    if np.array_equal(ground.normal, seen.ground.normal):
-        return replace(seen, ground=ground)
-    return observe(source, settings, ground)
+    roads: list[FloatArray] = []
+    for _ in range(LOOKS):
+        track = _driven(seen, vehicles, settings)
+        if track is None and not roads and seen.ground.unevenness_m > ONE_SURFACE_M:
+            other = _on_the_farther(seen, source, settings)
+            track = None if other is None else _driven(other, vehicles, settings)
+            seen = seen if other is None or track is None else other
+        if track is None or any(_is_along(track, road) for road in roads):
+            break  # and if nothing fits it will be said why
+        survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
+        ground = road_ground(survey, seen.axes, seen.ground, track, settings.ground)
+        if np.array_equal(ground.normal, seen.ground.normal):
+            return replace(seen, ground=ground)
+        roads.append(places(track))
+        seen = observe(source, settings, ground)
+    return seen
+
+
+def _is_along(track: Track, road: FloatArray) -> bool:
+    """Tell whether a track is mostly within reach of the road that was seen along a way."""
+    away_m = np.asarray(cKDTree(road).query(places(track))[0])
+    return bool(np.median(away_m) < REACH_M)
 
 
 def _driven(seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings) -> Track | None:

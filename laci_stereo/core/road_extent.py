@@ -12,7 +12,7 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
-from laci_stereo.core.road_surface import OTHER, Cells, Surface
+from laci_stereo.core.road_surface import LASER_RAD, OTHER, Cells, Surface
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
@@ -37,15 +37,17 @@ TURN_M, SMOOTH_M = 3.5, 2.5
 they jump as other sides of the vehicle come into view."""
 
 PIECE_M = 6.0
-"""The road is as wide over so much of its length: half of a crossing's mouth."""
+"""The road is as wide over so much of its length: half of a crossing's mouth. What is seen of the next pieces on the
+same side tells it too: at the ends of a way little is seen of one."""
 
 HALF_VEHICLE_M = 1.25
 """So far to either side there is road: vehicles are up to 2.55 m wide (EU directive 96/53/EC)."""
 
-NEAR_M, START_STEPS = 0.05, 20
+NEAR_M, START_STEPS, START_LOOKS = 0.05, 20, 2
 """What is nearer than that, or than its noise, to the plane that most of a lane is on is road at first: a kerb, were it
 among that, would be explained as a steep crown, and what is left out comes back with what is seen around it. And the
-steps to that plane."""
+steps to that plane, and how often what is seen is placed on it: the plane that was known is a foot off, a hundredth of
+the way to it then."""
 
 STEP_M = 1.0
 """The road goes on by so much at a time: over more, what is not known of it yet would hide a kerb."""
@@ -80,7 +82,12 @@ def places(track: Track) -> FloatArray:
 
 
 def road_along(
-    way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray, settings: GroundSettings
+    way: FloatArray,
+    clouds: Sequence[PointCloud],
+    T_level_sensor: FloatArray,
+    up: tuple[float, float, float],
+    before: FloatArray,
+    settings: GroundSettings,
 ) -> Surface | None:
     """Return the surface of the road along a way; None where none is seen.
 
@@ -92,27 +99,37 @@ def road_along(
         Without what moves.
     T_level_sensor : ndarray, shape (4, 4)
         Into the level frame of a plane that is near the road's.
+    up : tuple of float
+        Unit vector in the sensor frame, about which a scanner turns.
+    before : ndarray, shape (3,)
+        Height at the origin, and slopes, of the ground near which a road is beforehand; see `Surface`.
     settings : GroundSettings
     """
-    on_plane = _cells(way, clouds, T_level_sensor)
+    on_plane = _cells(way, clouds, T_level_sensor, up)
     if not len(on_plane):
         return None
-    cells, away_m = on_plane, np.abs(on_plane.left_m)
+    cells = on_plane
+    for _ in range(START_LOOKS):
+        lane = cells[np.abs(cells.left_m) < HALF_VEHICLE_M]
+        cells = _at_height(on_plane, _below(lane, cells.xy, before), way, T_level_sensor[2, 3])
+    away_m = np.abs(cells.left_m)
     limit_m = np.full(cells.piece.max() + 1, HALF_VEHICLE_M)
     on_road = away_m < HALF_VEHICLE_M
-    on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy)) < np.maximum(NEAR_M, np.sqrt(cells.variance))
+    on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy, before)) < np.maximum(NEAR_M, np.sqrt(cells.variance))
     for _ in range(round(REACH_M / STEP_M)):
         if on_road.sum() < FIRST_CELLS:
             return None
-        height, variance = Surface(cells[on_road], settings.shared_noise_share).heights(cells)
+        height, variance = Surface(cells[on_road], settings.shared_noise_share, before).heights(cells)
         off_m, variance = cells.z - height, variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
         on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance)
-        cells = _at_height(on_plane, np.where(on_road, height, 0.0), way, T_level_sensor[2, 3])
-    return None if on_road.sum() < LEAST_CELLS else Surface(cells[on_road], settings.shared_noise_share)
+        cells = _at_height(on_plane, height, way, T_level_sensor[2, 3])
+    return None if on_road.sum() < LEAST_CELLS else Surface(cells[on_road], settings.shared_noise_share, before)
 
 
-def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray) -> Cells:
+def _cells(
+    way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray, up: tuple[float, float, float]
+) -> Cells:
     """Gather what is low and near the way in squares of the ground plan."""
     sensor = T_level_sensor[:3, 3]
     levels = [transform(T_level_sensor, cloud.points) for cloud in clouds]
@@ -124,12 +141,12 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     )
     level = np.concatenate(levels)
     low = np.abs(level[:, 2]) < LOW_M + np.minimum(GATE * sigma_m, LOW_M)
-    z, sigma_m = level[low, 2], sigma_m[low]
+    z, sigma_m, ray = level[low, 2], sigma_m[low], np.concatenate([cloud.points for cloud in clouds])[low]
     # Noise moves points along their lines of sight, which are known: else a scan's ring would be as steep as these are.
     # So they are taken to where these meet the plane, and later the road's surface.
     xy = level[low, :2] * (sensor[2] / (sensor[2] - z))[:, None]
     near = np.asarray(cKDTree(way).query(xy, distance_upper_bound=REACH_M)[0]) < REACH_M
-    xy, z, sigma_m = xy[near], z[near], sigma_m[near]
+    xy, z, sigma_m, ray = xy[near], z[near], sigma_m[near], ray[near]
     square = np.floor(xy / CELL_M).astype(np.int64)
     cell = np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
     count = np.bincount(cell)
@@ -146,8 +163,11 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     bearing = np.column_stack(
         [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
     )
-    sight = bearing / max(NO_WINDOW_RAD, *(cloud.window_rad for cloud in clouds))
-    return Cells(middle, height, variance, np.sqrt(noise), left_m, piece, sight)[beside & even]
+    window_rad = max(cloud.window_rad for cloud in clouds)
+    elevation_rad = np.bincount(cell, np.arcsin(ray @ up / np.linalg.norm(ray, axis=1))) / count
+    layer = elevation_rad / LASER_RAD if window_rad == 0.0 else np.full(len(count), np.nan)
+    sight = bearing / max(NO_WINDOW_RAD, window_rad)
+    return Cells(middle, height, variance, np.sqrt(noise), left_m, piece, sight, layer)[beside & even]
 
 
 def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: float) -> Cells:
@@ -179,27 +199,29 @@ def _directions(way: FloatArray) -> FloatArray:
     return directions
 
 
-def _below(lane: Cells, xy: FloatArray) -> FloatArray:
+def _below(lane: Cells, xy: FloatArray, before: FloatArray) -> FloatArray:
     """Return the height, at places of shape (n, 2), of a plane through most of a lane's cells: some are raised.
 
     Reweighted least squares, as for Cauchy's distribution.
     """
     if not len(lane):
-        return np.zeros(len(xy))
+        beforehand: FloatArray = before[0] + xy @ before[1:]
+        return beforehand
     middle = lane.xy.mean(axis=0)
     basis, weight = np.column_stack([np.ones(len(lane)), lane.xy - middle]), 1.0 / (lane.variance + NEAR_M**2)
+    z = lane.z - before[0] - lane.xy @ before[1:]
     prior, plane = np.diag(np.array(OTHER) ** -2.0), np.zeros(3)
     for _ in range(START_STEPS):
-        robust = weight / (1.0 + weight * (lane.z - basis @ plane) ** 2)
-        plane = np.linalg.solve(prior + (basis.T * robust) @ basis, basis.T @ (robust * lane.z))
-    height: FloatArray = plane[0] + (xy - middle) @ plane[1:]
+        robust = weight / (1.0 + weight * (z - basis @ plane) ** 2)
+        plane = np.linalg.solve(prior + (basis.T * robust) @ basis, basis.T @ (robust * z))
+    height: FloatArray = before[0] + xy @ before[1:] + plane[0] + (xy - middle) @ plane[1:]
     return height
 
 
 def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> FloatArray:
     """Return how far to its side each piece of the road goes on, shape (k,): at most a step farther than before.
 
-    That is where the evidence that cells are road, summed from the way on, is largest.
+    That is where the evidence that cells are road, summed from the way on over it and the next pieces, is largest.
 
     Parameters
     ----------
@@ -214,7 +236,8 @@ def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: Floa
     away_m = np.abs(cells.left_m)
     found = np.minimum(limit_m + STEP_M, REACH_M)
     for piece, most_m in enumerate(found.tolist()):
-        members = np.flatnonzero((cells.piece == piece) & (away_m < most_m))
+        near = np.isin(cells.piece, (piece - 2, piece, piece + 2))
+        members = np.flatnonzero(near & (away_m < most_m))
         members = members[np.argsort(away_m[members])]
         total = np.cumsum(evidence[members])
         beyond = int(np.argmax(total)) + 1 if (total > 0.0).any() else 0

@@ -25,6 +25,10 @@ OTHER = (0.3, 2.0 * FALL, 2.0 * FALL)
 """Height and slopes of a plane that is the land's beside a road, from the road's, standard deviations: it is a foot
 higher or lower, and falls by twice as much."""
 
+VAGUE = 3.0
+"""A surface tells what is seen of the road; the ground's word is held against that afterwards, and not twice. So far
+less is known beforehand here."""
+
 _FALLS = np.arange(0.0, 0.031, 0.0025)
 _CROWNS_M = np.arange(-7.0, 7.1, 0.25)
 """Falls, and how far to the left of the way a crown along it is, within two lanes: all are as likely."""
@@ -37,6 +41,9 @@ seen are on one side of it. As often as not the crown is such a one; all of each
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
+
+LASER_RAD = float(np.radians(0.2))
+"""What is seen in the same elevation was measured by one laser of a scanner: few have layers closer to one another."""
 
 _PATCHES = 100
 """So many means of cells tell as much as all cells: a road is as high where it is uneven over several metres."""
@@ -61,6 +68,8 @@ class Cells(Columns):
     sight : ndarray, shape (n, 2)
         Azimuth and elevation in which the sensor sees it, in windows of its matcher: what is in one has all noise in
         common. A scanner's windows are too narrow for two.
+    layer : ndarray, shape (n,)
+        Elevation in the sensor frame in which a scanner sees it, in `LASER_RAD`; NaN for a camera.
     """
 
     xy: FloatArray
@@ -70,6 +79,7 @@ class Cells(Columns):
     left_m: FloatArray
     piece: IntArray
     sight: FloatArray
+    layer: FloatArray
 
     def __len__(self) -> int:
         return len(self.z)
@@ -106,23 +116,26 @@ class Surface:
     ----------
     cells : Cells
     shared_noise_share : float
-        Of each point's standard deviation, the part that errs for all points alike.
+        Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
+    before : ndarray, shape (3,)
+        Height at the origin, and slopes, of the ground near which the road is beforehand, by `VAGUE` times `OTHER`.
     """
 
-    def __init__(self, cells: Cells, shared_noise_share: float) -> None:
-        self.cells = cells
+    def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray) -> None:
+        self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
-        prior = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
+        prior = np.square([*(VAGUE * np.array(OTHER)), BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
         self.crossed_m = np.quantile((cells.xy - self.middle) @ _ACROSS, _CROSSED, axis=0)
-        crowns = self._crowns(cells)
+        crowns, lasers = self._crowns(cells), _lasers(cells.layer)
         of_each = [len(_CROWNS_M), self.crossed_m.size]
-        before = -np.log(np.repeat(of_each, of_each))[:, None]
-        patches = _merged(np.column_stack([self._basis(cells.xy), crowns]), cells)
-        widths = np.cumsum([6, crowns.shape[1], 1, 1, 1, 2])
-        basis, crowns, z, sigma_m, variance, xy, sight = np.split(patches, widths, axis=1)
+        log_prior = -np.log(np.repeat(of_each, of_each))[:, None]
+        patches = _merged(np.column_stack([self._basis(cells.xy), crowns, lasers]), cells)
+        widths = np.cumsum([6, crowns.shape[1], lasers.shape[1], 1, 1, 1, 2])
+        basis, crowns, lasers, z, sigma_m, variance, xy, sight = np.split(patches, widths, axis=1)
+        z = z - before[0] - xy @ before[1:, None]
         overlap = np.maximum(0.0, 1.0 - np.abs(sight[:, None] - sight)).prod(axis=2)
         noise = np.sqrt(variance @ variance.T) * overlap
-        noise += shared_noise_share**2 * sigma_m @ sigma_m.T + (basis * prior) @ basis.T
+        noise += shared_noise_share**2 * (sigma_m @ sigma_m.T) * (1.0 + lasers @ lasers.T) + (basis * prior) @ basis.T
         alike = np.exp(-np.linalg.norm(xy[:, None] - xy, axis=2) / REACH_M)
         found = []
         for uneven in _CLASSES:
@@ -130,7 +143,7 @@ class Surface:
             by_z, by_basis, by_crowns = np.split(cho_solve(factor, np.hstack([z, basis, crowns])), [1, 7], axis=1)
             squares = float(z[:, 0] @ by_z[:, 0]) - 2.0 * (crowns.T @ by_z) * _FALLS
             squares = squares + (crowns * by_crowns).sum(axis=0)[:, None] * _FALLS**2
-            log_likely = before - 0.5 * (squares + uneven**2) - np.log(np.diag(factor[0])).sum()
+            log_likely = log_prior - 0.5 * (squares + uneven**2) - np.log(np.diag(factor[0])).sum()
             covariance = np.diag(prior) - prior[:, None] * (basis.T @ by_basis) * prior
             by_fall = prior[:, None] * (basis.T @ by_crowns)
             found.append((log_likely, prior * (basis.T @ by_z)[:, 0], covariance, by_fall))
@@ -147,7 +160,7 @@ class Surface:
             once, twice = falls @ (each.likely @ _FALLS), falls**2 @ (each.likely @ _FALLS**2)
             first += likely * flat + once
             second += likely * (((basis @ each.covariance) * basis).sum(axis=1) + flat**2) + 2.0 * flat * once + twice
-        return first, np.maximum(second - first**2, 0.0)
+        return self.before[0] + cells.xy @ self.before[1:] + first, np.maximum(second - first**2, 0.0)
 
     def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the plane that the road is about: its height at the middle, and its slopes along x and y.
@@ -181,7 +194,8 @@ class Surface:
         both = bent[0, 1] * xx + (bent[0, 2] + bent[1, 1]) * xy + bent[1, 2] * yy
         within[1, 2] += both
         within[2, 1] += both
-        return first, within + by_crown, by_crown
+        offset = np.append(self.before[0] + self.middle @ self.before[1:], self.before[1:])
+        return offset + first, within + by_crown, by_crown
 
     def _crowns(self, cells: Cells) -> FloatArray:
         """Return by how much places are lower than each crown if the road falls by 1, negative, shape (n, crowns)."""
@@ -200,6 +214,17 @@ def _squares(values: FloatArray, likely: FloatArray) -> FloatArray:
     """Return the mean of the products of values, shape (k, crowns, falls), by how likely they are."""
     squares: FloatArray = np.einsum("icf,jcf,cf->ij", values, values, likely)
     return squares
+
+
+def _lasers(layer: FloatArray) -> FloatArray:
+    """Return to which lasers cells belong, shape (n, k): between two elevations to both, half of the variance each."""
+    if np.isnan(layer).any():
+        return np.zeros((len(layer), 0))
+    low = np.floor(layer)
+    number, upper, row = (low - low.min()).astype(np.int64), layer - low, np.arange(len(layer))
+    belongs = np.zeros((len(layer), number.max() + 2))
+    belongs[row, number], belongs[row, number + 1] = np.sqrt(1.0 - upper), np.sqrt(upper)
+    return belongs
 
 
 def _merged(columns: FloatArray, cells: Cells) -> FloatArray:

@@ -156,7 +156,8 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     road, pavement = np.where(near * ray[:, 1] < ROAD_Y_M, near, far), (HEIGHT_M - kerb_m) / -ray[:, 2]
     cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
     lane = Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40)))
-    surface = road_along(places(lane), [cloud], rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M])), GroundSettings())
+    T_level_sensor = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
+    surface = road_along(places(lane), [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
     assert surface is not None
     plane, covariance, _ = surface.plane()
     off = plane[1:]
@@ -179,16 +180,26 @@ def crowned(fall: float, *, far_side: bool) -> PointCloud:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensor", ["stereo_05", "stereo_10"])
-def test_the_pavement_beside_who_backs_out_of_a_yard_is_not_taken_for_the_road(sensor: SensorKind) -> None:
-    # Taken for a steep crown, it put the ground 0.6 deg off, at five sigma.
-    scene = draw_scene(70048, sensor)
+@pytest.mark.parametrize(
+    ("sensor", "seed"),
+    [
+        # The pavement beside who backs out of a yard: taken for a steep crown, it put the ground 0.6 deg off.
+        ("stereo_05", 70048),
+        ("stereo_10", 70048),
+        # A strip of 6 m, seen by lasers of which each errs by 1 cm: one ring passed for a crown, 1.3 deg at 7 sigma.
+        ("lidar_8", 71007),
+        # On the first ground a stranger on land behind the road fits best: its way became the road, 0.9 deg at 5 sigma.
+        ("stereo_10", 70032),
+    ],
+)
+def test_what_is_beside_the_road_or_passes_for_it_does_not_tilt_it(sensor: SensorKind, seed: int) -> None:
+    scene = draw_scene(seed, sensor)
     observation = see(scene, "simulated").observation
     true_up = observation.T_level_sensor[:3, :3] @ scene.T_utm_sensor[2, :3]
     off_rad = np.cross(true_up, [0.0, 0.0, 1.0])[:2]
     covariance = observation.ground.covariance_level(observation.axes)[:2, :2]
     assert off_rad @ np.linalg.solve(covariance, off_rad) < 9.0
-    assert np.degrees(np.linalg.norm(off_rad)) < 0.2
+    assert np.degrees(np.linalg.norm(off_rad)) < 0.4
 
 
 def test_what_moves_is_left_out_of_its_frame_alone() -> None:

@@ -12,6 +12,7 @@ from tests.core.tracks import sighting
 
 HEIGHT_M, SIGMA_M = 6.0, 0.02
 WAY_Y_M = 15.0
+UP = (0.0, 0.0, 1.0)
 T_LEVEL_SENSOR = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
 
 
@@ -40,14 +41,14 @@ def test_a_road_ends_at_its_kerbs(half_m: float, kerb_m: float) -> None:
     beyond = np.abs(xy[:, 1] - WAY_Y_M) - half_m
     # The pavement falls by 2.5 % towards the road.
     height = np.where(beyond > 0.0, kerb_m + 0.025 * beyond, 0.0)
-    surface = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, GroundSettings())
+    surface = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
     assert surface is not None
     assert half_m - 0.5 < np.abs(surface.cells.left_m).max() < half_m + 0.5
 
 
 def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
     xy = plan(0.2)
-    surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, GroundSettings())
+    surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
     assert surface is not None
     assert surface.cells.left_m.min() < -0.9 * REACH_M
     assert surface.cells.left_m.max() > 0.9 * REACH_M
@@ -56,7 +57,9 @@ def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
 def test_what_stands_on_the_way_is_no_road() -> None:
     xy = plan(0.2)
     on_way = (np.abs(xy[:, 1] - WAY_Y_M) < HALF_VEHICLE_M) & (xy[:, 0] > 2.0)
-    surface = road_along(way(), [cloud(np.where(on_way, 0.5, 0.0), xy)], T_LEVEL_SENSOR, GroundSettings())
+    surface = road_along(
+        way(), [cloud(np.where(on_way, 0.5, 0.0), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings()
+    )
     assert surface is not None
     assert np.abs(surface.cells.z).max() < 0.1
 
@@ -70,7 +73,7 @@ def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
     points *= 1.0 + rng.normal(0.0, 0.1, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
     noise = np.full(len(points), 0.1)
     scan = PointCloud(0, points, noise, 1e-3 * noise, np.zeros(len(points), dtype=bool))
-    surface = road_along(way(), [scan], T_LEVEL_SENSOR, GroundSettings())
+    surface = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
     assert surface is not None
     value, covariance, _ = surface.plane()
     assert abs(value[2]) < 0.05  # the rays fall by 0.4
@@ -80,11 +83,18 @@ def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
 def test_where_nothing_is_seen_there_is_no_road() -> None:
     xy = plan(0.2)
     assert (
-        road_along(way() + np.array([0.0, 200.0]), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, GroundSettings())
+        road_along(
+            way() + np.array([0.0, 200.0]),
+            [cloud(np.zeros(len(xy)), xy)],
+            T_LEVEL_SENSOR,
+            UP,
+            np.zeros(3),
+            GroundSettings(),
+        )
         is None
     )
     few = cloud(np.zeros(len(xy)), xy)[np.arange(0, len(xy), 700)]
-    assert road_along(way(), [few], T_LEVEL_SENSOR, GroundSettings()) is None
+    assert road_along(way(), [few], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings()) is None
 
 
 def test_a_vehicle_that_waits_is_at_one_place() -> None:

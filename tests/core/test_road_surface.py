@@ -5,10 +5,11 @@ import pytest
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
-from laci_stereo.core.road_surface import FALL, Cells, Surface
+from laci_stereo.core.road_surface import FALL, LASER_RAD, Cells, Surface
 
 SIGMA_M = 0.01
 LANE_M = 3.5
+LEVEL = np.zeros(3)
 
 
 def apart(n: int) -> FloatArray:
@@ -16,12 +17,16 @@ def apart(n: int) -> FloatArray:
     return np.repeat(np.arange(n, dtype=np.float64)[:, None], 2, axis=1)
 
 
+def by_camera(n: int) -> FloatArray:
+    return np.full(n, np.nan)
+
+
 def cells(left_m: FloatArray, along_m: FloatArray, z: FloatArray) -> Cells:
     """Return cells along a straight way along x, of exact places."""
     n = len(z)
     noise = np.full(n, SIGMA_M)
     piece = np.zeros(n, dtype=np.int64)
-    return Cells(np.column_stack([along_m, left_m]), z, noise**2, noise, left_m, piece, apart(n))
+    return Cells(np.column_stack([along_m, left_m]), z, noise**2, noise, left_m, piece, apart(n), by_camera(n))
 
 
 def road(
@@ -40,7 +45,7 @@ def road(
 def test_the_crown_is_told_from_the_plane_where_both_sides_are_seen(fall: float, crown_m: float) -> None:
     slopes = np.array([0.01, -0.02])
     seen = road(np.random.default_rng(0), (crown_m - LANE_M, crown_m + LANE_M), slopes, fall, crown_m)
-    value, covariance, by_crown = Surface(seen, 0.0).plane()
+    value, covariance, by_crown = Surface(seen, 0.0, LEVEL).plane()
     off = value[1:] - slopes
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
     assert np.degrees(np.sqrt(covariance[2, 2])) < 0.3
@@ -50,7 +55,7 @@ def test_the_crown_is_told_from_the_plane_where_both_sides_are_seen(fall: float,
 def test_one_side_of_a_crown_does_not_tell_the_plane() -> None:
     slopes, fall = np.zeros(2), 0.02
     seen = road(np.random.default_rng(0), (-5.0, 0.0), slopes, fall, 1.0)
-    value, covariance, by_crown = Surface(seen, 0.0).plane()
+    value, covariance, by_crown = Surface(seen, 0.0, LEVEL).plane()
     assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
     assert np.sqrt(by_crown[2, 2]) > FALL / 4
     # Along the way there is nothing to confuse it with.
@@ -59,7 +64,7 @@ def test_one_side_of_a_crown_does_not_tell_the_plane() -> None:
 
 def test_a_flat_road_may_be_one_side_of_a_crown_that_is_not_seen() -> None:
     value, covariance, by_crown = Surface(
-        road(np.random.default_rng(0), (-3.0, 3.0), np.zeros(2), 0.0, 0.0), 0.0
+        road(np.random.default_rng(0), (-3.0, 3.0), np.zeros(2), 0.0, 0.0), 0.0, LEVEL
     ).plane()
     assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
     assert np.sqrt(by_crown[2, 2]) > FALL / 4
@@ -71,7 +76,7 @@ def test_the_doubt_is_that_of_the_error_over_random_roads() -> None:
     for _ in range(60):
         crown_m, fall = rng.uniform(-4.0, 4.0), rng.uniform(0.0, 0.025)
         slopes, left_m, width_m = rng.normal(0.0, 0.015, 2), rng.uniform(-5.0, -1.0), rng.uniform(3.0, 9.0)
-        value, covariance, _ = Surface(road(rng, (left_m, left_m + width_m), slopes, fall, crown_m), 0.0).plane()
+        value, covariance, _ = Surface(road(rng, (left_m, left_m + width_m), slopes, fall, crown_m), 0.0, LEVEL).plane()
         off = value[1:] - slopes
         squares.append(off @ np.linalg.solve(covariance[1:, 1:], off))
     # Chi-square of two degrees of freedom: mean 2. The road might be bent, and is not, so that it is less.
@@ -89,7 +94,7 @@ def crossed(rng: np.random.Generator, slopes: FloatArray, fall: float, towards_r
     from_crown = xy @ [np.cos(towards_rad), np.sin(towards_rad)]
     noise = np.full(400, SIGMA_M)
     z = xy @ slopes - fall * np.abs(from_crown) + uneven + rng.normal(0.0, SIGMA_M, 400)
-    return Cells(xy, z, noise**2, noise, left, np.zeros(400, dtype=np.int64), apart(400))
+    return Cells(xy, z, noise**2, noise, left, np.zeros(400, dtype=np.int64), apart(400), by_camera(400))
 
 
 @pytest.mark.parametrize("radius_m", [12.0, 25.0, 1e4])
@@ -98,7 +103,7 @@ def test_a_crown_that_the_way_crosses_is_told_from_the_plane(towards_deg: float,
     # Around a roundabout's island, or in a turn, the way crosses the crowns of others' roads.
     slopes = np.array([0.01, -0.02])
     seen = crossed(np.random.default_rng(0), slopes, 0.02, float(np.radians(towards_deg)), radius_m)
-    value, covariance, _ = Surface(seen, 0.0).plane()
+    value, covariance, _ = Surface(seen, 0.0, LEVEL).plane()
     off = value[1:] - slopes
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
     assert np.degrees(np.abs(off)).max() < 0.4
@@ -110,7 +115,7 @@ def test_the_doubt_is_that_of_the_error_where_ways_cross_crowns() -> None:
     for _ in range(60):
         slopes, fall = rng.normal(0.0, 0.015, 2), rng.uniform(0.0, 0.025)
         seen = crossed(rng, slopes, fall, rng.uniform(-np.pi, np.pi), np.exp(rng.uniform(np.log(10.0), np.log(100.0))))
-        value, covariance, _ = Surface(seen, 0.0).plane()
+        value, covariance, _ = Surface(seen, 0.0, LEVEL).plane()
         off = value[1:] - slopes
         squares.append(off @ np.linalg.solve(covariance[1:, 1:], off))
     assert 0.2 < np.mean(squares) < 2.0
@@ -119,7 +124,7 @@ def test_the_doubt_is_that_of_the_error_where_ways_cross_crowns() -> None:
 
 def test_what_all_points_share_is_in_the_doubt() -> None:
     seen = road(np.random.default_rng(0), (-LANE_M, LANE_M), np.zeros(2), 0.0, 0.0)
-    alone, together = (Surface(seen, share).plane()[1][0, 0] for share in (0.0, 1.0))
+    alone, together = (Surface(seen, share, LEVEL).plane()[1][0, 0] for share in (0.0, 1.0))
     assert together - alone == pytest.approx(SIGMA_M**2, rel=0.1)
 
 
@@ -143,8 +148,9 @@ def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_wi
             y,
             np.zeros(len(x), dtype=np.int64),
             sight,
+            by_camera(len(x)),
         )
-        value, covariance, _ = Surface(seen, 0.0).plane()
+        value, covariance, _ = Surface(seen, 0.0, LEVEL).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert 0.2 < np.mean(squares) < 2.0
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
@@ -153,6 +159,35 @@ def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_wi
 def test_a_surface_is_known_where_it_was_seen_and_less_beyond() -> None:
     seen = road(np.random.default_rng(0), (-2.0, 2.0), np.zeros(2), 0.0, 0.0)
     beside = np.array([0.0, 2.0, 4.0, 8.0])
-    height, variance = Surface(seen, 0.0).heights(cells(beside, np.zeros(4), np.zeros(4)))
+    height, variance = Surface(seen, 0.0, LEVEL).heights(cells(beside, np.zeros(4), np.zeros(4)))
     assert (np.diff(variance) > 0.0).all()
     assert (np.abs(height) < 3.0 * np.sqrt(variance + CLASS_B_M**2)).all()
+
+
+def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_its_own_way() -> None:
+    # Eight rings of a scanner 12 m high cross a strip 6 m wide: the offset of one ring could pass for a crown.
+    rng = np.random.default_rng(3)
+    height_m, sigma_m, share = 12.0, 0.2, 0.25
+    spots = np.stack(np.meshgrid(np.arange(19.0, 25.0, 0.5), np.arange(-10.0, 10.0, 0.5)), axis=-1).reshape(-1, 2)
+    n, elevation_deg = len(spots), -np.degrees(np.arctan2(height_m, np.linalg.norm(spots, axis=1)))
+    laser = np.round(elevation_deg / 0.8).astype(np.int64)
+    away = np.linalg.norm(spots[:, None] - spots, axis=2)
+    root = np.linalg.cholesky(CLASS_B_M**2 * np.exp(-away / REACH_M) + 1e-10 * np.eye(n))
+    squares = []
+    for _ in range(60):
+        z = root @ rng.normal(size=n) + 0.1 * sigma_m * rng.normal(size=n)
+        z += share * sigma_m * rng.normal(size=laser.max() - laser.min() + 1)[laser - laser.min()]
+        seen = Cells(
+            spots,
+            z,
+            np.full(n, (0.1 * sigma_m) ** 2),
+            np.full(n, sigma_m),
+            22.0 - spots[:, 0],
+            np.zeros(n, dtype=np.int64),
+            apart(n),
+            0.8 * laser / np.degrees(LASER_RAD),
+        )
+        value, covariance, _ = Surface(seen, share, LEVEL).plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+    assert 0.1 < np.mean(squares) < 2.0
+    assert np.mean(np.array(squares) > 3.0**2) < 0.05
