@@ -361,6 +361,7 @@ def test_an_extra_that_is_not_installed_is_named(site: Site, made: Scene, module
     [
         (("--axes", "sideways"), ("the axes are 'sideways'", "needed is such as 'x forward, z up'")),
         (("--sweep", "start,left,10"), ("--sweep is 'start,left,10'", "needed is start|middle|end,ccw|cw,HZ")),
+        (("--sweep", "no"), ("--sweep is 'no'", "or none")),
         (("--sweep", "start,cw,0"), ("rate of sweeps is 0 Hz", "needed is 0.5 to 200")),
         (("--range-sigma", "0"), ("range_sigma_m is 0 m", "needed is more than 0")),
         (("--angle-sigma", "90"), ("angle_sigma_rad is 1.57", "at most 0.1 rad")),

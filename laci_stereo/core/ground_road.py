@@ -18,7 +18,7 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
-from laci_stereo.core.road_extent import places, road_along
+from laci_stereo.core.road_extent import road_along
 from laci_stereo.core.road_surface import FALL, OTHER
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
@@ -40,7 +40,7 @@ PASSES, SETTLED = 5, 0.01
 """What is far above a plane is not looked at from it, so the road is looked at again from its own, until that moves by
 less than a tenth of its doubt, squared here."""
 
-FARTHEST = 5.0
+FARTHEST = 3.0
 """What is farther from the ground than land is from roads, by so many standard deviations, is something else: it falls
 by 15 %, or is 1.5 m higher."""
 
@@ -49,7 +49,7 @@ ROOM_M = 1.0
 
 
 def road_ground(
-    survey: Sequence[PointCloud], axes: Axes, ground: GroundPlane, track: Track, settings: GroundSettings
+    survey: Sequence[PointCloud], axes: Axes, ground: GroundPlane, way: FloatArray, settings: GroundSettings
 ) -> GroundPlane:
     """Hold a ground against the road around the way of a vehicle.
 
@@ -63,13 +63,12 @@ def road_ground(
         Without what moves.
     axes : Axes
     ground : GroundPlane
-    track : Track
-        Of a vehicle, in the level frame of this ground.
+    way : ndarray, shape (n, 2)
+        Of a vehicle, in the level frame of this ground; see `places`.
     settings : GroundSettings
     """
     chart = Chart.around(ground)
     (value,) = chart.values([ground])
-    way = places(track)
     by_plane = _by_plane(chart, axes, way.mean(axis=0))
     found, found_off = ground, np.zeros(3)
     for _ in range(PASSES):
@@ -81,8 +80,7 @@ def road_ground(
         road, by_crown = seen
         (of_road,) = chart.values([road])
         same = chart.covariance(ground) + OPEN * chart.covariance(by_crown) + _spread(by_plane, SAME)
-        other = same + _spread(by_plane, OTHER)
-        off, doubt = _together(of_road - value, chart.covariance(road), (same, other))
+        off, doubt = _together(of_road - value, chart.covariance(road), same, _spread(by_plane, OTHER))
         if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
             return _as_uncertain(ground, chart, doubt + np.outer(off, off))
         moved = off - found_off
@@ -134,10 +132,9 @@ def _seen_from(
     """
     T_level_sensor, T_ground_sensor = found.T_level_sensor(axes), ground.T_level_sensor(axes)
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
-    carried = transform(T_level_ground, np.column_stack([way, np.zeros(len(way))]))[:, :2]
     normal, origin = T_level_ground[:3, 2], T_level_ground[:3, 3]
     before = np.append(normal @ origin, -normal[:2]) / normal[2]
-    surface = road_along(carried, survey, T_level_sensor, axes.up, before, settings)
+    surface = road_along(carried(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
     if surface is None:
         return None
     plane, covariance, by_crown = surface.plane()
@@ -149,7 +146,14 @@ def _seen_from(
     return chart.plane(value, by_plane @ covariance @ by_plane.T), chart.plane(value, by_plane @ by_crown @ by_plane.T)
 
 
-def _together(off: FloatArray, of_road: FloatArray, of_ground: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+def carried(T_a_b: FloatArray, way: FloatArray) -> FloatArray:
+    """Return places on one ground, shape (n, 2), in the level frame of another."""
+    return transform(T_a_b, np.column_stack([way, np.zeros(len(way))]))[:, :2]
+
+
+def _together(
+    off: FloatArray, of_road: FloatArray, same: FloatArray, other: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the road's plane, from the ground's, and its covariance, as the road and the ground tell together.
 
     Parameters
@@ -158,16 +162,18 @@ def _together(off: FloatArray, of_road: FloatArray, of_ground: Sequence[FloatArr
         What is seen of the road, from the ground.
     of_road : ndarray, shape (3, 3)
         Its covariance.
-    of_ground : sequence of ndarray, shape (3, 3)
-        How far the ground may be from the road's plane, in cases that are as likely as one another beforehand.
+    same, other : ndarray, shape (3, 3)
+        How far the ground may be from the road's plane, in cases that are as likely as one another beforehand. What is
+        seen of the road holds the other one already.
     """
+    seen, told = np.linalg.inv(of_road) - np.linalg.inv(other), np.linalg.solve(of_road, off)
     log_likely, means, covariances = [], [], []
-    for before in of_ground:
-        total = before + of_road
-        gain = np.linalg.solve(total, before).T
-        log_likely.append(-0.5 * (off @ np.linalg.solve(total, off) + np.linalg.slogdet(total)[1]))
-        means.append(gain @ off)
-        covariances.append(before - gain @ before)
+    for before in (same, other):
+        covariance = np.linalg.inv(seen + np.linalg.inv(before))
+        mean = covariance @ told
+        log_likely.append(0.5 * (told @ mean + np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(before)[1]))
+        means.append(mean)
+        covariances.append(covariance)
     likely = np.exp(np.array(log_likely) - np.logaddexp.reduce(log_likely))
     mean = likely @ np.array(means)
     apart = np.array(means) - mean

@@ -11,18 +11,18 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from laci_stereo.core.association import choose_track
+from laci_stereo.core.association import HALF_LANE_M, choose_track
 from laci_stereo.core.background import Background, learn_background
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
-from laci_stereo.core.frames import Axes, FloatArray, transform
+from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground
 from laci_stereo.core.ground_axes import ground_below
-from laci_stereo.core.ground_road import road_ground, standing
+from laci_stereo.core.ground_road import carried, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
-from laci_stereo.core.road_extent import REACH_M, places
+from laci_stereo.core.road_extent import places
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
 from laci_stereo.core.tracking import Track, link_tracks
@@ -125,28 +125,29 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    roads: list[FloatArray] = []
+    first, before = seen, None
     for _ in range(LOOKS):
         track = _driven(seen, vehicles, settings)
-        if track is None and not roads and seen.ground.unevenness_m > ONE_SURFACE_M:
+        if track is None and before is None and seen.ground.unevenness_m > ONE_SURFACE_M:
             other = _on_the_farther(seen, source, settings)
             track = None if other is None else _driven(other, vehicles, settings)
-            seen = seen if other is None or track is None else other
-        if track is None or any(_is_along(track, road) for road in roads):
-            break  # and if nothing fits it will be said why
+            first = seen = seen if other is None or track is None else other
+        if track is None:
+            break  # and it will be said why
+        way = carried(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
+        if before is not None and _is_along(way, before):
+            break
         survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
-        ground = road_ground(survey, seen.axes, seen.ground, track, settings.ground)
-        if np.array_equal(ground.normal, seen.ground.normal):
-            return replace(seen, ground=ground)
-        roads.append(places(track))
-        seen = observe(source, settings, ground)
+        ground = road_ground(survey, first.axes, first.ground, way, settings.ground)
+        if np.array_equal(ground.normal, first.ground.normal):
+            return replace(first, ground=ground)
+        seen, before = observe(source, settings, ground), way
     return seen
 
 
-def _is_along(track: Track, road: FloatArray) -> bool:
-    """Tell whether a track is mostly within reach of the road that was seen along a way."""
-    away_m = np.asarray(cKDTree(road).query(places(track))[0])
-    return bool(np.median(away_m) < REACH_M)
+def _is_along(way: FloatArray, before: FloatArray) -> bool:
+    """Tell whether a way is mostly within half a lane of another."""
+    return bool(np.median(cKDTree(before).query(way)[0]) < HALF_LANE_M)
 
 
 def _driven(seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings) -> Track | None:

@@ -55,6 +55,9 @@ STEP_M = 1.0
 KERB_M, NO_ROAD_M = 0.08, 0.15
 """Mean height above the road of what is none, and its standard deviation: kerbs have 3 to 15 cm, banks rise or fall."""
 
+KNOWN_M = KERB_M / 3
+"""Where the surface is known less well, a kerb may pass for its slope: such places wait until it is known better."""
+
 MOST_LIKELY = 3.0
 """Logarithm of the odds: no cell tells by more than twenty to one whether it is road."""
 
@@ -120,9 +123,10 @@ def road_along(
         if on_road.sum() < FIRST_CELLS:
             return None
         height, variance = Surface(cells[on_road], settings.shared_noise_share, before).heights(cells)
-        off_m, variance = cells.z - height, variance + cells.variance + CLASS_B_M**2
+        off_m, known = cells.z - height, variance < KNOWN_M**2
+        variance = variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
-        on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance)
+        on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance) & known
         cells = _at_height(on_plane, height, way, T_level_sensor[2, 3])
     return None if on_road.sum() < LEAST_CELLS else Surface(cells[on_road], settings.shared_noise_share, before)
 

@@ -25,10 +25,6 @@ OTHER = (0.3, 2.0 * FALL, 2.0 * FALL)
 """Height and slopes of a plane that is the land's beside a road, from the road's, standard deviations: it is a foot
 higher or lower, and falls by twice as much."""
 
-VAGUE = 3.0
-"""A surface tells what is seen of the road; the ground's word is held against that afterwards, and not twice. So far
-less is known beforehand here."""
-
 _FALLS = np.arange(0.0, 0.031, 0.0025)
 _CROWNS_M = np.arange(-7.0, 7.1, 0.25)
 """Falls, and how far to the left of the way a crown along it is, within two lanes: all are as likely."""
@@ -118,13 +114,13 @@ class Surface:
     shared_noise_share : float
         Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
     before : ndarray, shape (3,)
-        Height at the origin, and slopes, of the ground near which the road is beforehand, by `VAGUE` times `OTHER`.
+        Height at the origin, and slopes, of the ground near which the road is beforehand, by `OTHER`.
     """
 
     def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray) -> None:
         self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
-        prior = np.square([*(VAGUE * np.array(OTHER)), BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
+        prior = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
         self.crossed_m = np.quantile((cells.xy - self.middle) @ _ACROSS, _CROSSED, axis=0)
         crowns, lasers = self._crowns(cells), _lasers(cells.layer)
         of_each = [len(_CROWNS_M), self.crossed_m.size]

@@ -12,7 +12,7 @@ from laci_lidar.errors import ScanError
 from laci_lidar.monitor_command import monitor as monitor_command
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
-from laci_lidar.settings import LidarSettings, Sweep
+from laci_lidar.settings import AtOnce, LidarSettings, Sweep
 from laci_stereo.asked import PATH, Asked, calibrating, parse_background
 from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
 from laci_stereo.core.errors import SettingError
@@ -47,9 +47,10 @@ def cli() -> None:
 @click.option("--angle-sigma", type=float, metavar="DEG", help="Noise of a bearing [default: from the beams' spacing].")
 @click.option(
     "--sweep",
-    metavar="AT,DIRECTION,HZ",
+    metavar="AT,DIRECTION,HZ|none",
     help="How the scanner turns, where the points have no times of their own: start, middle or end for what the "
-    "stamp is, ccw or cw seen from above, turns in a second; such as start,cw,10.",
+    "stamp is, ccw or cw seen from above, turns in a second; such as start,cw,10. none: all points of a scan belong to "
+    "its stamp, as a flash LiDAR's, or those of scans that were motion-compensated.",
 )
 @click.option(
     "--accumulate",
@@ -140,17 +141,17 @@ def check(
 cli.add_command(monitor_command)
 
 
-def parse_sweep(text: str | None) -> Sweep | None:
-    """Read ``AT,DIRECTION,HZ``.
+def parse_sweep(text: str | None) -> Sweep | AtOnce | None:
+    """Read ``AT,DIRECTION,HZ`` or ``none``.
 
     Raises
     ------
     SettingError
         If it is not that.
     """
-    if text is None:
-        return None
-    needed = "needed is start|middle|end,ccw|cw,HZ, such as start,cw,10"
+    if text is None or text == "none":
+        return text  # type: ignore[return-value]
+    needed = "needed is start|middle|end,ccw|cw,HZ, such as start,cw,10, or none"
     parts = text.split(",")
     if len(parts) != 3 or parts[0] not in ("start", "middle", "end") or parts[1] not in ("ccw", "cw"):
         raise SettingError(f"--sweep is {text!r}; {needed}")

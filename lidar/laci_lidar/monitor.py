@@ -185,7 +185,7 @@ def stored_settings(path: Path, workers: int) -> LidarSettings:
     try:
         config: dict[str, Any] = json.loads(path.read_bytes())["config"]["lidar"]
         forward, up = (tuple(map(float, config["axes"][name])) for name in ("forward", "up"))
-        sweep = None if config["sweep"] is None else Sweep(**config["sweep"])
+        sweep = Sweep(**config["sweep"]) if isinstance(config["sweep"], dict) else config["sweep"]
         known = {one.name: config[one.name] for one in fields(LidarSettings) if one.name in config}
         return LidarSettings(
             **{

@@ -13,7 +13,7 @@ from laci_lidar.errors import ScanError
 from laci_lidar.noise import USUAL_SIGMA_M, Noise, estimate_angle_sigma, estimate_range_sigma
 from laci_lidar.scan import Scan
 from laci_lidar.sequence import ScanSequence
-from laci_lidar.settings import LidarSettings
+from laci_lidar.settings import LidarSettings, Sweep
 from laci_lidar.view import View, learn_view
 from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
@@ -232,9 +232,10 @@ class LidarRecording:
         )
 
     def _offsets_s(self, scan: Scan, scanner: Scanner) -> FloatArray | None:
-        if self.settings.sweep is not None:
-            return scanner.view.offsets_s(scan.points, self.settings.sweep)
-        return scan.offset_s
+        sweep = self.settings.sweep
+        if isinstance(sweep, Sweep):
+            return scanner.view.offsets_s(scan.points, sweep)
+        return None if sweep == "none" else scan.offset_s
 
     def _far_enough(self, points: FloatArray) -> BoolArray:
         keep: BoolArray = np.einsum("ij,ij->i", points, points) >= self.settings.min_range_m**2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
@@ -42,6 +42,10 @@ class Sweep:
             raise SettingError(f"a sweep starts at {self.start_deg:g} deg; needed is -360 to 360")
 
 
+AtOnce: TypeAlias = Literal["none"]
+"""No sweep: a flash LiDAR, or scans whose points were brought to the stamp before."""
+
+
 @dataclass(frozen=True)
 class LidarSettings:
     """How scans become point clouds.
@@ -52,9 +56,10 @@ class LidarSettings:
         Standard deviation of a range. None: from how the ranges of neighbouring points on the ground differ.
     angle_sigma_rad : float or None
         Standard deviation of a bearing. None: from the step between neighbouring beams.
-    sweep : Sweep or None
-        How the scanner turns. None: each point's own time is taken from the scans where they tell it; where they do
-        not, all points were taken at the stamp.
+    sweep : Sweep, "none" or None
+        How the scanner turns; "none": all points of a scan belong to its stamp, whatever times they tell. None: each
+        point's own time is taken from the scans where they tell it; where they do not, how the scanner turns is found
+        from the drive.
     accumulate : int
         Scans gathered into one frame, for patterns that do not repeat and need several scans to fill the view.
     min_range_m : float
@@ -67,7 +72,7 @@ class LidarSettings:
 
     range_sigma_m: float | None = None
     angle_sigma_rad: float | None = None
-    sweep: Sweep | None = None
+    sweep: Sweep | AtOnce | None = None
     accumulate: int = 1
     min_range_m: float = 1.0
     axes: Axes = FORWARD_LEFT_UP_AXES
@@ -78,6 +83,8 @@ class LidarSettings:
             value = getattr(self, name)
             if value is not None and not 0.0 < value <= largest:
                 raise SettingError(f"{name} is {value:g} {unit}; needed is more than 0 and at most {largest:g} {unit}")
+        if self.sweep not in (None, "none") and not isinstance(self.sweep, Sweep):
+            raise SettingError(f"the sweep is {self.sweep!r}; needed is 'none', or how the scanner turns")
         if not 1 <= self.accumulate <= 1000:
             raise SettingError(f"accumulate is {self.accumulate}; needed is 1 to 1000 scans in a frame")
         if not 0.0 <= self.min_range_m < 50.0:

