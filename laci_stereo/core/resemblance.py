@@ -85,7 +85,10 @@ def resemblance(
     clocks = replace(settings, clock_sigma_s=with_turn(settings.clock_sigma_s, drive.turn_s))
     free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, heading_sigma_deg=FREE_DEG)
     try:
-        way, strayed_s = _way(fit_roughly(drive, start, time_offset_s, free), vehicle, time_offset_s, clocks)
+        rough = fit_roughly(drive, start, time_offset_s, free)
+        if np.linalg.eigvalsh(rough.information)[-1] < FREE_M**-2:  # noise hides the outline: boxes tell more
+            return Resemblance()
+        way, strayed_s = _way(rough, vehicle, time_offset_s, clocks)
         if way < 0.0:  # or the sender is mistaken about which of its points it tells the position of
             lever = fit_roughly(drive, start, time_offset_s, replace(free, lever_sigma_m=FREE_LEVER_M))
             mistaken, strayed = _way(lever, vehicle, time_offset_s, clocks)
