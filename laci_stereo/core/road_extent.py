@@ -128,7 +128,9 @@ def road_along(
         limit_m = _limits(cells, off_m, variance, limit_m)
         on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance) & known
         cells = _at_height(on_plane, height, way, T_level_sensor[2, 3])
-    return None if on_road.sum() < LEAST_CELLS else Surface(cells[on_road], settings.shared_noise_share, before)
+    if on_road.sum() < LEAST_CELLS:
+        return None
+    return Surface(cells[on_road], settings.shared_noise_share, before, kerbs=True)
 
 
 def _cells(

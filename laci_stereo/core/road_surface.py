@@ -3,7 +3,8 @@
 A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
 Here the crown is a part of the model: where both of its sides are seen, it is told from the plane; where only one is,
 how far the road falls stays as open as it was. It runs along the way, or the way crosses it, as in a turn and around a
-roundabout's island. Heights are those above a plane that was found before.
+roundabout's island. So is a low kerb, behind which the land is no longer the road's. Heights are those above a plane
+that was found before.
 """
 
 from __future__ import annotations
@@ -34,6 +35,19 @@ _ACROSS = np.stack([np.cos(_ACROSS_RAD), np.sin(_ACROSS_RAD)])
 _CROSSED = (0.15, 0.325, 0.5, 0.675, 0.85)
 """Crowns that the way crosses are straight: directions in which the road falls from one, and which shares of what is
 seen are on one side of it. As often as not the crown is such a one; all of each kind are as likely."""
+
+_KERBS_M, _STEP_M = np.arange(0.0, 7.1, 1.0), 3.0
+_TOWARDS_RAD = np.pi / 8 * np.arange(16)
+_TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
+"""A kerb is straight, so far beyond the way in some direction. What is behind it rises, to drain to the road, by one of
+`_FALLS`, and it is as high as that rises in `_STEP_M`: up to 9 cm."""
+
+_UNNOTICED = 0.1
+"""Probability that there is such a low kerb in what passed for road. With coarse cells its land is joined bit by bit,
+each of which could be how the road is bent."""
+
+_ON_WAY_M = 0.75
+"""What is so near the way the vehicle was on itself: most are 1.5 m wide at least."""
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
@@ -115,16 +129,22 @@ class Surface:
         Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
     before : ndarray, shape (3,)
         Height at the origin, and slopes, of the ground near which the road is beforehand, by `OTHER`.
+    kerbs : bool
+        Some of the cells may be behind a kerb.
     """
 
-    def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray) -> None:
-        self.cells, self.before = cells, before
+    def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray, *, kerbs: bool = False) -> None:
+        self.cells, self.before, self.kerbs = cells, before, kerbs
         self.middle = cells.xy.mean(axis=0)
         prior = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
         self.crossed_m = np.quantile((cells.xy - self.middle) @ _ACROSS, _CROSSED, axis=0)
+        away_m = np.abs(cells.left_m)
+        on_way = cells.xy[away_m <= max(_ON_WAY_M, float(away_m.min()))]
+        self.way_m = ((on_way - self.middle) @ _TOWARDS).max(axis=0)
         crowns, lasers = self._crowns(cells), _lasers(cells.layer)
-        of_each = [len(_CROWNS_M), self.crossed_m.size]
-        log_prior = -np.log(np.repeat(of_each, of_each))[:, None]
+        of_each = np.array([len(_CROWNS_M), self.crossed_m.size, len(_KERBS_M) * len(_TOWARDS_RAD)][: 2 + kerbs])
+        share = np.array([(1.0 - _UNNOTICED) / 2, (1.0 - _UNNOTICED) / 2, _UNNOTICED] if kerbs else [0.5, 0.5])
+        log_prior = np.log(np.repeat(share / of_each, of_each))[:, None]
         patches = _merged(np.column_stack([self._basis(cells.xy), crowns, lasers]), cells)
         widths = np.cumsum([6, crowns.shape[1], lasers.shape[1], 1, 1, 1, 2])
         basis, crowns, lasers, z, sigma_m, variance, xy, sight = np.split(patches, widths, axis=1)
@@ -173,7 +193,9 @@ class Surface:
         """
         to_plane = np.eye(3, 6)
         to_plane[0] = self._basis(self.cells.xy).mean(axis=0)
-        of_crowns = np.outer((1.0, 0.0, 0.0), self._crowns(self.cells).mean(axis=0))
+        crowns = self._crowns(self.cells).mean(axis=0)
+        crowns[len(_CROWNS_M) + self.crossed_m.size :] = 0.0  # what is behind a kerb is not the road
+        of_crowns = np.outer((1.0, 0.0, 0.0), crowns)
         first, second, within, bent = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
         for each in self.given:
             values = (to_plane @ each.mean)[:, None, None] + (of_crowns - to_plane @ each.by_fall)[:, :, None] * _FALLS
@@ -194,11 +216,14 @@ class Surface:
         return offset + first, within + by_crown, by_crown
 
     def _crowns(self, cells: Cells) -> FloatArray:
-        """Return by how much places are lower than each crown if the road falls by 1, negative, shape (n, crowns)."""
+        """Return by how much places are higher for each crown and kerb if the road falls by 1, shape (n, crowns)."""
         along = cells.left_m[:, None] - _CROWNS_M
         crossed = ((cells.xy - self.middle) @ _ACROSS)[:, None] - self.crossed_m
         crowns: FloatArray = -np.abs(np.column_stack([along, crossed.reshape(len(cells), -1)]))
-        return crowns
+        if not self.kerbs:
+            return crowns
+        beyond = ((cells.xy - self.middle) @ _TOWARDS - self.way_m)[:, None] - _KERBS_M[:, None]
+        return np.column_stack([crowns, np.where(beyond > 0.0, _STEP_M + beyond, 0.0).reshape(len(cells), -1)])
 
     def _basis(self, xy: FloatArray) -> FloatArray:
         """Return what a plane and its bends are made of, shape (n, 6)."""

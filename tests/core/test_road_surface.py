@@ -191,3 +191,30 @@ def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_it
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert 0.1 < np.mean(squares) < 2.0
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
+
+
+def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
+    rng = np.random.default_rng(4)
+    squares, off_deg = [], []
+    for _ in range(60):
+        kerb_m, rises = rng.uniform(1.0, 4.0), rng.uniform(0.01, 0.03)
+        along, left = rng.uniform(-8.0, 8.0, 200), rng.uniform(-2.5, 7.0, 200)
+        beyond = np.maximum(left - kerb_m, 0.0)
+        z = (beyond > 0.0) * 0.06 + rises * beyond + rng.normal(0.0, 0.02, 200)
+        noise = np.full(200, 0.02)
+        seen = Cells(
+            np.column_stack([along, left]),
+            z,
+            noise**2,
+            noise,
+            left,
+            np.zeros(200, dtype=np.int64),
+            apart(200),
+            by_camera(200),
+        )
+        value, covariance, _ = Surface(seen, 0.0, LEVEL, kerbs=True).plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+        off_deg.append(np.degrees(np.linalg.norm(value[1:])))
+    # The mean of 60 chi-squares of two degrees of freedom: 2.0 +- 0.26.
+    assert np.mean(squares) < 2.8
+    assert np.median(off_deg) < 0.3
