@@ -166,7 +166,12 @@ def _together(
         How far the ground may be from the road's plane, in cases that are as likely as one another beforehand. What is
         seen of the road holds the other one already.
     """
-    seen, told = np.linalg.inv(of_road) - np.linalg.inv(other), np.linalg.solve(of_road, off)
+    # A road that is bent much is known less well than beforehand, and tells nothing then, but not less.
+    root = np.linalg.cholesky(other)
+    values, vectors = np.linalg.eigh(root.T @ np.linalg.inv(of_road) @ root - np.eye(len(off)))
+    by_road = np.linalg.solve(root.T, vectors[:, values > 0.0])
+    seen = (by_road * values[values > 0.0]) @ by_road.T
+    told = by_road @ (vectors[:, values > 0.0].T @ root.T @ np.linalg.solve(of_road, off))
     log_likely, means, covariances = [], [], []
     for before in (same, other):
         covariance = np.linalg.inv(seen + np.linalg.inv(before))

@@ -123,7 +123,10 @@ def road_along(
         if on_road.sum() < FIRST_CELLS:
             return None
         height, variance = Surface(cells[on_road], settings.shared_noise_share, before).heights(cells)
-        off_m, known = cells.z - height, variance < KNOWN_M**2
+        off_m = cells.z - height
+        known = (
+            variance - (settings.shared_noise_share * cells.sigma_m) ** 2 < KNOWN_M**2
+        )  # it has what all points share
         variance = variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
         on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance) & known
@@ -170,7 +173,7 @@ def _cells(
         [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
     )
     window_rad = max(cloud.window_rad for cloud in clouds)
-    elevation_rad = np.bincount(cell, np.arcsin(ray @ up / np.linalg.norm(ray, axis=1))) / count
+    elevation_rad = np.bincount(cell, np.arcsin(np.clip(ray @ up / np.linalg.norm(ray, axis=1), -1.0, 1.0))) / count
     layer = elevation_rad / LASER_RAD if window_rad == 0.0 else np.full(len(count), np.nan)
     sight = bearing / max(NO_WINDOW_RAD, window_rad)
     return Cells(middle, height, variance, np.sqrt(noise), left_m, piece, sight, layer)[beside & even]

@@ -20,12 +20,12 @@ def way() -> FloatArray:
     return np.column_stack([np.arange(-15.0, 15.0, 0.5), np.full(60, WAY_Y_M)])
 
 
-def cloud(height_of: FloatArray, xy: FloatArray) -> PointCloud:
+def cloud(height_of: FloatArray, xy: FloatArray, sigma_m: float = SIGMA_M) -> PointCloud:
     """Return points at some heights, with the noise of ranges."""
     rng = np.random.default_rng(0)
     points = np.column_stack([xy, height_of - HEIGHT_M])
-    points *= 1.0 + rng.normal(0.0, SIGMA_M, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
-    noise = np.full(len(points), SIGMA_M)
+    points *= 1.0 + rng.normal(0.0, sigma_m, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
+    noise = np.full(len(points), sigma_m)
     return PointCloud(0, points, noise, 0.01 * noise, np.zeros(len(points), dtype=bool))
 
 
@@ -52,6 +52,14 @@ def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
     assert surface is not None
     assert surface.cells.left_m.min() < -0.9 * REACH_M
     assert surface.cells.left_m.max() > 0.9 * REACH_M
+
+
+def test_what_all_points_err_by_alike_does_not_hide_the_road() -> None:
+    # A quarter of 0.4 m is common to all heights: the road is known to 4 cm by it, but no part of it against another.
+    xy = plan(0.05)
+    surface = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.4)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert surface is not None
+    assert surface.cells.left_m.max() - surface.cells.left_m.min() > REACH_M
 
 
 def test_what_stands_on_the_way_is_no_road() -> None:
