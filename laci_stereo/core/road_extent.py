@@ -12,7 +12,7 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
-from laci_stereo.core.road_surface import LASER_RAD, OTHER, Cells, Surface
+from laci_stereo.core.road_surface import LASER_RAD, OTHER, Cells, Surface, height_of
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
@@ -214,17 +214,15 @@ def _below(lane: Cells, xy: FloatArray, before: FloatArray) -> FloatArray:
     Reweighted least squares, as for Cauchy's distribution.
     """
     if not len(lane):
-        beforehand: FloatArray = before[0] + xy @ before[1:]
-        return beforehand
+        return height_of(before, xy)
     middle = lane.xy.mean(axis=0)
     basis, weight = np.column_stack([np.ones(len(lane)), lane.xy - middle]), 1.0 / (lane.variance + NEAR_M**2)
-    z = lane.z - before[0] - lane.xy @ before[1:]
+    z = lane.z - height_of(before, lane.xy)
     prior, plane = np.diag(np.array(OTHER) ** -2.0), np.zeros(3)
     for _ in range(START_STEPS):
         robust = weight / (1.0 + weight * (z - basis @ plane) ** 2)
         plane = np.linalg.solve(prior + (basis.T * robust) @ basis, basis.T @ (robust * z))
-    height: FloatArray = before[0] + xy @ before[1:] + plane[0] + (xy - middle) @ plane[1:]
-    return height
+    return height_of(before, xy) + height_of(plane, xy - middle)
 
 
 def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> FloatArray:

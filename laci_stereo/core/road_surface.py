@@ -3,8 +3,8 @@
 A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
 Here the crown is a part of the model: where both of its sides are seen, it is told from the plane; where only one is,
 how far the road falls stays as open as it was. It runs along the way, or the way crosses it, as in a turn and around a
-roundabout's island. So is a low kerb, behind which the land is no longer the road's. Heights are those above a plane
-that was found before.
+roundabout's island. A low kerb is another part of it: what is behind one is no longer the road. Heights are those above
+a plane that was found before.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class Surface:
         patches = _merged(np.column_stack([self._basis(cells.xy), crowns, lasers]), cells)
         widths = np.cumsum([6, crowns.shape[1], lasers.shape[1], 1, 1, 1, 2])
         basis, crowns, lasers, z, sigma_m, variance, xy, sight = np.split(patches, widths, axis=1)
-        z = z - before[0] - xy @ before[1:, None]
+        z = z - height_of(before, xy)[:, None]
         overlap = np.maximum(0.0, 1.0 - np.abs(sight[:, None] - sight)).prod(axis=2)
         noise = np.sqrt(variance @ variance.T) * overlap
         noise += shared_noise_share**2 * (sigma_m @ sigma_m.T) * (1.0 + lasers @ lasers.T) + (basis * prior) @ basis.T
@@ -176,7 +176,7 @@ class Surface:
             once, twice = falls @ (each.likely @ _FALLS), falls**2 @ (each.likely @ _FALLS**2)
             first += likely * flat + once
             second += likely * (((basis @ each.covariance) * basis).sum(axis=1) + flat**2) + 2.0 * flat * once + twice
-        return self.before[0] + cells.xy @ self.before[1:] + first, np.maximum(second - first**2, 0.0)
+        return height_of(self.before, cells.xy) + first, np.maximum(second - first**2, 0.0)
 
     def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the plane that the road is about: its height at the middle, and its slopes along x and y.
@@ -212,7 +212,7 @@ class Surface:
         both = bent[0, 1] * xx + (bent[0, 2] + bent[1, 1]) * xy + bent[1, 2] * yy
         within[1, 2] += both
         within[2, 1] += both
-        offset = np.append(self.before[0] + self.middle @ self.before[1:], self.before[1:])
+        offset = np.append(height_of(self.before, self.middle), self.before[1:])
         return offset + first, within + by_crown, by_crown
 
     def _crowns(self, cells: Cells) -> FloatArray:
@@ -229,6 +229,12 @@ class Surface:
         """Return what a plane and its bends are made of, shape (n, 6)."""
         x, y = (xy - self.middle).T
         return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
+
+
+def height_of(plane: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return the height of a plane, given as that at the origin and its slopes, at places of shape (..., 2)."""
+    height: FloatArray = plane[0] + xy @ plane[1:]
+    return height
 
 
 def _squares(values: FloatArray, likely: FloatArray) -> FloatArray:

@@ -30,7 +30,8 @@ class GroundSettings:
     max_tilt_sigma_deg : float
         Where the normal is known less well than this, the points do not span a plane.
     shared_noise_share : float
-        Of each point's standard deviation along its line of sight, the part that errs for all points alike. No residual
+        Of each point's standard deviation along its line of sight, the part that errs for all points alike, and on the
+        road as much again for all of one laser of a scanner. No residual
         shows it, but it moves the plane. A matcher and a rectification leave a bias of 0.03 to 0.05 px where a pixel is
         known to 0.1 to 0.2 px; of a LiDAR's offset of range makers only promise that it is no larger than the scatter
         of its points, and this is a quarter of that.

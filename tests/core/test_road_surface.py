@@ -21,10 +21,10 @@ def by_camera(n: int) -> FloatArray:
     return np.full(n, np.nan)
 
 
-def cells(left_m: FloatArray, along_m: FloatArray, z: FloatArray) -> Cells:
+def cells(left_m: FloatArray, along_m: FloatArray, z: FloatArray, sigma_m: float = SIGMA_M) -> Cells:
     """Return cells along a straight way along x, of exact places."""
     n = len(z)
-    noise = np.full(n, SIGMA_M)
+    noise = np.full(n, sigma_m)
     piece = np.zeros(n, dtype=np.int64)
     return Cells(np.column_stack([along_m, left_m]), z, noise**2, noise, left_m, piece, apart(n), by_camera(n))
 
@@ -201,18 +201,7 @@ def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
         along, left = rng.uniform(-8.0, 8.0, 200), rng.uniform(-2.5, 7.0, 200)
         beyond = np.maximum(left - kerb_m, 0.0)
         z = (beyond > 0.0) * 0.06 + rises * beyond + rng.normal(0.0, 0.02, 200)
-        noise = np.full(200, 0.02)
-        seen = Cells(
-            np.column_stack([along, left]),
-            z,
-            noise**2,
-            noise,
-            left,
-            np.zeros(200, dtype=np.int64),
-            apart(200),
-            by_camera(200),
-        )
-        value, covariance, _ = Surface(seen, 0.0, LEVEL, kerbs=True).plane()
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, kerbs=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
         off_deg.append(np.degrees(np.linalg.norm(value[1:])))
     # The mean of 60 chi-squares of two degrees of freedom: 2.0 +- 0.26.
