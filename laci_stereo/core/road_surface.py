@@ -39,8 +39,9 @@ seen are on one side of it. As often as not the crown is such a one; all of each
 _KERBS_M, _STEP_M = np.arange(0.0, 7.1, 1.0), 3.0
 _TOWARDS_RAD = np.pi / 8 * np.arange(16)
 _TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
-"""A kerb is straight, so far beyond the way in some direction. What is behind it rises, to drain to the road, by one of
-`_FALLS`, and it is as high as that rises in `_STEP_M`: up to 9 cm."""
+"""A kerb is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both. What
+is behind it rises, to drain to the road, by one of `_FALLS`, and it is as high as that rises in `_STEP_M`: up to 9 cm.
+"""
 
 _UNNOTICED = 0.1
 """Probability that there is such a low kerb in what passed for road. With coarse cells its land is joined bit by bit,
@@ -142,7 +143,7 @@ class Surface:
         on_way = cells.xy[away_m <= max(_ON_WAY_M, float(away_m.min()))]
         self.way_m = ((on_way - self.middle) @ _TOWARDS).max(axis=0)
         crowns, lasers = self._crowns(cells), _lasers(cells.layer)
-        of_each = np.array([len(_CROWNS_M), self.crossed_m.size, len(_KERBS_M) * len(_TOWARDS_RAD)][: 2 + kerbs])
+        of_each = np.diff([0, len(_CROWNS_M), len(_CROWNS_M) + self.crossed_m.size, crowns.shape[1]][: 3 + kerbs])
         share = np.array([(1.0 - _UNNOTICED) / 2, (1.0 - _UNNOTICED) / 2, _UNNOTICED] if kerbs else [0.5, 0.5])
         log_prior = np.log(np.repeat(share / of_each, of_each))[:, None]
         patches = _merged(np.column_stack([self._basis(cells.xy), crowns, lasers]), cells)
@@ -222,13 +223,22 @@ class Surface:
         crowns: FloatArray = -np.abs(np.column_stack([along, crossed.reshape(len(cells), -1)]))
         if not self.kerbs:
             return crowns
-        beyond = ((cells.xy - self.middle) @ _TOWARDS - self.way_m)[:, None] - _KERBS_M[:, None]
-        return np.column_stack([crowns, np.where(beyond > 0.0, _STEP_M + beyond, 0.0).reshape(len(cells), -1)])
+        straight = _raised(((cells.xy - self.middle) @ _TOWARDS - self.way_m)[:, None] - _KERBS_M[:, None])
+        edges_m = _ON_WAY_M + np.append(_KERBS_M, np.inf)
+        left, right = _raised(cells.left_m[:, None] - edges_m), _raised(-cells.left_m[:, None] - edges_m)
+        along_way = (left[:, :, None] + right[:, None, :]).reshape(len(cells), -1)[:, :-1]  # the last has neither
+        return np.column_stack([crowns, straight.reshape(len(cells), -1), along_way])
 
     def _basis(self, xy: FloatArray) -> FloatArray:
         """Return what a plane and its bends are made of, shape (n, 6)."""
         x, y = (xy - self.middle).T
         return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
+
+
+def _raised(beyond_m: FloatArray) -> FloatArray:
+    """Return by how much places are raised so far behind kerbs, if what is there rises by 1."""
+    raised: FloatArray = np.where(beyond_m > 0.0, _STEP_M + beyond_m, 0.0)
+    return raised
 
 
 def height_of(plane: FloatArray, xy: FloatArray) -> FloatArray:

@@ -207,3 +207,27 @@ def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
     # The mean of 60 chi-squares of two degrees of freedom: 2.0 +- 0.26.
     assert np.mean(squares) < 2.8
     assert np.median(off_deg) < 0.3
+
+
+def test_kerbs_along_both_sides_of_a_bend_that_noise_hides_do_not_tilt_the_road() -> None:
+    # 30 m away a camera with 0.2 m between its lenses knows the heights of single cells to a kerb's height.
+    rng = np.random.default_rng(7)
+    squares = []
+    for _ in range(60):
+        left, at_rad, radius_m = rng.uniform(-9.0, 9.0, 400), rng.uniform(-0.6, 0.6, 400), 15.0
+        right_m, left_m = rng.uniform(2.0, 3.5), rng.uniform(3.5, 7.0)
+        outside = (left > left_m) | (left < -right_m)
+        z = outside * rng.uniform(0.08, 0.14) + rng.normal(0.0, 0.08, 400)
+        bent = Cells(
+            (radius_m - left)[:, None] * np.column_stack([np.sin(at_rad), -np.cos(at_rad)]),
+            z,
+            np.full(400, 0.08**2),
+            np.full(400, 0.2),
+            left,
+            np.zeros(400, dtype=np.int64),
+            apart(400),
+            by_camera(400),
+        )
+        value, covariance, _ = Surface(bent, 0.0, LEVEL, kerbs=True).plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+    assert np.mean(squares) < 2.8
