@@ -209,6 +209,7 @@ class Sensor:
     constant_m: float
     bearing_rad: float
     turn_s: float = 0.0
+    window_rad: float = 0.0
 
     @cached_property
     def late_s(self) -> FloatArray:
@@ -235,6 +236,7 @@ class Sensor:
             self.bearing_rad * measured,
             self.at_edge[seen][keep],
             turn_s=abs(self.turn_s),
+            window_rad=self.window_rad,
         )
 
 
@@ -256,7 +258,12 @@ def lidar(
 
 
 def stereo(
-    columns: int = 160, focal: float = 0.8, baseline_m: float = 0.5, sigma_px: float = 0.25, width_px: int = 1280
+    columns: int = 160,
+    focal: float = 0.8,
+    baseline_m: float = 0.5,
+    sigma_px: float = 0.25,
+    width_px: int = 1280,
+    window_px: int = 0,
 ) -> Sensor:
     """A pair of cameras of format 16:9; ``focal`` is in widths of the image."""
     rows = columns * 9 // 16
@@ -269,7 +276,14 @@ def stereo(
     edge[:, [0, -1]] = edge[[0, -1]] = True
     focal_px = focal * width_px
     return Sensor(
-        "stereo", directions, edge.ravel(), OPENCV_AXES, sigma_px / (focal_px * baseline_m), 0.0, 0.2 / focal_px
+        "stereo",
+        directions,
+        edge.ravel(),
+        OPENCV_AXES,
+        sigma_px / (focal_px * baseline_m),
+        0.0,
+        0.2 / focal_px,
+        window_rad=window_px / focal_px,
     )
 
 

@@ -443,8 +443,9 @@ class DriveModel:
     def _wall(self, x: FloatArray, poses: Poses) -> Met:
         met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
         z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
+        blur_m = self.drive.blur_m[met.points]
         highest_m = outline.highest_of(self.size[1], met.hits.face, self.size[0] / 2 - met.xy[:, 0])
-        return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, highest_m)]
+        return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, blur_m, highest_m)]
 
     def _shares(self, met: Met) -> FloatArray:
         drive, points, face = self.drive, met.points, met.hits.face

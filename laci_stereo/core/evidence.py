@@ -77,6 +77,17 @@ class Evidence:
         return above_rad
 
     @cached_property
+    def blur_m(self) -> FloatArray:
+        """How far up an upright side what is below it reaches into what each point tells, shape (n,), metres.
+
+        By half of the matcher's window, and by twice the noise of the line of sight.
+        """
+        level_m = np.maximum(np.hypot(*self.points[:, :2].T), 1e-9)
+        range_m = np.hypot(level_m, self.points[:, 2] - self.height_m)
+        blur_m: FloatArray = (self.window_rad / 2 * range_m + 2.0 * self.sigma_across_m) * range_m / level_m
+        return blur_m
+
+    @cached_property
     def points_late_s(self) -> FloatArray:
         """How much later than its frame's middle such a scanner sees each point, shape (n,)."""
         return self.beside_rad * (self.turn_s / (2 * np.pi))
@@ -102,10 +113,10 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
     stamps = np.array([sighting.stamp_s for sighting in track.sightings])
     known = vehicle.at(stamps)[2]
     seen = [sighting for sighting, is_known in zip(track.sightings, known, strict=True) if is_known]
-    counts = [len(sighting.points) for sighting in seen]
-    points = np.concatenate([np.zeros((0, 3)), *(sighting.points for sighting in seen)])
-    along = np.concatenate([np.zeros(0), *(sighting.sigma_along_m for sighting in seen)])
-    across = np.concatenate([np.zeros(0), *(sighting.sigma_across_m for sighting in seen)])
+    parts = [part for sighting in seen for part in (sighting, sighting.low)]
+    points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)])
+    along = np.concatenate([np.zeros(0), *(part.sigma_along_m for part in parts)])
+    across = np.concatenate([np.zeros(0), *(part.sigma_across_m for part in parts)])
     sizes = np.array([(sighting.box.length_m, sighting.box.width_m) for sighting in seen]).reshape(-1, 2)
     sight = points - np.array([0.0, 0.0, height_m])
     down = sight[:, 2] / np.linalg.norm(sight, axis=1)
@@ -115,7 +126,7 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         middles=np.array([sighting.middle for sighting in seen]).reshape(-1, 2),
         lacking_m=(np.array([vehicle.length_m, vehicle.width_m]) - sizes).clip(0.0),
         points=points,
-        frame=np.repeat(np.arange(len(seen)), counts),
+        frame=np.repeat(np.arange(len(parts)) // 2, [len(part.points) for part in parts]),
         sigma_along_m=np.hypot(level * along, down * across),
         sigma_across_m=across,
         sigma_z_m=sigma_z(sight, along, across),

@@ -14,9 +14,13 @@ import numpy as np
 
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy
+from laci_stereo.core.settings import VehicleSettings
 
 LOWEST_M = 0.25
 """Bumpers and sills begin at about this height above the ground; the clearance of a car is 0.12 to 0.2 m."""
+
+GROUND_SIGMAS = VehicleSettings.ground_sigmas
+"""What is within so many sigma of the ground was taken for ground."""
 
 HIGHEST_M = 0.65
 """The bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front end leans back."""
@@ -269,18 +273,21 @@ def highest_of(width_m: float, face: IntArray, behind_m: FloatArray) -> FloatArr
 def lowest_of(sigma_z: FloatArray) -> FloatArray:
     """Return above what height points with this noise of their heights are surely not of the road, shape (n,), metres.
 
-    What lies within three sigma of the ground was taken for ground, so below five sigma the near half of the noise
-    would be missing.
+    Below five sigma of the road the far half of their noise is missing.
     """
-    lowest_m: FloatArray = np.maximum(LOWEST_M, 3.0 * sigma_z) + 2.0 * sigma_z
+    lowest_m: FloatArray = np.maximum(LOWEST_M, GROUND_SIGMAS * sigma_z) + 2.0 * sigma_z
     return lowest_m
 
 
-def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray, highest_m: FloatArray) -> BoolArray:
+def on_the_wall(
+    height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray, blur_m: FloatArray, highest_m: FloatArray
+) -> BoolArray:
     """Tell which lines of sight meet the outline at a height where it is upright.
 
     The height is taken where the ray meets the outline, not where the noisy point lies: selecting by the point's own
     height would keep those of the wall that were measured too near and those of the bonnet that were measured too far.
+    Where the noise of heights hides the wall's lowest part in the road's, the points below are kept as well, so that
+    none are missing (`Low`). What passes by shows no other height than its own.
 
     Parameters
     ----------
@@ -289,9 +296,13 @@ def on_the_wall(height_m: float, z: FloatArray, hits: Hits, sigma_z: FloatArray,
     z, sigma_z : ndarray, shape (n,)
         Height of the points, and its noise.
     hits : Hits
+    blur_m : ndarray, shape (n,)
+        How far up from the wall's lower edge what is below it still shows.
     highest_m : ndarray, shape (n,)
         See `highest_of`.
     """
     met = height_m + (z - height_m) * hits.reach
-    chosen: BoolArray = (met > lowest_of(sigma_z)) & (met < highest_m)
+    all_kept = (GROUND_SIGMAS * sigma_z > LOWEST_M) & (hits.face != _PASSED)
+    lowest_m = np.where(all_kept, LOWEST_M + blur_m * hits.reach, lowest_of(sigma_z))
+    chosen: BoolArray = (met > lowest_m) & (met < highest_m)
     return chosen

@@ -200,18 +200,18 @@ def _told(vehicle: VehicleTrack) -> float:
 
 
 def _blurred(drives: Sequence[Evidence]) -> str:
-    """Say that the heights of the points are known too badly to tell the outline from the road, if that is so."""
-    noise_m = np.concatenate([drive.sigma_z_m for drive in drives])
-    if not len(noise_m):  # boxes of a detector
+    """Say that the matcher's window takes the outline and the road together, if that is so."""
+    blurs_m = np.concatenate([drive.blur_m for drive in drives])
+    if not len(blurs_m):  # boxes of a detector
         return ""
-    sigma_m = float(np.median(noise_m))
+    blur_m = float(np.median(blurs_m))
     sides, behind_m = np.arange(outline.SIDES), np.full(outline.SIDES, np.inf)
     highest_m = max(float(outline.highest_of(drive.vehicle.width_m, sides, behind_m).max()) for drive in drives)
-    if outline.lowest_of(np.array([sigma_m]))[0] < highest_m:
+    if outline.LOWEST_M + blur_m < highest_m:
         return ""
     return (
-        f"; the heights of its points are known to {sigma_m:.2f} m, so that the outline below {highest_m:.2f} m cannot "
-        "be told from the road: record it nearer, from a lower place or with a longer baseline"
+        f"; the matcher's window is {2 * blur_m:.1f} m high there, so that the outline below {highest_m:.2f} m cannot "
+        "be told from the road: record it nearer, or with more pixels"
     )
 
 

@@ -134,8 +134,8 @@ class VehicleSettings:
     ground_sigmas : float
         A point must also be above the plane by this many of its own standard deviations.
     max_sigma_m : float
-        Points whose noise along the line of sight is larger are too far away: a quarter of a car's width, beyond
-        which its two sides run into one another.
+        Points whose noise along the line of sight is larger are too far away: a quarter of a lane (3.5 m), beyond which
+        a vehicle would be in the next one at two sigma.
     min_points : int
         A cluster with fewer is too thin for a box.
     min_extent_m : float
@@ -150,7 +150,7 @@ class VehicleSettings:
 
     min_height_m: float = 0.25
     ground_sigmas: float = 3.0
-    max_sigma_m: float = 0.45
+    max_sigma_m: float = 0.875
     min_points: int = 10
     min_extent_m: float = 1.0
     density_cell_m: float = 0.2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -13,8 +13,9 @@ from laci_stereo.core.background import Background
 from laci_stereo.core.box import Box, fit_box
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.cluster import cluster
+from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import BoxError
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, transform
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, transform, turned
 from laci_stereo.core.settings import Settings, VehicleSettings
 
 Flaw = Literal["cut", "far", "thin"]
@@ -22,6 +23,26 @@ Flaw = Literal["cut", "far", "thin"]
 
 KEPT_POINTS = 200
 """Points of a cluster that are kept, so that memory does not grow with the sensor's density."""
+
+
+@dataclass(frozen=True)
+class Low(Columns):
+    """Points below a cluster, or on the road around it: the noise of their heights does not tell.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3)
+        Level frame, metres.
+    sigma_along_m, sigma_across_m : ndarray, shape (n,)
+        Their noise along and across the line of sight.
+    """
+
+    points: FloatArray
+    sigma_along_m: FloatArray
+    sigma_across_m: FloatArray
+
+
+NOTHING_LOW = Low(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -54,6 +75,8 @@ class Sighting:
         By how much later than its stamp each point was taken; None: not at all.
     turn_s, window_rad : float
         See `PointCloud`.
+    low : Low
+        As many in a hundred as of its points are kept.
     """
 
     stamp_s: float
@@ -70,6 +93,7 @@ class Sighting:
     late_s: FloatArray | None = None
     turn_s: float = 0.0
     window_rad: float = 0.0
+    low: Low = NOTHING_LOW
 
 
 def find_vehicles(
@@ -94,21 +118,45 @@ def find_vehicles(
     points = transform(T_level_sensor, cloud.points)
     limits = settings.vehicle
     # A vehicle at the limit has points on both sides of it; the cluster's median decides.
-    near = cloud.sigma_along_m < 2 * limits.max_sigma_m
-    between = (points[:, 2] > limits.min_height_m) & (points[:, 2] < settings.background.max_height_m)
-    candidates = np.flatnonzero(near & between)
-    noise_m = sigma_z(
-        points[candidates] - T_level_sensor[:3, 3], cloud.sigma_along_m[candidates], cloud.sigma_across_m[candidates]
+    near = np.flatnonzero(
+        (cloud.sigma_along_m < 2 * limits.max_sigma_m) & (points[:, 2] < settings.background.max_height_m)
     )
-    candidates = candidates[points[candidates, 2] > limits.ground_sigmas * noise_m]
-    candidates = candidates[~background.covers(points[candidates, :2])]
+    z = points[near, 2]
+    noise_m = limits.ground_sigmas * sigma_z(
+        points[near] - T_level_sensor[:3, 3], cloud.sigma_along_m[near], cloud.sigma_across_m[near]
+    )
+    standing = (z > limits.min_height_m) & (z > noise_m)
+    open_ = ~standing & (noise_m > limits.min_height_m) & (z + noise_m > limits.min_height_m)
+    candidates, low = (each[~background.covers(points[each, :2])] for each in (near[standing], near[open_]))
     found = []
     for group in cluster(points[candidates, :2], settings.cluster):
         members = candidates[group]
         sighting = _sighting(points[members], cloud[members], frame_s, settings)
-        if sighting is not None:
-            found.append(sighting)
+        if sighting is None:
+            continue
+        if len(low):
+            below = low[_below(points[low], points[members], sighting.sigma_m, settings)]
+            below = below[_evenly(len(below), round(len(below) * len(sighting.points) / sighting.count))]
+            kept = Low(points[below], cloud.sigma_along_m[below], cloud.sigma_across_m[below])
+            sighting = replace(sighting, low=kept)
+        found.append(sighting)
     return found
+
+
+def _below(points: FloatArray, members: FloatArray, sigma_m: float, settings: Settings) -> BoolArray:
+    """Tell which points, shape (n, 3), level frame, are in a cluster's bearings, and as far away but for their noise.
+
+    The noise is along the line of sight, so nothing else tells whether they are the cluster's.
+    """
+    xy, reach_m = np.median(members[:, :2], axis=0), settings.cluster.reach_m
+    forward = xy / max(float(np.hypot(*xy)), 1e-9)
+    off, own = (
+        np.column_stack([np.arctan2(dot_xy(turned(forward[None]), each), dot_xy(forward, each)), np.hypot(*each.T)])
+        for each in (points[:, :2], members[:, :2])
+    )
+    slack = np.array([reach_m / np.hypot(*xy), reach_m + settings.vehicle.ground_sigmas * sigma_m])
+    inside: BoolArray = ((off > own.min(axis=0) - slack) & (off < own.max(axis=0) + slack)).all(axis=1)
+    return inside
 
 
 def sigma_z(sight: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray) -> FloatArray:
@@ -151,6 +199,10 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
     kept = [_evenly(len(one.points), round(KEPT_POINTS * one.count / count) + 1) for one in (main, other)]
     stamp_s = (main.count * main.stamp_s + other.count * other.stamp_s) / count
     points = _of_both(main.points, other.points, kept)
+    low = [
+        one.low[_evenly(len(one.low.points), round(len(one.low.points) * len(part) / max(len(one.points), 1)))]
+        for one, part in zip((main, other), kept, strict=True)
+    ]
     late_s = None
     if main.late_s is not None and other.late_s is not None:
         late_s = _of_both(main.late_s + main.stamp_s - stamp_s, other.late_s + other.stamp_s - stamp_s, kept)
@@ -169,6 +221,7 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
         box=box,
         flaw=other.flaw if other.flaw == "cut" else main.flaw,
         late_s=late_s,
+        low=Low(*(np.concatenate([getattr(part, each.name) for part in low]) for each in fields(Low))),
     )
 
 

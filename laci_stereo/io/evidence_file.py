@@ -28,14 +28,14 @@ from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.joint import TURNS
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.sighting import Flaw, Sighting
+from laci_stereo.core.sighting import Flaw, Low, Sighting
 from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-FORMAT = "laci-evidence/1"
+FORMAT = "laci-evidence/2"
 KINDS = ("stereo", "lidar", "detections")
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
@@ -65,9 +65,10 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "middles": ("f", ("frames", 2)),
     "boxes": ("f", ("frames", 5)),  # centre x and y, length, width, yaw
     "noise": ("f", ("frames", 2)),  # sigma of the points, radial speed (NaN: not measured)
-    "counts": ("i", ("frames", 3)),  # points seen, points kept, flaw
+    "counts": ("i", ("frames", 4)),  # points seen, points kept, flaw, low points kept
     "points": ("f", ("points", 3)),
     "sigmas": ("f", ("points", 2)),  # along and across the line of sight
+    "low": ("f", ("lows", 5)),  # x, y, z; along and across the line of sight
 }
 """Each drive's arrays: kind of number, and shape; what has the same name has the same length."""
 
@@ -217,8 +218,9 @@ def _to_arrays(passage: Passage) -> Arrays:
     support = (ground.inlier_share, ground.support_cells, ground.support_share, ground.support_area_m2)
     static = [(*_row(each.box), each.height_m) for each in passage.background.boxes]
     noise = [(each.sigma_m, np.nan if each.radial_mps is None else each.radial_mps) for each in sightings]
-    counts = [(each.count, len(each.points), FLAWS.index(each.flaw)) for each in sightings]
+    counts = [(each.count, len(each.points), FLAWS.index(each.flaw), len(each.low.points)) for each in sightings]
     sigmas = [np.column_stack([each.sigma_along_m, each.sigma_across_m]) for each in sightings]
+    low = [np.column_stack([each.low.points, each.low.sigma_along_m, each.low.sigma_across_m]) for each in sightings]
     size = (vehicle.length_m, vehicle.width_m, *vehicle.reference, *vehicle.guessed_m, vehicle.position_sigma_m)
     return {
         "name": np.array(passage.name),
@@ -243,9 +245,10 @@ def _to_arrays(passage: Passage) -> Arrays:
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
         "boxes": np.array([_row(each.box) for each in sightings]).reshape(-1, 5),
         "noise": np.array(noise).reshape(-1, 2),
-        "counts": np.array(counts, dtype=np.int64).reshape(-1, 3),
+        "counts": np.array(counts, dtype=np.int64).reshape(-1, 4),
         "points": np.concatenate([np.zeros((0, 3)), *(each.points for each in sightings)]).astype(np.float32),
         "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
+        "low": np.concatenate([np.zeros((0, 5)), *low]).astype(np.float32),
     }
 
 
@@ -332,9 +335,10 @@ def _check(path: Path, found: Arrays) -> None:
         "frames' stamps, at least 1 and ascending": len(found["stamps_s"]) > 0
         and (np.diff(found["stamps_s"][:, 0]) >= 0.0).all(),
         "counts of points, whose sum is that of the points": (counts >= 0).all()
-        and counts[:, 1].sum() == len(found["points"]),
+        and counts[:, 1].sum() == len(found["points"])
+        and counts[:, 3].sum() == len(found["low"]),
         "flaws, from 0 to 3": (counts[:, 2] < len(FLAWS)).all(),
-        "sigmas, not negative": (found["sigmas"] >= 0.0).all(),
+        "sigmas, not negative": (found["sigmas"] >= 0.0).all() and (found["low"][:, 3:] >= 0.0).all(),
     }
     for what, is_so in holds.items():
         if not is_so:
@@ -373,8 +377,9 @@ def _box(row: FloatArray) -> Box:
 
 
 def _track(found: Arrays) -> Track:
-    ends = np.append(0, np.cumsum(found["counts"][:, 1]))
-    points, sigmas = (found[name].astype(np.float64) for name in ("points", "sigmas"))
+    ends, low_ends = (np.append(0, np.cumsum(found["counts"][:, column])).tolist() for column in (1, 3))
+    points, sigmas, all_low = (found[name].astype(np.float64) for name in ("points", "sigmas", "low"))
+    low = all_low[:, :3], all_low[:, 3], all_low[:, 4]
     boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
     turn_s, window_rad = float(found["turn"][0]), float(found["window"])
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
@@ -394,7 +399,8 @@ def _track(found: Arrays) -> Track:
                 radial_mps=None if np.isnan(noise[i][1]) else noise[i][1],
                 turn_s=turn_s,
                 window_rad=window_rad,
+                low=Low(*(column[slice(*lows)] for column in low)),
             )
-            for i, (first, end) in enumerate(pairwise(ends))
+            for i, ((first, end), lows) in enumerate(zip(pairwise(ends), pairwise(low_ends), strict=True))
         )
     )

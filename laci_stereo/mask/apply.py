@@ -81,7 +81,7 @@ def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> 
     Of what lies in a box or mask, the dominant layer of distance among what stands above the road. A mask is eroded
     by half of the matcher's window first, within which an edge bleeds; a box is no outline, and grows by as much.
     Where the vehicle's largest surface goes on beyond the mask's edge, the mask is wrong, and every surface that it
-    touches stays as a whole.
+    touches stays as a whole, with what is as low as the road beneath it.
 
     Parameters
     ----------
@@ -104,7 +104,8 @@ def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> 
         held = surface[hull.inside & layer & standing]
         own = surface == np.bincount(held).argmax()
         if int((own & ~anyone).sum()) > CUT_SHARE * int((own & hull.inside).sum()):
-            keep |= np.isin(surface, held) & (hull.wide | ~anyone)
+            whole = np.isin(surface, held) & (hull.wide | ~anyone)
+            keep |= whole | (layer & ~standing & (hull.wide | ~anyone) & _beneath(moving, whole, half_window_px))
             grown += 1
     return Chosen(keep, tuple(used), grown)
 
@@ -131,13 +132,22 @@ def _hull(vehicle: Vehicle, moving: Moving, half_window_px: int) -> _Hull:
     return _Hull(within & (cv2.erode(padded, window)[v, u] > 0), within & (cv2.dilate(padded, window)[v, u] > 0))
 
 
+def _beneath(moving: Moving, surface: BoolArray, half_window_px: int) -> BoolArray:
+    """Return which points, of all, are seen in the columns of a surface, and no higher up than it."""
+    u, top = moving.u[surface], moving.v[surface].min()
+    beside = (moving.u < u.min() - half_window_px) | (moving.u > u.max() + half_window_px)
+    beneath: BoolArray = ~beside & (moving.v >= top)
+    return beneath
+
+
 def _layer(moving: Moving, standing: BoolArray) -> BoolArray | None:
     """Return which points, of all, are as far away as most of what stands in a hull; None if nothing does."""
     if int(standing.sum()) < LEAST_POINTS:
         return None
     distance = _distance(moving)
-    width = max(GAP_M, 3 * float(np.median(moving.cloud.sigma_along_m[standing])))
-    start = float(distance[standing].min())
+    noise_m = NOISE_SIGMAS * float(np.median(moving.cloud.sigma_along_m[standing]))
+    width = max(GAP_M, noise_m)
+    start = float(distance[standing].min()) - noise_m  # what is as low as the road may be a little nearer
     number = np.floor((distance - start) / width).astype(np.int64)
     counts = np.bincount(number[standing])
     first = last = int(counts.argmax())

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import Settings, TrackSettings
-from laci_stereo.core.sighting import Sighting, dense
+from laci_stereo.core.sighting import NOTHING_LOW, Sighting, dense
 from laci_stereo.core.tracking import FILTERED, Moving, assign, backwards, blind_s, strain
 
 REMEMBERED = 5
@@ -250,7 +250,14 @@ def _together(one: Kept, other: Kept) -> Kept:
 def _bare(sighting: Sighting) -> Sighting:
     """Return a sighting without its points."""
     nothing = np.zeros(0)
-    return replace(sighting, points=np.zeros((0, 3)), sigma_along_m=nothing, sigma_across_m=nothing, late_s=None)
+    return replace(
+        sighting,
+        points=np.zeros((0, 3)),
+        sigma_along_m=nothing,
+        sigma_across_m=nothing,
+        late_s=None,
+        low=NOTHING_LOW,
+    )
 
 
 def _kept(frame: int, sighting: Sighting, live: Live | None, settings: Settings) -> Kept:

@@ -122,15 +122,27 @@ def test_noise_across_counts_where_a_side_is_grazed() -> None:
     assert grazed.variance[0] < 0.01
 
 
-@given(st.floats(-0.5, 0.5), st.floats(0.0, 0.2))
-def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_z: float) -> None:
-    # A ray that meets the outline 20 m away at 0.5 m: however far off the point was measured, the answer is the same.
-    height, far, z_met = 6.0, 20.0, 0.5
+@given(st.floats(-0.5, 0.5), st.floats(0.0, 0.2), st.floats(0.0, 0.3))
+def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_z: float, blur_m: float) -> None:
+    # A ray that meets the outline 20 m away at 0.45 m: however far off the point was measured, the answer is the same.
+    height, far, z_met = 6.0, 20.0, 0.45
     measured = far + off
     z = height + (z_met - height) * measured / far
-    hits = replace(met(np.array([[0.0, 0.9]]), np.array([0.0, 20.9])), reach=np.array([far / measured]))
-    chosen = on_the_wall(height, np.array([z]), hits, np.array([sigma_z]), highest_of(1.8, hits.face, np.zeros(1)))
-    assert chosen[0] == (z_met > max(LOWEST_M, 3 * sigma_z) + 2 * sigma_z)
+    reach = far / measured
+    hits = replace(met(np.array([[0.0, 0.9]]), np.array([0.0, 20.9])), reach=np.array([reach]))
+    highest = highest_of(1.8, hits.face, np.zeros(1))
+    chosen = on_the_wall(height, np.array([z]), hits, np.array([sigma_z]), np.array([blur_m / reach]), highest)
+    # Where three sigma are more than the wall's lower edge, what is lower is there as well.
+    exact = 3 * sigma_z <= LOWEST_M
+    assert chosen[0] == (z_met > LOWEST_M + (2 * sigma_z if exact else blur_m))
+
+
+def test_what_passes_by_is_surely_higher_than_the_road() -> None:
+    hits = met(np.array([[0.0, 2.0], [0.0, 2.0]]), np.array([20.0, 2.0]))
+    assert (hits.cos == 0.0).all()
+    z, nothing = np.array([0.45, 0.6]), np.zeros(2)
+    chosen = on_the_wall(6.0, z, hits, np.full(2, 0.1), nothing, highest_of(1.8, hits.face, nothing))
+    assert chosen.tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -151,7 +163,7 @@ def test_a_side_is_used_as_far_up_as_it_is_upright(
     on_it = np.sign(origin) * np.array(SIZE) / 2
     hits = met(np.array([on_it, on_it]), np.array(origin))
     highest = highest_of(width_m, hits.face, SIZE[0] / 2 - np.full(2, on_it[0]))
-    assert on_the_wall(highest_m, z, hits, np.full(2, 0.02), highest).tolist() == [True, False]
+    assert on_the_wall(highest_m, z, hits, np.full(2, 0.02), np.zeros(2), highest).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(("width_m", "highest_m"), [(1.8, HIGHEST_M), (2.5, HEAVY_FRONT_HIGHEST_M)])

@@ -51,6 +51,20 @@ def alone(drive: Drive, sensor: Sensor | None = None, others: tuple[Mover, ...] 
     return scene(drive, sensor, last_s=0.5, others=others, static=(), yaw_deg=0.0)
 
 
+def behind_the_side_m(points: FloatArray, yaw_deg: float) -> FloatArray:
+    """How far behind the sides points are that are seen where these are, from 0.35 to 0.6 m up, along the ray."""
+    at, sensor = np.array([17.0, 1.0]), np.array([0.0, 0.0, 6.0])
+    xy, origin = (rotate_xy(-np.radians(yaw_deg), each - at) for each in (points[:, :2], np.zeros((len(points), 2))))
+    ray = xy - origin
+    half = np.array([4.4, 1.8]) / 2
+    enter = ((np.sign(origin) * half - origin) / ray).max(axis=1)
+    place = origin + enter[:, None] * ray
+    z = sensor[2] + enter * (points[:, 2] - sensor[2])
+    meets = (np.abs(place) < half + 1e-6).all(axis=1) & (z > 0.35) & (z < 0.6)
+    behind_m: FloatArray = ((1.0 - enter) * np.linalg.norm(points - sensor, axis=1))[meets]
+    return behind_m
+
+
 @KINDS
 @pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 90.0, 135.0])
 def test_a_vehicle_is_found_where_it_is(sensor: Sensor, yaw_deg: float) -> None:
@@ -81,6 +95,19 @@ def test_points_within_their_noise_of_the_road_are_removed() -> None:
     assert found(bare, max_sigma_m=1e9, ground_sigmas=0.0) != []
 
 
+@pytest.mark.parametrize("yaw_deg", [0.0, 50.0, 90.0])
+def test_where_noise_hides_a_side_in_the_road_its_farther_half_is_kept_as_well(yaw_deg: float) -> None:
+    drive = standing(17.0, 1.0, yaw_deg)
+    exact, noisy = (found(alone(drive, stereo(columns=1280, sigma_px=noise)))[0] for noise in (0.1, 1.0))
+    assert not len(exact.low.points)
+    either = np.concatenate([noisy.points, noisy.low.points])
+    half, whole = (behind_the_side_m(points, yaw_deg) for points in (noisy.points, either))
+    sigma_m = np.median(noisy.sigma_along_m)
+    assert np.mean(half) < -0.5 * sigma_m
+    assert abs(np.mean(whole)) < 4.0 * sigma_m / np.sqrt(len(whole))
+    assert np.std(whole) == pytest.approx(sigma_m, rel=0.2)
+
+
 @KINDS
 def test_the_background_is_removed(sensor: Sensor) -> None:
     made = scene(standing(20.0, -1.0), sensor, last_s=0.5, yaw_deg=0.0)
@@ -103,7 +130,7 @@ def test_cut_by_the_border_of_the_field_of_view(sensor: Sensor) -> None:
 
 
 def test_far() -> None:
-    near, far = (found(alone(standing(x, 0.0), stereo()))[0] for x in (25.0, 34.0))
+    near, far = (found(alone(standing(x, 0.0), stereo()))[0] for x in (25.0, 45.0))
     assert near.flaw is None
     assert far.flaw == "far"
     assert far.sigma_m > VehicleSettings().max_sigma_m > near.sigma_m > 0.1

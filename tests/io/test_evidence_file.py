@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from laci_stereo.core.box import Box
 from laci_stereo.core.errors import EvidenceError, InputError
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.sighting import NOTHING_LOW, Low
 from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 from laci_stereo.io.evidence_file import LAYOUT, Kept, read_evidence, write_evidence
@@ -45,6 +46,7 @@ def passage() -> Passage:
             flaw=flaw,  # type: ignore[arg-type]
             sigma_m=0.02 * i,
             radial_mps=-3.5 if i == 2 else None,
+            low=Low(rng.uniform(-1.0, 1.0, (10 * i, 3)), rng.uniform(0.1, 0.5, 10 * i), rng.uniform(0.0, 0.1, 10 * i)),
         )
     vehicle = replace(
         made.vehicle,
@@ -135,7 +137,14 @@ def test_the_file_is_small_and_the_same_each_time(tmp_path: Path) -> None:
 def test_detections_without_points(tmp_path: Path) -> None:
     box = Box(np.array([1.0, 2.0]), 4.0, 1.8, 0.3)
     bare = [
-        replace(one, points=np.zeros((0, 3)), sigma_along_m=np.zeros(0), sigma_across_m=np.zeros(0), box=box)
+        replace(
+            one,
+            points=np.zeros((0, 3)),
+            sigma_along_m=np.zeros(0),
+            sigma_across_m=np.zeros(0),
+            low=NOTHING_LOW,
+            box=box,
+        )
         for one in passage().track.sightings
     ]
     made = Kept("radar", "detections", "x", None, (replace(passage(), track=Track(tuple(bare))),))
@@ -145,8 +154,8 @@ def test_detections_without_points(tmp_path: Path) -> None:
 
 def test_other_versions_are_named(tmp_path: Path) -> None:
     path = tmp_path / "evidence.npz"
-    np.savez(path, **{**arrays(), "format": np.array("laci-evidence/2")})
-    refused(path, "laci-evidence/2", "needed is laci-evidence/1")
+    np.savez(path, **{**arrays(), "format": np.array("laci-evidence/1")})
+    refused(path, "laci-evidence/1", "needed is laci-evidence/2")
 
 
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:
@@ -205,6 +214,8 @@ def test_every_array_is_needed_in_its_kind_and_shape(tmp_path: Path, name: str) 
         ("stamps_s", (1, 0), -1e9, "frames' stamps"),
         ("counts", (0, 1), 7, "counts of points"),
         ("counts", (0, 2), 4, "flaws"),
+        ("counts", (0, 3), 1, "counts of points"),
+        ("low", (0, 4), -1.0, "sigmas"),
         ("sigmas", (0, 0), -1.0, "sigmas"),
     ],
 )

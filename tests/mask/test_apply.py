@@ -101,6 +101,16 @@ def test_a_mask_that_is_beside_the_vehicle_cuts_nothing_off(shift: tuple[int, in
     assert found.grown == 1
 
 
+@pytest.mark.parametrize("shift", [(20, 0), (-20, 0), (0, 20), (0, -20), (14, 14), (50, 0)])
+def test_nor_what_noise_hides_in_the_road_below_it(shift: tuple[int, int]) -> None:
+    frame = moving(CAR, OTHER_CAR)
+    by_noise = (frame.v >= 130) & (np.random.default_rng(0).random(len(frame.v)) < 0.5)
+    low = replace(frame, above=np.where(by_noise, 1.0, frame.above))
+    kept = chosen(low, [box(CAR, *shift)]).keep
+    assert kept[by_noise & within(frame, CAR)].all()
+    assert not kept[~within(frame, CAR)].any()
+
+
 def test_a_false_box_on_a_part_of_the_vehicle_cuts_nothing_off() -> None:
     frame = moving(CAR)
     part = Vehicle(np.array([150.0, 110.0, 180.0, 150.0]), 0.9, 2)
