@@ -182,7 +182,7 @@ def choose_track(
         raise TrackError(_nothing_found(tracks, settings) + _folding(vehicles))
     hypotheses = _hypotheses(scene, seeds)
     if not hypotheses:
-        raise MatchError(_no_fit(seeds, vehicles, settings) + _folding(vehicles))
+        raise MatchError(_no_fit(scene, seeds) + _folding(vehicles))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
     weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
     return _decide(scene, _of_moving(scene, weighed), far)
@@ -405,12 +405,14 @@ def _by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> st
     )
 
 
-def _no_fit(seeds: Sequence[Seed], vehicles: Mapping[int, VehicleTrack], settings: MatchSettings) -> str:
-    best = max(seeds, key=lambda seed: seed.share)
-    stations = ", ".join(str(station) for station in sorted(vehicles))
+def _no_fit(scene: Scene, seeds: Sequence[Seed]) -> str:
+    best, least = max(seeds, key=lambda seed: seed.share), scene.settings.min_explained
+    stations = ", ".join(str(station) for station in sorted(scene.senders))
+    off = hold_against(scene, scene.senders[best.station], best.motion).typical
+    within = f", {off:.1f} sigma off on average" if np.isfinite(off) else ""
     return (
-        f"no moving object fits the CAMs: {best.share:.0%} of the frames of the best of {len(seeds)} explained; needed "
-        f"are {settings.min_explained:.0%}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
+        f"no moving object fits the CAMs: {best.share:.0%} of the frames of the best of {len(seeds)} explained"
+        f"{within}; needed are {least:.0%}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
     )
 
 

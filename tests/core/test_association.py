@@ -145,6 +145,14 @@ def test_nothing_that_moves_fits() -> None:
         choose_track([turns_back], {42: vehicle()})
 
 
+def test_what_swerves_about_the_way_does_not_fit_it() -> None:
+    driven = seen()
+    aside = np.column_stack([np.zeros(len(driven.centres)), 1.5 * np.sin(np.arange(len(driven.centres)) / 4)])
+    swerving = track(driven.stamps_s, driven.centres + aside)
+    with pytest.raises(MatchError, match=r"[5-9]\d% .* explained, [2-9]\.\d sigma off .* are 50%, within 2 sigma"):
+        choose_track([swerving], {42: vehicle()})
+
+
 def test_a_sender_that_stands_still() -> None:
     parked = Drive((5.0, 5.0), 0.0, speeds=((0.0, 0.0),))
     with pytest.raises(TrackError, match=r"the vehicle of station 42 stands still: it moves 0\.00 m"):
