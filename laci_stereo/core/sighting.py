@@ -21,8 +21,13 @@ from laci_stereo.core.settings import Settings, VehicleSettings
 Flaw = Literal["cut", "far", "thin"]
 """Why a sighting is left out: cut by the border of the field of view, too far away, too thin for a box."""
 
-KEPT_POINTS = 200
-"""Points of a cluster that are kept, so that memory does not grow with the sensor's density."""
+KEPT_POINTS, KEPT_LOW = 200, 600
+"""Points of a cluster that are kept, and of what may be of it below them or of the road around it, so that memory does
+not grow with the sensor's density."""
+
+
+STRAY = 0.02
+"""So many in a hundred of a cluster's points, at either end of it, may be something else's."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ class Sighting:
     turn_s, window_rad : float
         See `PointCloud`.
     low : Low
-        As many in a hundred as of its points are kept.
+        The same share of them is kept as of its points.
     """
 
     stamp_s: float
@@ -131,32 +136,39 @@ def find_vehicles(
     found = []
     for group in cluster(points[candidates, :2], settings.cluster):
         members = candidates[group]
-        sighting = _sighting(points[members], cloud[members], frame_s, settings)
-        if sighting is None:
-            continue
-        if len(low):
-            below = low[_below(points[low], points[members], sighting.sigma_m, settings)]
-            below = below[_evenly(len(below), round(len(below) * len(sighting.points) / sighting.count))]
-            kept = Low(points[below], cloud.sigma_along_m[below], cloud.sigma_across_m[below])
-            sighting = replace(sighting, low=kept)
-        found.append(sighting)
+        sigma_m = float(np.median(cloud.sigma_along_m[members]))
+        below = low[_below(points[low], points[members], sigma_m, float(T_level_sensor[2, 3]), settings)]
+        its_low = Low(points[below], cloud.sigma_along_m[below], cloud.sigma_across_m[below])
+        sighting = _sighting(points[members], cloud[members], its_low, frame_s, settings)
+        if sighting is not None:
+            found.append(sighting)
     return found
 
 
-def _below(points: FloatArray, members: FloatArray, sigma_m: float, settings: Settings) -> BoolArray:
-    """Tell which points, shape (n, 3), level frame, are in a cluster's bearings, and as far away but for their noise.
+def _below(points: FloatArray, members: FloatArray, sigma_m: float, height_m: float, settings: Settings) -> BoolArray:
+    """Tell which points, shape (n, 3), level frame, may be of a cluster below its members.
 
-    The noise is along the line of sight, so nothing else tells whether they are the cluster's.
+    They are seen in its bearings, from its top to where it would end above the ground; and as far away as the members,
+    but for their noise.
     """
     xy, reach_m = np.median(members[:, :2], axis=0), settings.cluster.reach_m
-    forward = xy / max(float(np.hypot(*xy)), 1e-9)
-    off, own = (
-        np.column_stack([np.arctan2(dot_xy(turned(forward[None]), each), dot_xy(forward, each)), np.hypot(*each.T)])
-        for each in (points[:, :2], members[:, :2])
+    forward = (xy / max(float(np.hypot(*xy)), 1e-9))[None]
+    off, own = (_sight(each, forward, height_m) for each in (points, members))
+    least, most = np.quantile(own, (STRAY, 1.0 - STRAY), axis=0)
+    least[2] = (settings.vehicle.min_height_m - height_m) / max(float(least[1]), 1e-9)
+    slack = np.array(
+        [reach_m / max(float(np.hypot(*xy)), 1e-9), reach_m + settings.vehicle.ground_sigmas * sigma_m, 0.0]
     )
-    slack = np.array([reach_m / np.hypot(*xy), reach_m + settings.vehicle.ground_sigmas * sigma_m])
-    inside: BoolArray = ((off > own.min(axis=0) - slack) & (off < own.max(axis=0) + slack)).all(axis=1)
+    inside: BoolArray = ((off >= least - slack) & (off <= most + slack)).all(axis=1)
     return inside
+
+
+def _sight(points: FloatArray, forward: FloatArray, height_m: float) -> FloatArray:
+    """Return azimuth from a direction, range on the ground plan, and slope of the line of sight, shape (n, 3)."""
+    xy = points[:, :2]
+    range_m = np.maximum(np.hypot(*xy.T), 1e-9)
+    azimuth = np.arctan2(dot_xy(turned(forward), xy), dot_xy(forward, xy))
+    return np.column_stack([azimuth, range_m, (points[:, 2] - height_m) / range_m])
 
 
 def sigma_z(sight: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray) -> FloatArray:
@@ -235,7 +247,7 @@ def _evenly(count: int, most: int) -> IntArray:
     return kept
 
 
-def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: Settings) -> Sighting | None:
+def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, settings: Settings) -> Sighting | None:
     limits = settings.vehicle
     sigma_m = float(np.median(cloud.sigma_along_m))
     flaw: Flaw | None = None
@@ -251,7 +263,9 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
         return None
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
-    kept = _evenly(len(points), KEPT_POINTS)
+    # Of both the same share, or more would seem to be nearer, or farther, than there is.
+    share = min(1.0, KEPT_POINTS / len(points), KEPT_LOW / max(1, len(low.points)))
+    kept, kept_low = (_evenly(count, round(share * count)) for count in (len(points), len(low.points)))
     late_s = 0.0 if cloud.offset_s is None else float(np.median(cloud.offset_s))
     return Sighting(
         stamp_s=frame_s + late_s,
@@ -267,4 +281,5 @@ def _sighting(points: FloatArray, cloud: PointCloud, frame_s: float, settings: S
         late_s=None if cloud.offset_s is None else cloud.offset_s[kept] - late_s,
         turn_s=cloud.turn_s,
         window_rad=cloud.window_rad,
+        low=low[kept_low],
     )
