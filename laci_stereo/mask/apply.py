@@ -147,7 +147,7 @@ def _layer(moving: Moving, standing: BoolArray) -> BoolArray | None:
     distance = _distance(moving)
     noise_m = NOISE_SIGMAS * float(np.median(moving.cloud.sigma_along_m[standing]))
     width = max(GAP_M, noise_m)
-    start = float(distance[standing].min()) - noise_m  # what is as low as the road may be a little nearer
+    start = float(distance[standing].min())
     number = np.floor((distance - start) / width).astype(np.int64)
     counts = np.bincount(number[standing])
     first = last = int(counts.argmax())
@@ -156,7 +156,8 @@ def _layer(moving: Moving, standing: BoolArray) -> BoolArray | None:
         first -= 1
     while last + 1 < len(full) and full[last + 1]:
         last += 1
-    layer: BoolArray = (number >= first) & (number <= last)
+    nearest = start + first * width - np.where(standing, 0.0, noise_m)  # what is as low as the road may be nearer
+    layer: BoolArray = (distance >= nearest) & (number <= last)
     return layer
 
 
