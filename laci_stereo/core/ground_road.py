@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from laci_stereo.core.box import Box
@@ -25,9 +26,11 @@ from laci_stereo.core.tracking import Track
 
 log = logging.getLogger(__name__)
 
-SAME = (0.015, FALL / 8.0, FALL / 8.0)
-"""Height and slopes of a ground that is the road's, from the road's, standard deviations: its view may show one side of
-the crown more than the other, by an eighth of all, and as much of the height of a crown of 4 m to either side."""
+APART = np.geomspace((0.015, FALL / 8.0, FALL / 8.0), OTHER, 5)
+"""Height and slopes of a ground, from the road's, standard deviations, shape (5, 3). The first are those of a ground
+that is the road's: its view may show one side of the crown more than the other, by an eighth of all, and as much of the
+height of a crown of 4 m to either side. The last are those of land. In between is what is partly road, or land that is
+nearly even with it; as nobody knows how nearly, each doubling is as likely (Jeffreys 1946)."""
 
 OPEN = 10.0
 """What the crown leaves open of the road it leaves open of the ground, which sees the same side of it: by so many times
@@ -79,8 +82,9 @@ def road_ground(
             return _as_uncertain(ground, chart, doubt)
         road, by_crown = seen
         (of_road,) = chart.values([road])
-        same = chart.covariance(ground) + OPEN * chart.covariance(by_crown) + _spread(by_plane, SAME)
-        off, doubt = _together(of_road - value, chart.covariance(road), same, _spread(by_plane, OTHER))
+        alike = chart.covariance(ground) + OPEN * chart.covariance(by_crown)
+        cases = [alike + _spread(by_plane, apart) for apart in APART[:-1]]
+        off, doubt = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
         if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
             return _as_uncertain(ground, chart, doubt + np.outer(off, off))
         moved = off - found_off
@@ -152,7 +156,7 @@ def carried(T_a_b: FloatArray, way: FloatArray) -> FloatArray:
 
 
 def _together(
-    off: FloatArray, of_road: FloatArray, same: FloatArray, other: FloatArray
+    off: FloatArray, of_road: FloatArray, cases: Sequence[FloatArray], land: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the road's plane, from the ground's, and its covariance, as the road and the ground tell together.
 
@@ -162,18 +166,18 @@ def _together(
         What is seen of the road, from the ground.
     of_road : ndarray, shape (3, 3)
         Its covariance.
-    same, other : ndarray, shape (3, 3)
+    cases, land : ndarray, shape (3, 3)
         How far the ground may be from the road's plane, in cases that are as likely as one another beforehand. What is
-        seen of the road holds the other one already.
+        seen of the road holds that of land already.
     """
     # A road that is bent much is known less well than beforehand, and tells nothing then, but not less.
-    root = np.linalg.cholesky(other)
+    root = np.linalg.cholesky(land)
     values, vectors = np.linalg.eigh(root.T @ np.linalg.inv(of_road) @ root - np.eye(len(off)))
     by_road = np.linalg.solve(root.T, vectors[:, values > 0.0])
     seen = (by_road * values[values > 0.0]) @ by_road.T
     told = by_road @ (vectors[:, values > 0.0].T @ root.T @ np.linalg.solve(of_road, off))
     log_likely, means, covariances = [], [], []
-    for before in (same, other):
+    for before in (*cases, land):
         covariance = np.linalg.inv(seen + np.linalg.inv(before))
         mean = covariance @ told
         log_likely.append(0.5 * (told @ mean + np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(before)[1]))
@@ -191,7 +195,7 @@ def _as_uncertain(ground: GroundPlane, chart: Chart, covariance: FloatArray) -> 
     return replace(ground, covariance_sensor=chart.plane(value, covariance).covariance_sensor)
 
 
-def _spread(by_plane: FloatArray, sigmas: tuple[float, float, float]) -> FloatArray:
+def _spread(by_plane: FloatArray, sigmas: ArrayLike) -> FloatArray:
     """Return the covariance, in a chart, of a height and two slopes with some standard deviations, shape (3, 3)."""
     covariance: FloatArray = (by_plane * np.square(sigmas)) @ by_plane.T
     return covariance
