@@ -42,6 +42,25 @@ def test_kerbs_of_the_map_are_steps_as_high_as_the_roads(kind: LayoutKind) -> No
         assert (step < road.kerb_m + 0.025 * PAVEMENT_M + 2e-3).all()
 
 
+@pytest.mark.parametrize("kind", LAYOUTS)
+def test_verges_begin_where_the_map_has_the_roads_edge_and_fall_away_from_it(kind: LayoutKind) -> None:
+    road = draw_road(np.random.default_rng(3), kind, uneven=0.0, verges=True)
+    assert road.verge is not None
+    assert 0.0 < road.verge < 0.12
+    site = build_site(np.random.default_rng(4), road, [], 0.0)
+    caster = RayCaster(site.bodies)
+    borders = [edge for edge in site.edges if edge.kind == "road_border"]
+    assert borders
+    for border in borders:
+        at, left = middles(border.xy)
+        straight = (np.linalg.norm(at, axis=1) > 32.0) & (np.linalg.norm(at, axis=1) < 60.0)
+        at, left = at[straight], left[straight]
+        one, other = (heights(caster, at + way * 1.5 * left) for way in (1.0, -1.0))
+        np.testing.assert_allclose(np.abs(one - other), 1.5 * road.verge, atol=2e-3)
+        step = np.abs(heights(caster, at + BESIDE_M * left) - heights(caster, at - BESIDE_M * left))
+        assert (step < BESIDE_M * road.verge + 2e-3).all()
+
+
 def test_walls_of_the_map_are_where_something_stands() -> None:
     road = draw_road(np.random.default_rng(3), "cross")
     site = build_site(np.random.default_rng(6), road, [], 1.0)

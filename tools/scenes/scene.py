@@ -104,6 +104,8 @@ class Factors:
         Scales crown, bends and waves of the road.
     land : float
         Scales slopes and bumps of the land behind the pavements.
+    verges : bool
+        The road has verges instead of kerbs and pavements.
     density : float
         Scales how much stands around.
     vehicles, walkers, cyclists, parked : int
@@ -148,6 +150,7 @@ class Factors:
     left_hand: bool | None = None
     uneven: float | None = None
     land: float | None = None
+    verges: bool | None = None
     density: float | None = None
     vehicles: int | None = None
     walkers: int | None = None
@@ -443,7 +446,8 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
     kind, layout = _drive_and_layout(draw, factors)
     uneven = draw.given(factors.uneven, "uneven", lambda rng: float(rng.uniform(0.0, 1.0)))
     land = draw.given(factors.land, "land", lambda rng: float(rng.uniform(0.0, 1.0)))
-    road = draw_road(draw.rng("road"), layout, uneven, land)
+    verges = draw.choice(factors.verges, "verges", (False, True), (0.75, 0.25))
+    road = draw_road(draw.rng("road"), layout, uneven, land, verges=verges)
     sensor = _sensor(draw, sensor_kind, factors)
     mounted = _mount(draw, factors, road_free=lambda xy: not road.on_carriageway(xy).any(), sensor=sensor)
     if mounted is None:

@@ -12,8 +12,9 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.spatial import Delaunay, cKDTree
 
-from laci_stereo.core.frames import BoolArray, FloatArray, planar, rigid, rotation_z
+from laci_stereo.core.frames import BoolArray, FloatArray, along_line, planar, rigid, rotation_z
 from tools.scenes.geometry import Body, Material, Mesh, merged
 from tools.scenes.shapes import box, cylinder, leaves, turned_solid
 
@@ -28,6 +29,12 @@ FITTED_M = 35.0
 
 
 PAVEMENT_M = 2.5
+"""Width of a pavement, or of a verge."""
+
+PAVEMENT_RISE = 0.025
+
+EDGE_STEP_M = 0.5
+"""Corners of the surface between verges are no farther apart along these, so that it ends there."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,9 @@ class Road:
     ring_m, island_m : float
         Of a roundabout: radius of its outer kerb and of its island; zero for others.
     kerb_m : float
-        Height of the kerb.
+        Height of the kerbs.
+    verge : float, optional
+        Roads in the country have verges without kerbs in place of pavements, which fall by that much, as a share.
     crown : float
         Cross fall on either side of the middle, as a share.
     bend_per_m : tuple of float
@@ -78,6 +87,7 @@ class Road:
     waves: tuple[Wave, ...]
     rises: tuple[float, float, float, float]
     bumps: tuple[Wave, ...]
+    verge: float | None = None
     plane: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def height(self, xy: FloatArray) -> FloatArray:
@@ -96,24 +106,40 @@ class Road:
         return levelled
 
     def land(self, xy: FloatArray) -> FloatArray:
-        """Return the height of what lies behind the kerbs, shape (n,).
+        """Return the height of what lies behind the kerbs or on the verges, shape (n,).
 
-        Pavements fall by 2.5 % towards the road; behind them the land goes its own ways.
+        Pavements fall by 2.5 % towards the road, verges away from it; behind them the land goes its own ways.
         """
         x, y = xy[:, 0], xy[:, 1]
         strip = (self.kind == "street") | ((self.kind == "tee") & (y > 0.0))
         back = np.where(strip, np.abs(y), np.minimum(np.abs(x), np.abs(y))) - self.half_m
+        if self.verge is not None and not self.ring_m:
+            back = np.where(strip, back, self._behind_corner(xy))
         if self.ring_m:
             back = np.minimum(back, np.hypot(x, y) - self.ring_m)
         back = back.clip(0.0)
         behind = (back - PAVEMENT_M).clip(0.0)
         quarter = np.where(strip, 0, (x > 0.0).astype(np.int64)) + 2 * (y > 0.0)
-        rise = np.array(self.rises)[quarter] * behind + 0.025 * np.minimum(back, PAVEMENT_M)
+        step_m, beside = (self.kerb_m, PAVEMENT_RISE) if self.verge is None else (0.0, -self.verge)
+        rise = np.array(self.rises)[quarter] * behind + beside * np.minimum(back, PAVEMENT_M)
         for bump in self.bumps:
             wave = bump.amplitude_m * np.sin(xy @ np.array(bump.per_m) + bump.phase_rad)
             rise = rise + wave * np.minimum(behind / 2.0, 1.0)
-        height: FloatArray = self.height(xy) + self.kerb_m + rise
+        height: FloatArray = self.height(xy) + step_m + rise
         return height
+
+    def _behind_corner(self, xy: FloatArray) -> FloatArray:
+        """Return how far behind the edges of two arms and the round corner between them points are, shape (n,)."""
+        off = self.half_m + self.corner_m - np.abs(xy)
+        behind: FloatArray = self.corner_m - np.linalg.norm(off.clip(0.0), axis=1) - off.max(axis=1).clip(max=0.0)
+        return behind
+
+    def between_edges(self, xy: FloatArray) -> BoolArray:
+        """Tell which points, shape (n, 2), are between the kerbs or verges, with round corners and the island."""
+        between: BoolArray = self.on_carriageway(xy) | (np.linalg.norm(xy, axis=1) < self.ring_m)
+        if self.kind in ("cross", "tee"):
+            between |= (self._behind_corner(xy) < 0.0) & ((xy[:, 1] < self.half_m) | (self.kind != "tee"))
+        return between
 
     def on_carriageway(self, xy: FloatArray) -> BoolArray:
         """Tell which points, shape (n, 2), are between the kerbs; round corners count as cut off."""
@@ -182,13 +208,16 @@ class Site:
     edges: tuple[Edge, ...]
 
 
-def draw_road(rng: np.random.Generator, kind: LayoutKind, uneven: float = 1.0, land: float = 1.0) -> Road:
+def draw_road(
+    rng: np.random.Generator, kind: LayoutKind, uneven: float = 1.0, land: float = 1.0, *, verges: bool = False
+) -> Road:
     """Draw a road.
 
-    ``uneven`` scales crown, bends and waves: 0 is a plane. ``land`` scales slopes and bumps behind the pavements.
+    ``uneven`` scales crown, bends and waves: 0 is a plane. ``land`` scales slopes and bumps behind the pavements, or
+    behind ``verges``.
 
     Cross falls are 2.5 % in straights (RASt 06 and RAA), less within crossings; waves of up to 1 cm are what an
-    international roughness index of 2 to 4 m/km means.
+    international roughness index of 2 to 4 m/km means. Verges fall by up to 12 % (RAL 2012).
     """
     half = float(rng.choice([3.25, 3.5, 5.0, 6.5, 7.0]))
     ring = float(rng.uniform(13.0, 18.0)) if kind == "roundabout" else 0.0
@@ -207,6 +236,7 @@ def draw_road(rng: np.random.Generator, kind: LayoutKind, uneven: float = 1.0, l
         waves=waves,
         rises=(rises[0], rises[1], rises[2], rises[3]),
         bumps=_waves(rng, (6.0, 20.0), land * 0.03),
+        verge=float(rng.uniform(0.0, 0.12)) if verges else None,
     )
     return road.levelled()
 
@@ -261,7 +291,7 @@ def build_site(rng: np.random.Generator, road: Road, keep_free: Sequence[tuple[f
 def _kerb_edges(road: Road) -> Iterator[Edge]:
     subtype = "high" if road.kerb_m > 0.1 else "low"
     for kerb_xy, _ in _kerbs(road):
-        yield Edge(kerb_xy, "curbstone", subtype)
+        yield Edge(kerb_xy, "curbstone", subtype) if road.verge is None else Edge(kerb_xy, "road_border")
     if road.island_m:
         around = np.linspace(0.0, 2 * np.pi, 49)
         yield Edge(road.island_m * np.column_stack([np.cos(around), np.sin(around)]), "curbstone", subtype)
@@ -442,6 +472,8 @@ def _carriageway(road: Road) -> Mesh:
     grid = np.arange(-REACH_M, REACH_M + 0.1, 1.0)
     x, y = np.meshgrid(grid, grid, indexing="ij")
     xy = np.column_stack([x.ravel(), y.ravel()])
+    if road.verge is not None:
+        return _between_verges(road, xy)
     vertices = np.column_stack([xy, road.height(xy)])
     index = np.arange(len(xy)).reshape(x.shape)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]))
@@ -454,12 +486,30 @@ def _carriageway(road: Road) -> Mesh:
     return Mesh(vertices, triangles, np.full(len(triangles), Material.ROAD, dtype=np.int64))
 
 
+def _between_verges(road: Road, grid: FloatArray) -> Mesh:
+    """Build a carriageway that ends at its edges: no block hides what lies beyond."""
+    edges = np.concatenate([_dense(edge_xy) for edge_xy, _ in _kerbs(road)])
+    apart_m = cKDTree(edges).query(grid)[0]
+    xy = np.concatenate([grid[road.between_edges(grid) & (apart_m > EDGE_STEP_M)], edges])
+    triangles = Delaunay(xy).simplices.astype(np.int64)
+    triangles = triangles[road.between_edges(xy[triangles].mean(axis=1))]
+    vertices = np.column_stack([xy, road.height(xy)])
+    return Mesh(vertices, triangles, np.full(len(triangles), Material.ROAD, dtype=np.int64))
+
+
+def _dense(xy: FloatArray) -> FloatArray:
+    along_m = along_line(xy)
+    at_m = np.unique(np.append(np.arange(0.0, along_m[-1], EDGE_STEP_M), along_m))
+    return np.column_stack([np.interp(at_m, along_m, column) for column in xy.T])
+
+
 _BACK_M = (0.0, 0.12, 1.0, 2.5, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 26.0, 34.0, 45.0, 60.0, 80.0)
-_BACK_MATERIAL = (Material.KERB, *(Material.KERB,) * 2, *(Material.GRASS,) * 11)
+_PAVEMENTS = 4
+"""Rows of triangles up to the pavement's end, the kerb's with them."""
 
 
 def _kerbs(road: Road) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the lines of the kerbs at the road's sides, shape (n, 2), each with the direction away from the road."""
+    """Return the lines of the road's edges, shape (n, 2), each with the direction away from the road."""
     h, r = road.half_m, road.corner_m
     far = np.arange(h + r, REACH_M, 2.0)[::-1]
     angle = np.linspace(0.0, np.pi / 2, 13)
@@ -509,7 +559,8 @@ def _block(road: Road, kerb_xy: FloatArray, away: FloatArray) -> Mesh:
     index = np.arange(len(vertices)).reshape(len(rows), n)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     triangles = np.stack([np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)], axis=2).reshape(-1, 3)
-    material = np.repeat(np.array([Material.KERB, *_BACK_MATERIAL], dtype=np.int64), 2 * (n - 1))
+    kerb = [Material.KERB if road.verge is None else Material.GRASS] * _PAVEMENTS
+    material = np.repeat([*kerb, *[Material.GRASS] * (len(_BACK_M) - _PAVEMENTS)], 2 * (n - 1))
     return Mesh(vertices, triangles, material)
 
 
