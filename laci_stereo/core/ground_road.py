@@ -39,9 +39,9 @@ that, the ground tells nothing of it."""
 FALSE_ALARM = 0.05
 """Probability that a ground is replaced although it is the road's: to observe again takes time, and gains nothing."""
 
-PASSES, SETTLED = 5, 0.01
+PASSES, SETTLED = 5, 0.1
 """What is far above a plane is not looked at from it, so the road is looked at again from its own, until that moves by
-less than a tenth of its doubt, squared here."""
+less than a third of its doubt, squared here. Where it goes on moving, it may be any that was found."""
 
 FARTHEST = 4.0
 """What is farther from the ground than land is from roads, by so many standard deviations, is something else: it falls
@@ -71,9 +71,9 @@ def road_ground(
     settings : GroundSettings
     """
     chart = Chart.around(ground)
-    (value,) = chart.values([ground])
     by_plane = _by_plane(chart, axes, way.mean(axis=0))
-    found, found_off = ground, np.zeros(3)
+    value, found = chart.values([ground])[0], ground
+    offs, doubts = [np.zeros(3)], []
     for _ in range(PASSES):
         seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
@@ -87,10 +87,14 @@ def road_ground(
         off, doubt = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
         if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
             return _as_uncertain(ground, chart, doubt + np.outer(off, off))
-        moved = off - found_off
-        found, found_off = chart.plane(value + off, doubt), off
+        moved, found = off - offs[-1], chart.plane(value + off, doubt)
+        offs.append(off)
+        doubts.append(doubt)
         if moved @ np.linalg.solve(doubt, moved) < SETTLED:
             break
+    else:
+        among = np.cov(np.transpose(offs[1:]), bias=True)
+        found = chart.plane(value + np.mean(offs[1:], axis=0), np.mean(doubts, axis=0) + among)
     log.info("ground: the road is another plane, %.3f m below the sensor", found.height_m)
     return found
 

@@ -133,7 +133,7 @@ def road_along(
         cells = _at_height(on_plane, height, way, T_level_sensor[2, 3])
     if on_road.sum() < LEAST_CELLS:
         return None
-    return Surface(cells[on_road], settings.shared_noise_share, before, kerbs=True)
+    return Surface(cells[on_road], settings.shared_noise_share, before, edges=True)
 
 
 def _cells(

@@ -3,8 +3,8 @@
 A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
 Here the crown is a part of the model: where both of its sides are seen, it is told from the plane; where only one is,
 how far the road falls stays as open as it was. It runs along the way, or the way crosses it, as in a turn and around a
-roundabout's island. A low kerb is another part of it: what is behind one is no longer the road. Heights are those above
-a plane that was found before.
+roundabout's island. Edges of the road are another part of it: what is behind one is no longer the road. Heights are
+those above a plane that was found before.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from laci_stereo.core.box_ground import BENT_PER_M
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
+from laci_stereo.core.road_edges import KINDS, ON_WAY_M, TOWARDS, behind_edges
 
 FALL = 0.025 / np.sqrt(3.0)
 """How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation."""
@@ -35,20 +36,6 @@ _ACROSS = np.stack([np.cos(_ACROSS_RAD), np.sin(_ACROSS_RAD)])
 _CROSSED = (0.15, 0.325, 0.5, 0.675, 0.85)
 """Crowns that the way crosses are straight: directions in which the road falls from one, and which shares of what is
 seen are on one side of it. As often as not the crown is such a one; all of each kind are as likely."""
-
-_KERBS_M, _STEP_M = np.arange(0.0, 7.1, 1.0), 3.0
-_TOWARDS_RAD = np.pi / 8 * np.arange(16)
-_TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
-"""A kerb is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both. What
-is behind it rises, to drain to the road, by one of `_FALLS`, and it is as high as that rises in `_STEP_M`: up to 9 cm.
-"""
-
-_UNNOTICED = 0.1
-"""Probability that there is such a low kerb in what passed for road. With coarse cells its land is joined bit by bit,
-each of which could be how the road is bent."""
-
-_ON_WAY_M = 0.75
-"""What is so near the way the vehicle was on itself: most are 1.5 m wide at least."""
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
@@ -130,22 +117,24 @@ class Surface:
         Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
     before : ndarray, shape (3,)
         Height at the origin, and slopes, of the ground near which the road is beforehand, by `OTHER`.
-    kerbs : bool
-        Some of the cells may be behind a kerb.
+    edges : bool
+        Some of the cells may be behind an edge of the road.
     """
 
-    def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray, *, kerbs: bool = False) -> None:
-        self.cells, self.before, self.kerbs = cells, before, kerbs
+    def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray, *, edges: bool = False) -> None:
+        self.cells, self.before, self.edges = cells, before, edges
         self.middle = cells.xy.mean(axis=0)
         prior = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
         self.crossed_m = np.quantile((cells.xy - self.middle) @ _ACROSS, _CROSSED, axis=0)
         away_m = np.abs(cells.left_m)
-        on_way = cells.xy[away_m <= max(_ON_WAY_M, float(away_m.min()))]
-        self.way_m = ((on_way - self.middle) @ _TOWARDS).max(axis=0)
-        crowns, lasers = self._crowns(cells), _lasers(cells.layer)
-        of_each = np.diff([0, len(_CROWNS_M), len(_CROWNS_M) + self.crossed_m.size, crowns.shape[1]][: 3 + kerbs])
-        share = np.array([(1.0 - _UNNOTICED) / 2, (1.0 - _UNNOTICED) / 2, _UNNOTICED] if kerbs else [0.5, 0.5])
+        on_way = cells.xy[away_m <= max(ON_WAY_M, float(away_m.min()))]
+        self.way_m = ((on_way - self.middle) @ TOWARDS).max(axis=0)
+        kinds, lasers = self._crowns(cells), _lasers(cells.layer)
+        hidden = [kind.likely for kind in KINDS[: len(kinds) - 2]]
+        share = np.array([(1.0 - sum(hidden)) / 2, (1.0 - sum(hidden)) / 2, *hidden])
+        of_each = np.array([kind.shape[1] for kind in kinds])
         log_prior = np.log(np.repeat(share / of_each, of_each))[:, None]
+        crowns = np.column_stack(kinds)
         patches = _merged(np.column_stack([self._basis(cells.xy), crowns, lasers]), cells)
         widths = np.cumsum([6, crowns.shape[1], lasers.shape[1], 1, 1, 1, 2])
         basis, crowns, lasers, z, sigma_m, variance, xy, sight = np.split(patches, widths, axis=1)
@@ -170,7 +159,7 @@ class Surface:
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Return the height of the even surface at some cells, and its variance, each of shape (n,)."""
-        basis, crowns = self._basis(cells.xy), self._crowns(cells)
+        basis, crowns = self._basis(cells.xy), np.column_stack(self._crowns(cells))
         first, second = np.zeros(len(cells)), np.zeros(len(cells))
         for each in self.given:
             flat, falls, likely = basis @ each.mean, crowns - basis @ each.by_fall, each.likely.sum()
@@ -194,8 +183,8 @@ class Surface:
         """
         to_plane = np.eye(3, 6)
         to_plane[0] = self._basis(self.cells.xy).mean(axis=0)
-        crowns = self._crowns(self.cells).mean(axis=0)
-        crowns[len(_CROWNS_M) + self.crossed_m.size :] = 0.0  # what is behind a kerb is not the road
+        along, crossed, *edges = (kind.mean(axis=0) for kind in self._crowns(self.cells))
+        crowns = np.concatenate([along, crossed, *map(np.zeros_like, edges)])  # what is behind an edge is not the road
         of_crowns = np.outer((1.0, 0.0, 0.0), crowns)
         first, second, within, bent = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
         for each in self.given:
@@ -216,29 +205,17 @@ class Surface:
         offset = np.append(height_of(self.before, self.middle), self.before[1:])
         return offset + first, within + by_crown, by_crown
 
-    def _crowns(self, cells: Cells) -> FloatArray:
-        """Return by how much places are higher for each crown and kerb if the road falls by 1, shape (n, crowns)."""
-        along = cells.left_m[:, None] - _CROWNS_M
-        crossed = ((cells.xy - self.middle) @ _ACROSS)[:, None] - self.crossed_m
-        crowns: FloatArray = -np.abs(np.column_stack([along, crossed.reshape(len(cells), -1)]))
-        if not self.kerbs:
-            return crowns
-        straight = _raised(((cells.xy - self.middle) @ _TOWARDS - self.way_m)[:, None] - _KERBS_M[:, None])
-        edges_m = _ON_WAY_M + np.append(_KERBS_M, np.inf)
-        left, right = _raised(cells.left_m[:, None] - edges_m), _raised(-cells.left_m[:, None] - edges_m)
-        along_way = (left[:, :, None] + right[:, None, :]).reshape(len(cells), -1)[:, :-1]  # the last has neither
-        return np.column_stack([crowns, straight.reshape(len(cells), -1), along_way])
+    def _crowns(self, cells: Cells) -> list[FloatArray]:
+        """Return by how much places are higher for each crown and edge if the road falls by 1, by kind, (n, crowns)."""
+        off = cells.xy - self.middle
+        crossed = (off @ _ACROSS)[:, None] - self.crossed_m
+        crowns = [-np.abs(cells.left_m[:, None] - _CROWNS_M), -np.abs(crossed.reshape(len(cells), -1))]
+        return crowns + (behind_edges(cells.left_m, off @ TOWARDS - self.way_m) if self.edges else [])
 
     def _basis(self, xy: FloatArray) -> FloatArray:
         """Return what a plane and its bends are made of, shape (n, 6)."""
         x, y = (xy - self.middle).T
         return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
-
-
-def _raised(beyond_m: FloatArray) -> FloatArray:
-    """Return by how much places are raised so far behind kerbs, if what is there rises by 1."""
-    raised: FloatArray = np.where(beyond_m > 0.0, _STEP_M + beyond_m, 0.0)
-    return raised
 
 
 def height_of(plane: FloatArray, xy: FloatArray) -> FloatArray:

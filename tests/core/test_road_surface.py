@@ -201,10 +201,24 @@ def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
         along, left = rng.uniform(-8.0, 8.0, 200), rng.uniform(-2.5, 7.0, 200)
         beyond = np.maximum(left - kerb_m, 0.0)
         z = (beyond > 0.0) * 0.06 + rises * beyond + rng.normal(0.0, 0.02, 200)
-        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, kerbs=True).plane()
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
         off_deg.append(np.degrees(np.linalg.norm(value[1:])))
     # The mean of 60 chi-squares of two degrees of freedom: 2.0 +- 0.26.
+    assert np.mean(squares) < 2.8
+    assert np.median(off_deg) < 0.3
+
+
+def test_a_verge_that_is_flush_with_the_road_does_not_tilt_it() -> None:
+    rng = np.random.default_rng(5)
+    squares, off_deg = [], []
+    for _ in range(60):
+        edge_m, falls, wide_m = rng.uniform(1.0, 4.0), rng.uniform(0.03, 0.12), rng.uniform(1.5, 2.5)
+        along, left = rng.uniform(-8.0, 8.0, 300), rng.uniform(-4.0, 7.0, 300)
+        z = -falls * np.clip(left - edge_m, 0.0, wide_m) + rng.normal(0.0, 0.02, 300)
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, edges=True).plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+        off_deg.append(np.degrees(np.linalg.norm(value[1:])))
     assert np.mean(squares) < 2.8
     assert np.median(off_deg) < 0.3
 
@@ -228,6 +242,6 @@ def test_kerbs_along_both_sides_of_a_bend_that_noise_hides_do_not_tilt_the_road(
             apart(400),
             by_camera(400),
         )
-        value, covariance, _ = Surface(bent, 0.0, LEVEL, kerbs=True).plane()
+        value, covariance, _ = Surface(bent, 0.0, LEVEL, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert np.mean(squares) < 2.8
