@@ -22,6 +22,7 @@ from laci_stereo.core.ground import GroundPlane, fit_farther_ground
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import carried, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
+from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
@@ -154,7 +155,7 @@ def _driven(seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: S
     """Return the track that fits a sender best, if any does: a stranger drives on the road as well."""
     any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
     try:
-        return choose_track(seen.tracks, vehicles, any_fit).track
+        return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, any_fit).track
     except CalibrationError:
         return None
 
