@@ -127,12 +127,15 @@ class View:
     hidden : Sections
     alone_m : ndarray, shape (n,)
         By how much paint may be off where the calibration is right, one sigma.
+    least : ndarray, shape (lines,)
+        In how many sections each line is seen at least, if it is found.
     """
 
     sections: Sections
     traces: Traces
     hidden: Sections
     alone_m: FloatArray
+    least: FloatArray
 
 
 @dataclass(frozen=True)
@@ -216,7 +219,9 @@ def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: floa
     sections, traces = sections[kept], traces[kept]
     still = Offsets(sections, np.zeros(len(sections)), traces.cell_m, traces.loose_m)
     own = covariance_of(still, placed, map_sigma_m)
-    return View(sections, traces, hidden[np.isfinite(see(hidden).cell_m)], np.sqrt(np.diag(own)))
+    painted = np.array([DASHED_SHARE if line.subtype == "dashed" else 1.0 for line in lines])
+    least = FOUND_SHARE * painted * np.bincount(sections.line, minlength=len(lines))
+    return View(sections, traces, hidden[np.isfinite(see(hidden).cell_m)], np.sqrt(np.diag(own)), least)
 
 
 def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float) -> Fitted | None:
@@ -252,7 +257,10 @@ def _measured(view: View, expected_m: FloatArray) -> tuple[IntArray, FloatArray]
     best = likely.argmax(axis=1)
     rows = np.arange(len(best))
     sigmas = np.where(likely[rows, best] > 0.0, view.traces.sigmas[rows, best], 0.0)
-    index = np.flatnonzero(sigmas >= np.maximum(SURE, _paler(sigmas, view.sections.line)))
+    line = view.sections.line
+    index = np.flatnonzero(sigmas >= np.maximum(SURE, _paler(sigmas, line)))
+    found = np.bincount(line[index], minlength=len(view.least)) >= view.least
+    index = index[found[line[index]]]  # of a line that is not found, a few sections are something else
     return index, view.traces.left_m[index, best[index]]
 
 
@@ -274,7 +282,6 @@ def _astray(offsets: Offsets, beside: FloatArray) -> frozenset[int]:
 
 def _line_checked(line: LaneLine, number: int, view: View, fitted: Fitted | None, placed: Placed) -> LineCheck:
     in_view, hidden = (int((each.line == number).sum()) for each in (view.sections, view.hidden))
-    painted = in_view * (DASHED_SHARE if line.subtype == "dashed" else 1.0)
     mine = None if fitted is None else fitted.offsets[fitted.offsets.sections.line == number]
     if fitted is None or mine is None or len(mine) == 0:
         return LineCheck(line.id, line.kind, in_view, hidden, 0, found=False)
@@ -289,7 +296,7 @@ def _line_checked(line: LaneLine, number: int, view: View, fitted: Fitted | None
         in_view,
         hidden,
         len(mine),
-        found=len(mine) >= FOUND_SHARE * painted,
+        found=len(mine) >= float(view.least[number]),
         offset_m=offset_m,
         sigma_m=sigma_m,
         offset_px=None if per_m is None else float(mean @ (mine.left_m / mine.cell_m)),

@@ -7,9 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.frames import planar, rotate_xy
+from laci_stereo.check.lanes import check_lanes
+from laci_stereo.check.placed import Placed
+from laci_stereo.check.profiles import OFFSETS_M, STEP_M
+from laci_stereo.check.sections import Sections
+from laci_stereo.check.traces import Traces
+from laci_stereo.core.frames import planar, rigid, rotate_xy
 from tests.check.support import (
     BARREL,
+    CENTRE,
     CLAIMED,
     CROSSING,
     LENS,
@@ -146,3 +152,22 @@ def test_doubt_about_the_map_widens_the_doubt() -> None:
     exact, rough = (crossing().check(map_sigma_m=sigma).error.covariance for sigma in (0.01, 0.2))
     assert np.all(np.diag(rough) > np.diag(exact))
     assert crossing().check(shift(0.2, 0.0), map_sigma_m=0.5).judgement.outcome == "cannot tell"
+
+
+def test_a_few_sections_of_a_line_that_is_not_found_tell_nothing() -> None:
+    """An edge of grass: where the ground bends or a walker stood, it seems to lie 1 m beside the map's line."""
+    paint = [line((-15.0, y), (15.0, y), name=f"{y:.0f}") for y in (-4.0, 0.0, 4.0, 8.0)]
+    edge = line((6.0, -25.0), (6.0, -5.0), kind="road_border")
+
+    def see(sections: Sections) -> Traces:
+        at = np.where(sections.line == len(paint), 1.0, 0.0)
+        sigmas = 10.0 * (np.abs(OFFSETS_M - at[:, None]) < STEP_M / 2)
+        sigmas[(sections.line == len(paint)) & (np.round(sections.along_m) % 5 != 0)] = 0.0
+        return Traces(sigmas, np.tile(OFFSETS_M, (len(at), 1)), np.full(len(at), 0.02), np.zeros(len(at)))
+
+    placed = Placed(rigid(np.eye(3), np.array([0.0, -10.0, 6.0])), CLAIMED, CENTRE, np.zeros((0, 6)))
+    found = check_lanes([*paint, edge], placed, see, kinds=("line_thin", "road_border"))
+    assert found.judgement.outcome == "cannot tell"  # the shift along the paint
+    assert [each.kind for each in found.lines if not each.found] == ["road_border"]
+    assert found.residual_m is not None
+    assert found.residual_m < 0.01

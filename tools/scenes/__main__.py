@@ -21,7 +21,7 @@ def settings(texts: list[str]) -> dict[str, object]:
         try:
             found[name] = json.loads(value)
         except json.JSONDecodeError:
-            found[name] = value
+            found[name] = {"True": True, "False": False, "None": None}.get(value, value)
     return found
 
 
