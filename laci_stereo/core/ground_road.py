@@ -20,7 +20,7 @@ from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.road_extent import road_along
-from laci_stereo.core.road_surface import FALL, OTHER
+from laci_stereo.core.road_surface import FALL, OTHER, height_of
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
 
@@ -41,7 +41,8 @@ FALSE_ALARM = 0.05
 
 PASSES, SETTLED = 5, 0.1
 """What is far above a plane is not looked at from it, so the road is looked at again from its own, until that moves by
-less than a third of its doubt, squared here. Where it goes on moving, it may be any that was found."""
+less than a third of its doubt, squared here. Where it goes on moving, it may be any that was found, and the ground if a
+look comes back to that."""
 
 FARTHEST = 4.0
 """What is farther from the ground than land is from roads, by so many standard deviations, is something else: it falls
@@ -78,21 +79,24 @@ def road_ground(
         seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
             log.debug("no road is seen along the way")
-            doubt = chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
-            return _as_uncertain(ground, chart, doubt)
-        road, by_crown = seen
-        (of_road,) = chart.values([road])
-        alike = chart.covariance(ground) + OPEN * chart.covariance(by_crown)
-        cases = [alike + _spread(by_plane, apart) for apart in APART[:-1]]
-        off, doubt = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
-        if off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM):
-            return _as_uncertain(ground, chart, doubt + np.outer(off, off))
+            off, doubt = np.zeros(3), chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
+        else:
+            road, by_crown = seen
+            (of_road,) = chart.values([road])
+            alike = chart.covariance(ground) + OPEN * chart.covariance(by_crown)
+            cases = [alike + _spread(by_plane, apart) for apart in APART[:-1]]
+            off, doubt = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
+        is_ground = off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM)
+        if is_ground:
+            off, doubt = np.zeros(3), doubt + np.outer(off, off)
+            if not doubts:
+                return _as_uncertain(ground, chart, doubt)
         moved, found = off - offs[-1], chart.plane(value + off, doubt)
         offs.append(off)
         doubts.append(doubt)
-        if moved @ np.linalg.solve(doubt, moved) < SETTLED:
+        if is_ground or moved @ np.linalg.solve(doubt, moved) < SETTLED:
             break
-    else:
+    if moved @ np.linalg.solve(doubt, moved) >= SETTLED:
         among = np.cov(np.transpose(offs[1:]), bias=True)
         found = chart.plane(value + np.mean(offs[1:], axis=0), np.mean(doubts, axis=0) + among)
     log.info("ground: the road is another plane, %.3f m below the sensor", found.height_m)
@@ -146,7 +150,8 @@ def _seen_from(
     if surface is None:
         return None
     plane, covariance, by_crown = surface.plane()
-    if (np.abs(plane) > FARTHEST * np.array(OTHER)).any():
+    off = plane - np.append(height_of(before, surface.middle), before[1:])
+    if (np.abs(off) > FARTHEST * np.array(OTHER)).any():
         return None
     chart = Chart.around(found)
     by_plane = _by_plane(chart, axes, surface.middle)

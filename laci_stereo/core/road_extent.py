@@ -124,9 +124,8 @@ def road_along(
             return None
         height, variance = Surface(cells[on_road], settings.shared_noise_share, before).heights(cells)
         off_m = cells.z - height
-        known = (
-            variance - (settings.shared_noise_share * cells.sigma_m) ** 2 < KNOWN_M**2
-        )  # it has what all points share
+        alike = (settings.shared_noise_share * cells.sigma_m) ** 2  # what all points err by is no kerb
+        known = variance - alike < KNOWN_M**2
         variance = variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
         on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance) & known

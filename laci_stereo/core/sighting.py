@@ -23,7 +23,7 @@ Flaw = Literal["cut", "far", "thin"]
 
 KEPT_POINTS, KEPT_LOW = 200, 600
 """Points of a cluster that are kept, and of what may be of it below them or of the road around it, so that memory does
-not grow with the sensor's density."""
+not grow with the sensor's density: as many of both as neither is exceeded, but so many that they can be a vehicle."""
 
 
 STRAY = 0.02
@@ -263,8 +263,9 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
         return None
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
-    # Of both the same share, or more would seem to be nearer, or farther, than there is.
-    share = min(1.0, KEPT_POINTS / len(points), KEPT_LOW / max(1, len(low.points)))
+    # Of both the same share, or more would seem to be nearer, or farther, than there is; and enough to tell anything.
+    share = min(KEPT_POINTS / len(points), KEPT_LOW / max(1, len(low.points)))
+    share = min(1.0, max(share, limits.min_points / len(points)))
     kept, kept_low = (_evenly(count, round(share * count)) for count in (len(points), len(low.points)))
     late_s = 0.0 if cloud.offset_s is None else float(np.median(cloud.offset_s))
     return Sighting(

@@ -140,23 +140,23 @@ def _beneath(moving: Moving, surface: BoolArray, half_window_px: int) -> BoolArr
     return beneath
 
 
-def _layer(moving: Moving, standing: BoolArray) -> BoolArray | None:
+def _layer(moving: Moving, inside: BoolArray) -> BoolArray | None:
     """Return which points, of all, are as far away as most of what stands in a hull; None if nothing does."""
-    if int(standing.sum()) < LEAST_POINTS:
+    if int(inside.sum()) < LEAST_POINTS:
         return None
     distance = _distance(moving)
-    noise_m = NOISE_SIGMAS * float(np.median(moving.cloud.sigma_along_m[standing]))
+    noise_m = NOISE_SIGMAS * float(np.median(moving.cloud.sigma_along_m[inside]))
     width = max(GAP_M, noise_m)
-    start = float(distance[standing].min())
+    start = float(distance[inside].min())
     number = np.floor((distance - start) / width).astype(np.int64)
-    counts = np.bincount(number[standing])
+    counts = np.bincount(number[inside])
     first = last = int(counts.argmax())
     full = counts >= max(THIN_SHARE * counts.max(), 1)
     while first > 0 and full[first - 1]:
         first -= 1
     while last + 1 < len(full) and full[last + 1]:
         last += 1
-    nearest = start + first * width - np.where(standing, 0.0, noise_m)  # what is as low as the road may be nearer
+    nearest = start + first * width - np.where(inside, 0.0, noise_m)  # what is as low as the road may be nearer
     layer: BoolArray = (distance >= nearest) & (number <= last)
     return layer
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import Axes, FloatArray, rigid
+from laci_stereo.core.frames import Axes, FloatArray, invert, rigid
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
-from laci_stereo.core.ground_road import road_ground, standing
+from laci_stereo.core.ground_merge import Chart
+from laci_stereo.core.ground_road import _seen_from, carried, road_ground, standing
 from laci_stereo.core.road_extent import places, road_along
 from laci_stereo.core.road_surface import FALL
 from laci_stereo.core.settings import GroundSettings
@@ -205,6 +206,44 @@ def test_what_is_beside_the_road_or_passes_for_it_does_not_tilt_it(sensor: Senso
     off_rad, covariance = tilted(sensor, seed)
     assert off_rad @ np.linalg.solve(covariance, off_rad) < 9.0
     assert np.degrees(np.linalg.norm(off_rad)) < 1.0
+
+
+@pytest.mark.parametrize("looks", [(2.0, -1.0, 2.0, -1.0, 2.0), (2.0, None), (2.0, 0.0)])
+def test_whichever_look_is_right_is_within_the_doubt(
+    looks: tuple[float | None, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each look finds the road so many degrees off the ground, or not at all, which leaves the ground."""
+    ground = fitted(seen(0.0))
+    chart = Chart.around(ground)
+    (value,) = chart.values([ground])
+    across = np.array([1.0, 0.0, 0.0])
+    exact = np.diag(np.square([np.radians(0.05), np.radians(0.05), 0.01]))
+
+    def plane(deg: float) -> GroundPlane:
+        return chart.plane(value + np.radians(deg) * across, exact)
+
+    left = iter(looks)
+
+    def look(*_: object) -> tuple[GroundPlane, GroundPlane] | None:
+        deg = next(left)
+        return None if deg is None else (plane(deg), chart.plane(value, 1e-6 * exact))
+
+    monkeypatch.setattr("laci_stereo.core.ground_road._seen_from", look)
+    road = road_ground([], AXES, ground, way(), GroundSettings())
+    (found,), sigma_rad = chart.values([road]), np.sqrt(chart.covariance(road)[0, 0])
+    assert next(left, None) is None  # all were looked at
+    for deg in (each or 0.0 for each in looks):
+        assert abs(found[0] - value[0] - np.radians(deg)) < 2.0 * sigma_rad
+
+
+@pytest.mark.parametrize(("apart_m", "is_seen"), [(1.1, True), (1.3, False)])
+def test_how_far_a_road_may_be_counts_from_the_ground(apart_m: float, is_seen: bool) -> None:
+    """And not from where it is looked at, half of that above it."""
+    cloud = seen(0.0)
+    road = fitted(cloud)
+    ground, found = (replace(road, height_m=road.height_m - share * apart_m) for share in (1.0, 0.5))
+    along = carried(found.T_level_sensor(AXES) @ invert(road.T_level_sensor(AXES)), way())
+    assert (_seen_from(found, ground, [cloud], AXES, along, GroundSettings()) is not None) == is_seen
 
 
 @pytest.mark.slow

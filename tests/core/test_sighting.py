@@ -101,7 +101,6 @@ def test_where_noise_hides_a_side_in_the_road_its_farther_half_is_kept_as_well()
         drive = standing(17.0, 1.0, yaw_deg)
         exact, noisy = (found(alone(drive, stereo(columns=640, sigma_px=noise)))[0] for noise in (0.1, 1.0))
         assert not len(exact.low.points)
-        assert len(noisy.low.points) <= KEPT_LOW
         half.append(behind_the_side_m(noisy.points, yaw_deg))
         whole.append(behind_the_side_m(np.concatenate([noisy.points, noisy.low.points]), yaw_deg))
         sigmas.append(np.median(noisy.sigma_along_m))
@@ -110,6 +109,19 @@ def test_where_noise_hides_a_side_in_the_road_its_farther_half_is_kept_as_well()
     assert len(of_whole) > 100
     assert abs(np.mean(of_whole)) < 3.0 * sigma_m / np.sqrt(len(of_whole))
     assert np.std(of_whole) == pytest.approx(sigma_m, rel=0.2)
+
+
+@pytest.mark.parametrize("sigma_px", [0.5, 1.0])
+def test_however_much_of_the_road_noise_raises_a_cluster_keeps_points(sigma_px: float) -> None:
+    """And as large a share of itself as of that road."""
+    sightings = found(alone(standing(17.0, 1.0), stereo(columns=1280, sigma_px=sigma_px)))
+    least = VehicleSettings().min_points
+    assert all(len(each.points) >= min(each.count, least) for each in sightings)
+    vehicle = max(sightings, key=lambda each: each.count)
+    assert vehicle.count > 100 * least
+    assert least < len(vehicle.points) <= KEPT_POINTS
+    assert len(vehicle.low.points) <= KEPT_LOW
+    assert len(vehicle.points) == KEPT_POINTS or len(vehicle.low.points) == KEPT_LOW
 
 
 @KINDS
