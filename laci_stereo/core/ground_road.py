@@ -74,7 +74,8 @@ def road_ground(
     chart = Chart.around(ground)
     by_plane = _by_plane(chart, axes, way.mean(axis=0))
     value, found = chart.values([ground])[0], ground
-    offs, doubts = [np.zeros(3)], []
+    offs: list[FloatArray] = [np.zeros(3)]
+    doubts: list[FloatArray] = []
     for _ in range(PASSES):
         seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
