@@ -393,7 +393,7 @@ class DriveModel:
             by_frame = np.zeros((len(way), size))
             np.add.at(by_frame, rows.frame[its], pulls[its])
             total += by_frame.T @ alike @ by_frame
-        return self.settings.shared_noise_share * total
+        return self.settings.shared_variance_share * total
 
     def gain(self, rows: Rows, before: Rows, shares: FloatArray) -> float:
         """Return by how much likelier the ranges are than before, with noise and angles of incidence held as they were.
@@ -461,7 +461,7 @@ class DriveModel:
 
         Two windows that overlap share as much of their noise as of their pixels.
         """
-        shared, drive = self.settings.shared_noise_share, self.drive
+        shared, drive = self.settings.shared_variance_share, self.drive
         if drive.window_rad == 0.0 or not len(points):
             return np.full(len(points), shared)
         overlap = np.ones(len(points))

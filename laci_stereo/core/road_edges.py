@@ -22,10 +22,10 @@ TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
 """An edge is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both."""
 
 _STEP_M = 3.0
-"""A kerb is as high as what is behind it rises in so much: up to 9 cm."""
+"""A kerb is as high as what is behind it rises in so much: up to 9 cm, as that rises by 3 % at most."""
 
 _STEEPER = 4.0
-"""A verge falls by so much more than a road does: by up to 12 % (RAL 2012)."""
+"""A verge falls by so much more than a road does, which is 3 % at most: by up to 12 % (RAL 2012)."""
 
 _VERGE_M = 2.0
 """Verges are 1.5 to 2.5 m wide; behind one the land is taken to be as level as the road. What falls on and on, and by

@@ -260,8 +260,9 @@ class JointSettings:
         only kind that a calibration is worth being made with.
     bias_time_s : float
         Time over which a receiver's error decays: multipath at the speed of a car.
-    shared_noise_share : float
-        Of the variance of points, what those on one side in one frame have in common; see `GroundSettings`.
+    shared_variance_share : float
+        Of the variance of points, what those on one side in one frame have in common: half of the standard deviation,
+        more than on the road (`GroundSettings`), of which more windows of a matcher or more layers tell.
     block_s : float
         What so many seconds of frames say is one statement when the scatter of the residuals is weighed.
     """
@@ -272,7 +273,7 @@ class JointSettings:
     size_sigma_m: float = 0.05
     position_sigma_m: float = 0.02
     bias_time_s: float = 10.0
-    shared_noise_share: float = 0.25
+    shared_variance_share: float = 0.25
     block_s: float = 1.0
 
 

@@ -98,7 +98,7 @@ def test_errors_of_a_matcher_that_last_are_in_the_covariance(drive: Drive) -> No
         way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
         alike = np.exp(-np.abs(way[:, None] - way) / 10.0) + 1e-9 * np.eye(len(way))
         common = np.linalg.cholesky(alike) @ np.random.default_rng([seed, 3]).normal(size=len(way))
-        off_m = np.sqrt(JointSettings().shared_noise_share) * plain.sigma_along_m * common[plain.frame]
+        off_m = np.sqrt(JointSettings().shared_variance_share) * plain.sigma_along_m * common[plain.frame]
         sensor = np.array([0.0, 0.0, plain.height_m])
         sight = plain.points - sensor
         longer = 1.0 + off_m / np.linalg.norm(sight[:, :2], axis=1)
