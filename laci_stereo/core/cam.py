@@ -13,7 +13,7 @@ from laci_stereo.core.cam_repair import dimensions, fitting, levers, usual_speed
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.folding import folded, longest_rigid
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
 from laci_stereo.core.slope import Slope, slope_of
 from laci_stereo.core.tractrix import BodyYaw, body_yaw
 from laci_stereo.core.world import World
@@ -170,7 +170,7 @@ class VehicleTrack:
         """At which messages it folds in a bend, so that it is no rigid body, shape (n,)."""
         if self.length_m <= longest_rigid(self.width_m):
             return np.zeros(len(self.stamps_s), dtype=bool)
-        return folded(self.body, self.stamps_s)
+        return folded(self.body, self.stamps_s, along_line(self.xy))
 
     @cached_property
     def body(self) -> BodyYaw:

@@ -6,6 +6,8 @@ folds follows from the way, and so does when it is straight again.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray
@@ -24,16 +26,32 @@ TOWED_M = 8.0
 STRAIGHT_RAD = 0.02
 """What folds by less is off by 0.25 m at its end, as much as a length or a position may be; headings err by less."""
 
+WEAVE_M = 4.0 * TOWED_M
+"""Between folds to either side that are nearer to one another it is never straight: what is left of a fold after so far
+is a fiftieth, and what is seen between them is on its way from one to the other."""
+
 
 def longest_rigid(width_m: float) -> float:
     """Return how long a rigid vehicle of some width may be, metres."""
     return LONGEST_VAN_M if width_m < HEAVY_WIDTH_M else LONGEST_RIGID_M
 
 
-def folded(body: BodyYaw, stamps_s: FloatArray) -> BoolArray:
+def folded(body: BodyYaw, stamps_s: FloatArray, along_m: FloatArray) -> BoolArray:
     """Tell when a vehicle that is too long to be rigid is no longer straight, shape (n,).
 
-    A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix.
+    A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix. One that weaves follows
+    late, which would pass for an error of the clocks.
+
+    Parameters
+    ----------
+    body : BodyYaw
+    stamps_s, along_m : ndarray, shape (n,)
+        Of the messages, and how far the vehicle has come by then.
     """
-    found: BoolArray = np.abs(body.at(stamps_s, TOWED_M)[0]) > STRAIGHT_RAD
+    angle = body.at(stamps_s, TOWED_M)[0]
+    found: BoolArray = np.abs(angle) > STRAIGHT_RAD
+    folds = np.flatnonzero(found)
+    for one, other in pairwise(folds.tolist()):
+        if angle[one] * angle[other] < 0.0 and along_m[other] - along_m[one] < WEAVE_M:
+            found[one:other] = True
     return found

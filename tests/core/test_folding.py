@@ -53,6 +53,25 @@ def test_after_a_bend_it_straightens_by_a_share_of_its_drawbar() -> None:
     assert 7.0 * last_s - 31.0 == pytest.approx(TOWED_M * np.log(at_the_end / STRAIGHT_RAD), abs=2.0)
 
 
+@pytest.mark.parametrize("wave_m", [20.0, 30.0, 45.0])
+def test_while_it_weaves_it_is_never_straight(wave_m: float) -> None:
+    """Not even where the angle passes zero: its trailer is on its way from one side to the other."""
+    stamps = np.arange(0.0, 10.0, 0.1)
+    along, per_m = 20.0 * stamps, 2.0 * np.pi / wave_m
+    slope = 2.0 * STRAIGHT_RAD * np.cos(per_m * along)
+    xy = np.column_stack([along, 2.0 * STRAIGHT_RAD / per_m * np.sin(per_m * along)])
+    found = VehicleTrack(stamps, 0, xy, np.arctan(slope), LENGTH_M, 2.5).folded
+    assert found[np.abs(along - 100.0) < 100.0 - wave_m].all()
+
+
+def test_between_two_bends_that_are_far_apart_it_is_straight() -> None:
+    drive = Drive((0.0, 0.0), 20.0, ((16.0, 40.0), (80.0, 0.0), (16.0, -40.0)), ((0.0, 7.0),))
+    stamps = np.arange(-3.0, 14.0, 0.1)
+    straight = (7.0 * stamps > 16.0 + 4.0 * TOWED_M) & (7.0 * stamps < 96.0)
+    assert straight.any()
+    assert not told(drive, LENGTH_M)[straight].any()
+
+
 @pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0])
 @pytest.mark.parametrize("turn_deg", [120.0, -120.0])
 def test_no_message_of_a_tractor_in_a_narrow_bend_is_taken_for_wrong(rate_hz: float, turn_deg: float) -> None:
