@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, BoolArray, FloatArray
+from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
 
 MAX_RANGE_M = 80.0
 ABOVE_GROUND_SHARE = 0.6
@@ -64,38 +65,61 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Road:
-    """A plane wave and a crown about z = 0, both of mean zero.
+    """Plane waves and a crown about z = 0, all of mean zero.
 
-    ``wave_radpm`` is the wave's number as a vector. The road rises and falls by ``crown_m`` about its mean between each
-    crown and the gutters ``fall_m`` beside it; crowns run along x.
+    ``wave_m`` has the shape (k,), ``wave_radpm`` (k, 2) has each wave's number as a vector, ``wave_phase`` (k,) is in
+    turns. The road rises and falls by ``crown_m`` about its mean between each crown and the gutters ``fall_m`` beside
+    it; crowns run along x.
     """
 
-    wave_m: float
+    wave_m: FloatArray
     wave_radpm: FloatArray
-    crown_m: float
-    fall_m: float
-    phase: FloatArray
+    wave_phase: FloatArray
+    crown_m: float = 0.0
+    fall_m: float = 1.0
+    crown_phase: float = 0.0
 
     def height(self, xy: FloatArray) -> FloatArray:
-        wave = self.wave_m * np.sin(xy @ self.wave_radpm + 2.0 * np.pi * self.phase[0])
-        to_gutter = np.abs((xy[:, 1] / self.fall_m + 2.0 * self.phase[1]) % 2.0 - 1.0)
+        wave = np.sin(xy @ self.wave_radpm.T + 2.0 * np.pi * self.wave_phase) @ self.wave_m
+        to_gutter = np.abs((xy[:, 1] / self.fall_m + 2.0 * self.crown_phase) % 2.0 - 1.0)
         height: FloatArray = wave + self.crown_m * (1.0 - 2.0 * to_gutter)
         return height
 
 
-FLAT_ROAD = Road(0.0, np.zeros(2), 0.0, 1.0, np.zeros(2))
+FLAT_ROAD = Road(np.zeros(0), np.zeros((0, 2)), np.zeros(0))
 
 
-def uneven_road(seed: int) -> Road:
+def wavy_road(seed: int) -> Road:
     """Draw a road with waves up to 1.5 cm high and 3 to 10 m long, and a crown of up to as much."""
     rng = np.random.default_rng([seed, 1])
     direction, length_m = rng.uniform(0.0, np.pi), rng.uniform(3.0, LONGEST_WAVE_M)
     return Road(
-        wave_m=float(rng.uniform(0.0, 0.015)),
-        wave_radpm=2.0 * np.pi / length_m * np.array([np.cos(direction), np.sin(direction)]),
+        wave_m=rng.uniform(0.0, 0.015, 1),
+        wave_radpm=2.0 * np.pi / length_m * np.array([[np.cos(direction), np.sin(direction)]]),
         crown_m=float(rng.uniform(0.0, 0.015)),
         fall_m=float(rng.uniform(3.5, 7.0)),
-        phase=rng.uniform(size=2),
+        wave_phase=rng.uniform(size=1),
+        crown_phase=float(rng.uniform()),
+    )
+
+
+def rough_road(seed: int) -> Road:
+    """Draw a random field of waves of all lengths: a paved road of class A to C by ISO 8608.
+
+    The field has the covariance u^2 exp(-distance / l), see `laci_stereo.core.ground_uneven`. In two dimensions its
+    waves' numbers k have the density k l^2 / (1 + (k l)^2)^1.5, of which 1 - 1 / sqrt(1 + (k l)^2) lie below k.
+    """
+    rng = np.random.default_rng([seed, 2])
+    waves = 100
+    rms_m = CLASS_B_M * 2.0 ** rng.uniform(-1.0, 1.0)
+    # As many waves in each part of the spectrum; those below 1 m make no difference to a plane.
+    below = (np.arange(waves) + rng.uniform(size=waves)) / waves
+    number = np.minimum(np.sqrt((1.0 - below) ** -2 - 1.0) / REACH_M, 2.0 * np.pi)
+    direction = rng.uniform(0.0, 2.0 * np.pi, waves)
+    return Road(
+        wave_m=np.full(waves, rms_m * np.sqrt(2.0 / waves)),
+        wave_radpm=number[:, None] * np.column_stack([np.cos(direction), np.sin(direction)]),
+        wave_phase=rng.uniform(size=waves),
     )
 
 

@@ -15,7 +15,7 @@ from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.settings import GroundSettings
-from tests.scenes import GroundScene, ground_scene, uneven_road, with_shared_error
+from tests.scenes import GroundScene, ground_scene, rough_road, wavy_road, with_shared_error
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,9 @@ def print_claims(outcomes: dict[str, list[Outcome]], seeds: range, rays: int) ->
         shared = share * np.random.default_rng(0).normal(size=len(clean))
         biased = [with_shared_error(scene, float(b)) for scene, b in zip(clean, shared, strict=True)]
         print(claims("  no pavements, shared error", [outcome(scene) for scene in biased]))
-        uneven = [ground_scene(seed, kind, rays=rays, pavements=False, road=uneven_road(seed)) for seed in seeds]
-        print(claims("  no pavements, uneven road", [outcome(scene) for scene in uneven]))
+        for name, road in (("wavy", wavy_road), ("rough", rough_road)):
+            uneven = [ground_scene(seed, kind, rays=rays, pavements=False, road=road(seed)) for seed in seeds]
+            print(claims(f"  no pavements, {name} road", [outcome(scene) for scene in uneven]))
 
 
 def main() -> None:

@@ -239,7 +239,7 @@ def _covariance(solution: _Solution, settings: GroundSettings) -> FloatArray:
     # b standard deviations of each point, where all have them in common, add b times this to m.
     shared = settings.shared_noise_share * (cells.sigma @ gain)
     patches = patches_of(
-        solution.m, cells.direction, cells.area_m2, cells.residual, solution.weight / cells.variance, gain
+        solution.m, cells.direction, cells.area_m2, cells.residual, cells.variance, solution.weight, gain
     )
     uneven = covariance_of_unevenness(patches)
     covariance: FloatArray = (gain.T * each) @ gain + uneven + np.outer(shared, shared)

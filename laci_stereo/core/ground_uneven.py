@@ -23,10 +23,17 @@ ONE_SURFACE_M = 2.0 * CLASS_B_M
 # With each class G is four times as large. Paved roads are of class A to C, which is taken as one standard deviation.
 _CLASSES = np.arange(-3.0, 3.1, 0.5)
 _TRIED_M = CLASS_B_M * 2.0**_CLASSES
+# The noise is not known exactly either: so many times its variance, all as likely before.
+_NOISES = 2.0 ** np.arange(-2.0, 2.1, 0.5)
 # So many patches are each much smaller than what is in view.
 _PATCHES = 100
+# Places along the side of a square that stand for all of it.
+_ALONG_SIDE = 4
 # Degrees of freedom that let one patch in twenty be an outlier.
 _STUDENT = 4.0
+# Its scale, in units of a Gaussian's variance: the c at which 5 z^2 / (4 c + z^2) is 1 in the mean of the Gaussian, so
+# that heights without outliers tell their own variance.
+_SCALE = 0.69
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,9 @@ class Patches:
     Attributes
     ----------
     place_m : ndarray, shape (k, 2)
-        Position on the plane.
+        Position on the plane, along the squares' sides.
+    side_m : float
+        Of each square.
     height_m, variance_m2 : ndarray, shape (k,)
         Mean height above the plane, and its variance through noise.
     lift : ndarray, shape (k, 3)
@@ -46,6 +55,7 @@ class Patches:
     """
 
     place_m: FloatArray
+    side_m: float
     height_m: FloatArray
     variance_m2: FloatArray
     lift: FloatArray
@@ -57,7 +67,8 @@ def patches_of(
     direction: FloatArray,
     area_m2: FloatArray,
     residual: FloatArray,
-    precision: FloatArray,
+    variance: FloatArray,
+    weight: FloatArray,
     gain: FloatArray,
 ) -> Patches:
     """Gather cells of the ground in patches.
@@ -70,13 +81,16 @@ def patches_of(
         Of each cell's rays.
     area_m2 : ndarray, shape (n,)
         Of each cell on the plane.
-    residual, precision : ndarray, shape (n,)
-        Of each cell: mean of 1 / range beyond the plane's, and the inverse of its variance, 0 where it is not ground.
+    residual, variance : ndarray, shape (n,)
+        Of each cell: mean of 1 / range beyond the plane's, and its variance through noise.
+    weight : ndarray, shape (n,)
+        From 0 to 1, 0 where a cell is not ground.
     gain : ndarray, shape (n, 3)
         What more of a cell's residual adds to m.
     """
-    ground = precision > 0.0
-    direction, residual, precision, gain = direction[ground], residual[ground], precision[ground], gain[ground]
+    ground = weight > 0.0
+    direction, residual, gain = direction[ground], residual[ground], gain[ground]
+    variance, weight = variance[ground], weight[ground]
     inverse = direction @ m
     per_metre = np.linalg.norm(m) * inverse
     normal = -m / np.linalg.norm(m)
@@ -87,34 +101,52 @@ def patches_of(
     square = np.floor(place_m / side_m).astype(np.int64)
     square -= square.min(axis=0)
     patch = np.unique(square @ [square[:, 1].max() + 1, 1], return_inverse=True)[1].reshape(-1)
-    weight = precision * per_metre**2
-    total = np.bincount(patch, weight)
+    share = weight / variance * per_metre**2
+    total = np.bincount(patch, share)
 
     def sums(columns: FloatArray) -> FloatArray:
         return np.stack([np.bincount(patch, column) for column in columns.T], axis=1)
 
     return Patches(
-        place_m=sums(weight[:, None] * place_m) / total[:, None],
-        height_m=np.bincount(patch, weight * residual / per_metre) / total,
-        variance_m2=1.0 / total,
+        place_m=sums(share[:, None] * place_m) / total[:, None],
+        side_m=float(side_m),
+        height_m=np.bincount(patch, share * residual / per_metre) / total,
+        variance_m2=np.bincount(patch, weight * share) / total**2,
         lift=sums(gain * per_metre[:, None]),
-        slope_m=sums(direction * (weight / per_metre)[:, None]) / total[:, None],
+        slope_m=sums(direction * (share / per_metre)[:, None]) / total[:, None],
     )
 
 
 def covariance_of_unevenness(patches: Patches) -> FloatArray:
     """Return what the unevenness adds to the covariance of m, shape (3, 3): the mean over what is likely of it."""
-    x, y = patches.place_m.T
-    together = np.exp(-np.hypot(x - x[:, None], y - y[:, None]) / REACH_M)
+    together = _common(patches.place_m, patches.side_m)
     # In units of the noise, and without what a plane can take up; modes of the unevenness are independent.
     per_sigma = 1.0 / np.sqrt(patches.variance_m2)
     plane = np.linalg.qr(per_sigma[:, None] * patches.slope_m)[0]
-    left = np.eye(len(x)) - plane @ plane.T
+    left = np.eye(len(plane)) - plane @ plane.T
     size, mode = np.linalg.eigh(left @ (per_sigma[:, None] * together * per_sigma) @ left)
     squared = ((per_sigma * patches.height_m) @ left @ mode) ** 2
-    variance = 1.0 + _TRIED_M[:, None] ** 2 * np.maximum(size, 0.0)
-    cost = np.sum(np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * variance)), axis=1)
-    log_likely = -0.5 * (cost + _CLASSES**2)
-    likely = np.exp(log_likely - log_likely.max())
+    variance = _NOISES[:, None] + (_TRIED_M[:, None] ** 2 * np.maximum(size, 0.0))[:, None]
+    cost = np.sum(np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * _SCALE * variance)), axis=2)
+    log_likely = -0.5 * (cost + _CLASSES[:, None] ** 2)
+    likely = np.exp(log_likely - log_likely.max()).sum(axis=1)
     covariance: FloatArray = likely @ _TRIED_M**2 / likely.sum() * patches.lift.T @ together @ patches.lift
     return covariance
+
+
+def _common(place_m: FloatArray, side_m: float) -> FloatArray:
+    """Return the correlation of means over squares, shape (k, k): that of points, averaged over places in both squares.
+
+    A mean hides what is shorter than its square. Taken for a point's, its smoothness would tell a road more even than
+    the one that is there.
+    """
+    # Two of n places along a side are d steps apart in n - |d| of n^2 pairs.
+    steps = np.arange(1 - _ALONG_SIDE, _ALONG_SIDE)
+    share = (_ALONG_SIDE - np.abs(steps)) / _ALONG_SIDE**2
+    apart = place_m - place_m[:, None]
+    common = np.zeros(apart.shape[:2])
+    for i, share_x in zip(steps, share, strict=True):
+        for j, share_y in zip(steps, share, strict=True):
+            offset = apart + side_m / _ALONG_SIDE * np.array([i, j])
+            common += share_x * share_y * np.exp(-np.linalg.norm(offset, axis=2) / REACH_M)
+    return common

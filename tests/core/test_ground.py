@@ -1,4 +1,4 @@
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,16 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, Flo
 from laci_stereo.core.ground import GroundPlane, fit_ground
 from laci_stereo.core.ground_uneven import REACH_M, Patches, covariance_of_unevenness
 from laci_stereo.core.settings import GroundSettings
-from tests.scenes import LONGEST_WAVE_M, GroundScene, ground_scene, uneven_road, walls_only, with_shared_error
+from tests.scenes import (
+    LONGEST_WAVE_M,
+    GroundScene,
+    Road,
+    ground_scene,
+    rough_road,
+    walls_only,
+    wavy_road,
+    with_shared_error,
+)
 
 KINDS = ("stereo", "lidar")
 MOST_DEG, MOST_M = 0.1, 0.03
@@ -145,14 +154,15 @@ def test_covariance_is_not_optimistic(clean_fits: list[tuple[GroundScene, Ground
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("road", [wavy_road, rough_road])
 @pytest.mark.parametrize("kind", KINDS)
-def test_covariance_tells_the_unevenness_of_a_road(kind: str) -> None:
+def test_covariance_tells_the_unevenness_of_a_road(kind: str, road: Callable[[int], Road]) -> None:
     """Also where the noise hides it, but not where less is in view than one wave: there the plane is the wave's."""
-    scenes = [ground_scene(seed, kind, pavements=False, road=uneven_road(seed)) for seed in range(3000, 3030)]
+    scenes = [ground_scene(seed, kind, pavements=False, road=road(seed)) for seed in range(3000, 3024)]
     fits = [(scene, fitted(scene)) for scene in scenes]
     wide = [(scene, plane) for scene, plane in fits if plane.support_area_m2 > LONGEST_WAVE_M**2]
     assert len(wide) > len(fits) / 2
-    assert 0.9 < mean_squared(wide) < 9.0
+    assert 0.9 < mean_squared(wide) < 4.8
 
 
 def test_unevenness_that_noise_hides_is_that_of_paved_roads() -> None:
@@ -171,30 +181,34 @@ def patches(noise_m: float) -> Patches:
     height_m = noise_m * rng.normal(size=len(x))
     height_m -= slope_m @ np.linalg.lstsq(slope_m, height_m, rcond=None)[0]
     lift = np.linalg.pinv(slope_m).T
-    return Patches(np.column_stack([x, y]), height_m, np.full(len(x), noise_m**2), lift, slope_m)
+    return Patches(np.column_stack([x, y]), 2.0, height_m, np.full(len(x), noise_m**2), lift, slope_m)
 
 
 def test_unevenness_is_recovered_where_the_noise_lets_it_show() -> None:
-    """Roads drawn from ISO 8608 make the plane scatter as claimed."""
+    """Roads drawn from ISO 8608 make the plane scatter as claimed, though a patch's mean hides what is shorter."""
     flat = patches(noise_m=1e-4)
-    together = np.exp(-np.linalg.norm(flat.place_m[:, None] - flat.place_m, axis=2) / REACH_M)
+    inside = np.stack(np.meshgrid(*[np.arange(-0.8, 0.9, 0.4)] * 2), axis=-1).reshape(-1, 2)
+    places = (flat.place_m[:, None] + inside).reshape(-1, 2)
+    points = np.exp(-np.linalg.norm(places[:, None] - places, axis=2) / REACH_M)
+    drawn = np.linalg.cholesky(points) @ np.random.default_rng(1).normal(size=(len(points), 40))
+    means = drawn.reshape(len(flat.place_m), -1, 40).mean(axis=1)
+    together = points.reshape(len(flat.place_m), len(inside), len(flat.place_m), len(inside)).mean(axis=(1, 3))
+    left = means - flat.slope_m @ (flat.lift.T @ means)
     for rms_m in (0.003, 0.01):
-        drawn = rms_m * np.linalg.cholesky(together) @ np.random.default_rng(1).normal(size=(len(together), 40))
         true = rms_m**2 * flat.lift.T @ together @ flat.lift
-        left = drawn - flat.slope_m @ (flat.lift.T @ drawn)
-        claimed = [np.trace(covariance_of_unevenness(replace(flat, height_m=column))) for column in left.T]
-        assert np.sqrt(np.mean(claimed) / np.trace(true)) == pytest.approx(1.0, abs=0.5)
+        claimed = [np.trace(covariance_of_unevenness(replace(flat, height_m=column))) for column in rms_m * left.T]
+        assert np.sqrt(np.mean(claimed) / np.trace(true)) == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.slow
 def test_covariance_tells_an_error_that_all_points_share(clean_fits: list[tuple[GroundScene, GroundPlane]]) -> None:
-    """A bias of one standard deviation, to either side; what is claimed for unevenness does not cover it."""
+    """A bias of one standard deviation, to either side; what is claimed for unevenness covers a part of it only."""
     most = 4.0
     share = GroundSettings().shared_noise_share
     scenes = [with_shared_error(scene, share * (-1) ** i) for i, (scene, _) in enumerate(clean_fits)]
     assert 1.0 < mean_squared([(scene, fitted(scene)) for scene in scenes]) < most
     unaware = GroundSettings(shared_noise_share=0.0)
-    assert mean_squared([(scene, fitted(scene, unaware)) for scene in scenes]) > 3.0 * most
+    assert mean_squared([(scene, fitted(scene, unaware)) for scene in scenes]) > 2.0 * most
 
 
 @pytest.mark.slow
