@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +13,7 @@ from laci_stereo.core.cam_repair import dimensions, fitting, levers, usual_speed
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.folding import folded, longest_rigid
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy, wrap
 from laci_stereo.core.slope import Slope, slope_of
 from laci_stereo.core.tractrix import BodyYaw, body_yaw
 from laci_stereo.core.world import World
@@ -155,15 +155,30 @@ class VehicleTrack:
             False before the first message, after the last one, in gaps longer than `MAX_GAP_S`, and while the vehicle
             folds in a bend; the pose is NaN there.
         """
-        after = np.searchsorted(self.stamps_s, stamps_s, side="left").clip(1, len(self.stamps_s) - 1)
-        gap = self.stamps_s[after] - self.stamps_s[after - 1]
-        known = (stamps_s >= self.stamps_s[0]) & (stamps_s <= self.stamps_s[-1]) & (gap <= MAX_GAP_S)
-        known &= ~(self.folded[after - 1] | self.folded[after])
+        first, last = self.stretch(stamps_s)
+        known = (first <= stamps_s) & (stamps_s <= last) & (first < last)
         xy = np.full((len(stamps_s), 2), np.nan)
         yaw = np.full(len(stamps_s), np.nan)
         xy[known] = self._position(stamps_s[known])
         yaw[known] = np.interp(stamps_s[known], self.stamps_s, self.yaw_rad)
         return xy, yaw, known
+
+    def stretch(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return from when to when the track is known without a gap, around the last message before each time.
+
+        Both of shape (m,); a time that is later than that is in a gap.
+        """
+        before = np.searchsorted(self.stamps_s, stamps_s, side="right").clip(1) - 1
+        first, last = self._stretches
+        return first[before], last[before]
+
+    @cached_property
+    def _stretches(self) -> tuple[FloatArray, FloatArray]:
+        """Of each message, the first and the last message between which the track is known throughout."""
+        broken = (np.diff(self.stamps_s) > MAX_GAP_S) | self.folded[:-1] | self.folded[1:]
+        first = np.where(np.append(True, broken), self.stamps_s, -np.inf)
+        last = np.where(np.append(broken, True), self.stamps_s, np.inf)
+        return np.maximum.accumulate(first), np.minimum.accumulate(last[::-1])[::-1]
 
     @cached_property
     def folded(self) -> BoolArray:
@@ -178,15 +193,36 @@ class VehicleTrack:
         return body_yaw(self.stamps_s, self.xy, self.yaw_rad)
 
     def _position(self, stamps_s: FloatArray) -> FloatArray:
-        if len(self.stamps_s) == 2:  # through which SciPy before 1.16 lays a curve
-            share = (stamps_s - self.stamps_s[0]) / (self.stamps_s[1] - self.stamps_s[0])
-            straight: FloatArray = self.xy[0] + share[:, None] * (self.xy[1] - self.xy[0])
-            return straight
-        return np.asarray(self._spline(stamps_s))
+        first = self.stretch(stamps_s)[0]
+        xy = np.zeros((len(stamps_s), 2))
+        for begin in np.unique(first):
+            xy[first == begin] = self._ways[float(begin)](stamps_s[first == begin])
+        return xy
 
     @cached_property
-    def _spline(self) -> Akima1DInterpolator:
-        return Akima1DInterpolator(self.stamps_s, self.xy, method="makima")
+    def _ways(self) -> dict[float, Callable[[FloatArray], FloatArray]]:
+        """The curve of each stretch that is known, by its begin: what is beyond a gap says nothing of its bends."""
+        ways = {}
+        for begin, end in zip(*(np.unique(ends) for ends in self._stretches), strict=True):
+            part = (begin <= self.stamps_s) & (self.stamps_s <= end)
+            if np.count_nonzero(part) == 2:
+                ways[float(begin)] = _arc(self.stamps_s[part], self.xy[part], self.yaw_rad[part])
+            elif part.sum() > 2:
+                ways[float(begin)] = Akima1DInterpolator(self.stamps_s[part], self.xy[part], method="makima")
+        return ways
+
+
+def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return the way between two messages, at one speed, of a vehicle that turns evenly: a parabola."""
+    chord, turn = xy[1] - xy[0], float(wrap(yaw_rad[1] - yaw_rad[0]))
+    aside = np.array([-chord[1], chord[0]])
+
+    def at(times_s: FloatArray) -> FloatArray:
+        share = ((times_s - stamps_s[0]) / (stamps_s[1] - stamps_s[0]))[:, None]
+        way: FloatArray = xy[0] + share * chord - turn / 2 * share * (1.0 - share) * aside
+        return way
+
+    return at
 
 
 def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:

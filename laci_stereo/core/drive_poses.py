@@ -86,32 +86,26 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
     xy, heading, known = smoothed(at)
     body = vehicle.body
     bent, by_lever = body.at(at, lever)
-    span_s = (float(vehicle.stamps_s[0]), float(vehicle.stamps_s[-1]))
     return Poses(
         xy=xy,
         heading=heading,
         yaw=heading + heading_error + bent,
         by_lever=by_lever,
-        rates=_rates(vehicle.at, at, heading, body, lever, RATE_S, span_s),
-        now=_rates(smoothed, at, heading, body, lever, NOW_S, span_s),
+        rates=_rates(vehicle.at, at, heading, body, lever, RATE_S, vehicle.stretch(at)),
+        now=_rates(smoothed, at, heading, body, lever, NOW_S, vehicle.stretch(at)),
         known=known,
     )
 
 
 def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and beside gaps it is as it is."""
-    first, last = vehicle.stamps_s[[0, -1]]
+    """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and at gaps it is as it is."""
+    first, last = vehicle.stretch(at)
     reach_s = np.minimum(at - first, last - at).clip(0.0, SMOOTH_S)
-    times = at + reach_s * _STEPS[:, None] / _STEPS[-1]
+    times = np.clip(at + reach_s * _STEPS[:, None] / _STEPS[-1], np.minimum(first, at), np.maximum(at, last))
     around = vehicle.at(times.ravel())
     xy, heading, known = (values.reshape(len(_STEPS), len(at), *values.shape[1:]) for values in around)
     middle = len(_STEPS) // 2
-    whole = np.asarray(known.all(axis=0))
-    return (
-        np.where(whole[:, None], np.tensordot(_PARABOLA, xy, 1), xy[middle]),
-        np.where(whole, np.tensordot(_PARABOLA, heading, 1), heading[middle]),
-        known[middle],
-    )
+    return np.tensordot(_PARABOLA, xy, 1), np.tensordot(_PARABOLA, heading, 1), known[middle]
 
 
 def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
@@ -123,7 +117,7 @@ def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     """
     stamps = vehicle.stamps_s
     smoothed, known = smooth(vehicle, stamps)[1:]
-    weight = own_weight(stamps)
+    weight = own_weight(vehicle)
     told = known & (weight < MOST_OWN)
     if told.sum() < LEAST_TOLD:
         return otherwise_rad
@@ -131,10 +125,12 @@ def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     return float(1.4826 * np.median(left))
 
 
-def own_weight(stamps_s: FloatArray) -> FloatArray:
+def own_weight(vehicle: VehicleTrack) -> FloatArray:
     """Return how much each message, shape (n,), counts in the smoothed track at its own time."""
+    stamps_s = vehicle.stamps_s
+    first, last = vehicle.stretch(stamps_s)
     before, after = np.diff(stamps_s, prepend=stamps_s[0]), np.diff(stamps_s, append=stamps_s[-1])
-    reach_s = np.minimum(stamps_s - stamps_s[0], stamps_s[-1] - stamps_s).clip(0.0, SMOOTH_S)
+    reach_s = np.minimum(stamps_s - first, last - stamps_s).clip(0.0, SMOOTH_S)
     away = reach_s[:, None] * _STEPS / _STEPS[-1]
     gap = np.where(away < 0.0, before[:, None], after[:, None])
     weight: FloatArray = np.maximum(1.0 - np.abs(away) / np.maximum(gap, 1e-9), 0.0) @ _PARABOLA
@@ -148,13 +144,14 @@ def _rates(
     body: BodyYaw,
     lever: float,
     within_s: float,
-    span_s: tuple[float, float],
+    stretch_s: tuple[FloatArray, FloatArray],
 ) -> Rates:
     """Return the rates at some times, from the poses so long before and after, for a vehicle that turns evenly.
 
+    At the ends of a stretch that is known, from those at the end: no rate, beside others, would be a manoeuvre.
     Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
     """
-    earlier, later = (np.clip(at + shift, *span_s) for shift in (-within_s, within_s))
+    earlier, later = (np.clip(at + shift, *stretch_s) for shift in (-within_s, within_s))
     ends = np.concatenate([earlier, later])
     begin, end = slice(len(at)), slice(len(at), None)
     xy, headings, known = track(ends)

@@ -17,6 +17,8 @@ ON_WAY_M = 0.75
 """What is so near the way the vehicle was on itself: most are 1.5 m wide at least."""
 
 _FARTHEST_M = 7.0
+"""Edges are looked for within two lanes of the way, as crowns are: roads are no narrower than one."""
+
 _TOWARDS_RAD = np.pi / 8 * np.arange(16)
 TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
 """An edge is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both."""

@@ -130,7 +130,7 @@ class Surface:
         on_way = cells.xy[away_m <= max(ON_WAY_M, float(away_m.min()))]
         self.way_m = ((on_way - self.middle) @ TOWARDS).max(axis=0)
         kinds, lasers = self._crowns(cells), _lasers(cells.layer)
-        hidden = [kind.likely for kind in KINDS[: len(kinds) - 2]]
+        hidden = [kind.likely for kind in KINDS] if edges else []
         share = np.array([(1.0 - sum(hidden)) / 2, (1.0 - sum(hidden)) / 2, *hidden])
         of_each = np.array([kind.shape[1] for kind in kinds])
         log_prior = np.log(np.repeat(share / of_each, of_each))[:, None]

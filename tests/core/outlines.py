@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
@@ -83,3 +85,26 @@ def told(
     stamps = np.arange(-2.0, last_s + 2.0, 0.1)
     xy, yaw = drive.at(stamps)
     return VehicleTrack(stamps, 0, xy + np.array(bias_m), yaw, *SIZE, reference)
+
+
+def without_messages(vehicle: VehicleTrack, first_s: float, last_s: float) -> VehicleTrack:
+    """Return a track that lost its messages between two times."""
+    kept = (vehicle.stamps_s <= first_s) | (vehicle.stamps_s >= last_s)
+    return replace(vehicle, stamps_s=vehicle.stamps_s[kept], xy=vehicle.xy[kept], yaw_rad=vehicle.yaw_rad[kept])
+
+
+def lacking(drive: Evidence, first_s: float, last_s: float) -> Evidence:
+    """Return what a drive tells whose messages between two times were lost."""
+    vehicle = without_messages(drive.vehicle, first_s, last_s)
+    known = vehicle.at(drive.stamps_s)[2]
+    points = known[drive.frame]
+    per_point = ("points", "sigma_along_m", "sigma_across_m", "sigma_z_m")
+    return replace(
+        drive,
+        stamps_s=drive.stamps_s[known],
+        middles=drive.middles[known],
+        lacking_m=drive.lacking_m[known],
+        frame=(np.cumsum(known) - 1)[drive.frame[points]],
+        vehicle=vehicle,
+        **{name: getattr(drive, name)[points] for name in per_point},
+    )

@@ -181,6 +181,20 @@ def test_a_circle(radius_m: float, speed_mps: float, rate_hz: float, most_m: flo
     assert np.linalg.norm(xy - circle(radius_m, speed_mps, times), axis=1).max() < most_m
 
 
+@pytest.mark.parametrize("messages", [2, 5])
+def test_what_is_beyond_a_gap_does_not_bend_the_way(messages: int) -> None:
+    """A vehicle turns right around a corner, and left around the next one while its messages are lost."""
+    stamps = np.arange(messages) * 0.5
+    lost = np.concatenate([stamps, stamps[-1] + 2.0 + stamps])
+    right = circle(10.0, -5.0, stamps)
+    xy = np.concatenate([right, right[-1] + np.array([9.0, -9.0]) + circle(10.0, 5.0, stamps)])
+    yaw = np.concatenate([-0.5 * stamps, 0.5 * stamps])
+    times = np.linspace(0.0, stamps[-1], 51)
+    at, _, known = VehicleTrack(lost, 0, xy, yaw, 4.5, 1.8).at(times)
+    assert known.all()
+    assert np.linalg.norm(at - circle(10.0, -5.0, times), axis=1).max() < 0.03
+
+
 def test_the_heading_goes_the_short_way_through_north() -> None:
     drive = Drive((0.0, 0.0), 95.0, ((40.0, -10.0),), ((0.0, 10.0),))
     log = cam_log(ULM, car(drive), 4.0)

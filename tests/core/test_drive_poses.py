@@ -7,7 +7,7 @@ import pytest
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_poses import heading_noise, own_weight, poses_at, smooth
-from tests.core.outlines import ROUNDABOUT, told
+from tests.core.outlines import ROUNDABOUT, told, without_messages
 
 
 def test_messages_are_smoothed_along_an_arc() -> None:
@@ -22,8 +22,18 @@ def test_messages_are_smoothed_along_an_arc() -> None:
     assert np.std((later - place) - (as_told - true)) / 0.01 < 0.05  # m/s; between two messages it is 0.28
 
 
-def test_rates_are_those_of_the_arc() -> None:
-    vehicle, at = told(ROUNDABOUT, 6.0), np.arange(0.5, 5.5, 0.1)
+LOST_S = (2.0, 4.0)
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_rates_are_those_of_the_arc(lost: bool) -> None:
+    """Beside a gap in the messages as elsewhere."""
+    vehicle = told(ROUNDABOUT, 6.0)
+    if lost:
+        vehicle = without_messages(vehicle, *LOST_S)
+    at = np.arange(0.5, 5.5, 0.1)
+    at = at[vehicle.at(at)[2]]
+    assert len(at) > 25
     poses = poses_at(at, vehicle, 0.0, 0.0)
     heading = vehicle.at(at)[1]
     true = 7.0 * np.column_stack([np.cos(heading), np.sin(heading)])
@@ -32,11 +42,22 @@ def test_rates_are_those_of_the_arc() -> None:
         assert np.abs(rates.yaw - 7.0 * np.radians(600.0) / 200.0).max() < 0.005
 
 
-def test_at_the_ends_the_track_is_as_it_is_told() -> None:
-    vehicle = told(ROUNDABOUT, 6.0)
-    ends = vehicle.stamps_s[[0, -1]]
-    assert np.allclose(smooth(vehicle, ends)[0], vehicle.xy[[0, -1]])
-    assert not smooth(vehicle, ends + np.array([-0.1, 0.1]))[2].any()
+def test_at_the_ends_and_at_a_gap_the_track_is_as_it_is_told() -> None:
+    vehicle = without_messages(told(ROUNDABOUT, 6.0), *LOST_S)
+    begin = int(np.argmax(np.diff(vehicle.stamps_s)))
+    ends = [0, begin, begin + 1, -1]
+    xy, yaw, known = smooth(vehicle, vehicle.stamps_s[ends])
+    assert known.all()
+    assert np.allclose(xy, vehicle.xy[ends])
+    assert np.allclose(yaw, vehicle.yaw_rad[ends])
+    assert not smooth(vehicle, vehicle.stamps_s[ends] + np.array([-0.1, 0.1, -0.1, 0.1]))[2].any()
+
+
+def test_near_a_gap_a_place_is_smoothed_over_what_is_known() -> None:
+    exact = without_messages(told(ROUNDABOUT, 6.0), *LOST_S)
+    noisy = replace(exact, xy=exact.xy + np.random.default_rng(5).normal(0.0, 0.02, exact.xy.shape))
+    near = np.concatenate([np.arange(LOST_S[0] - 0.45, LOST_S[0] - 0.25, 0.003), np.arange(4.25, 4.45, 0.003)])
+    assert np.std(smooth(noisy, near)[0] - smooth(exact, near)[0]) < 0.8 * np.std(noisy.at(near)[0] - exact.at(near)[0])
 
 
 def turning(interval_s: float, sigma_deg: float, seed: int) -> VehicleTrack:
@@ -61,8 +82,9 @@ def test_messages_that_come_seldom_do_not_tell_the_noise_of_their_headings() -> 
 
 @pytest.mark.parametrize("interval_s", [0.1, 0.17, 0.4])
 def test_the_weight_of_a_message_is_by_how_much_it_moves_the_smoothed_track(interval_s: float) -> None:
-    vehicle = turning(interval_s, 0.0, 0)
-    for number in (0, 3, len(vehicle.stamps_s) // 2):
+    vehicle = without_messages(turning(interval_s, 0.0, 0), 10.5, 13.0)
+    begin = int(np.argmax(np.diff(vehicle.stamps_s)))
+    for number in (0, 3, len(vehicle.stamps_s) // 2, begin - 1, begin, begin + 1, begin + 2):
         moved = replace(vehicle, yaw_rad=vehicle.yaw_rad + 0.01 * np.eye(len(vehicle.stamps_s))[number])
         before, after = (smooth(each, vehicle.stamps_s[[number]])[1][0] for each in (vehicle, moved))
-        assert own_weight(vehicle.stamps_s)[number] == pytest.approx((after - before) / 0.01, abs=1e-6)
+        assert own_weight(vehicle)[number] == pytest.approx((after - before) / 0.01, abs=1e-6)

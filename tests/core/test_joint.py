@@ -15,7 +15,7 @@ from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.outline import SHAPE, SIDES
 from laci_stereo.core.settings import JointSettings
-from tests.core.outlines import BRAKING, CIRCLE, STRAIGHT, TRUTH, TURN, evidence, told
+from tests.core.outlines import BRAKING, CIRCLE, STRAIGHT, TRUTH, TURN, evidence, lacking, told
 from tests.simulated import Drive
 
 UNKNOWN_CLOCK = JointSettings(clock_sigma_s=1.0)
@@ -119,8 +119,13 @@ def test_an_unknown_clock_is_found_where_the_speed_changes(drive: object, offset
     assert np.linalg.norm(error(fit)[1:]) < 3 * np.sqrt(np.trace(fit.covariance[1:, 1:]))
 
 
-def test_an_unknown_clock_stays_open_at_constant_speed() -> None:
-    fit = fit_jointly([evidence(STRAIGHT)], TRUTH, settings=UNKNOWN_CLOCK)
+@pytest.mark.parametrize("lost_s", [None, (2.0, 4.0)])
+def test_an_unknown_clock_stays_open_at_constant_speed(lost_s: tuple[float, float] | None) -> None:
+    """A gap in the messages is no manoeuvre."""
+    drive = evidence(STRAIGHT)
+    if lost_s:
+        drive = lacking(drive, *lost_s)
+    fit = fit_jointly([drive], TRUTH, settings=UNKNOWN_CLOCK)
     assert fit.time_sigmas_s[0] > 0.5
     along = np.array([np.cos(np.radians(-60.0)), np.sin(np.radians(-60.0))])
     assert np.sqrt(along @ fit.covariance[1:, 1:] @ along) > 0.5 * 7.0
