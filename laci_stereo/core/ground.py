@@ -162,6 +162,35 @@ def fit_farther_ground(
     return _plane(rays, fit_inverse_range(rays, m, settings), up_axis, settings)
 
 
+def fit_ground_beside(
+    points: FloatArray,
+    sigma_along_m: FloatArray,
+    sigma_across_m: FloatArray,
+    ground: GroundPlane,
+    within_m: tuple[float, float],
+    settings: GroundSettings = _DEFAULTS,
+) -> GroundPlane:
+    """Fit the ground plane to what is not on a ground, but not far from it either.
+
+    Land of which more is in view than of the road hides it: a road that is higher stands on it, and what drives there
+    is one with it.
+
+    Parameters
+    ----------
+    points, sigma_along_m, sigma_across_m, settings
+        As `fit_ground`'s, and so are the errors.
+    ground : GroundPlane
+    within_m : tuple of float
+        The least and the largest height above it.
+    """
+    rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
+    (heights,), (variance,) = rays.heights_above(-ground.normal[None] / ground.height_m)
+    off = np.abs(heights) > GATE * np.sqrt(variance + ground.unevenness_m**2)
+    beside = off & (heights > within_m[0]) & (heights < within_m[1])
+    x, y, z = ground.normal.tolist()
+    return fit_ground(points[beside], sigma_along_m[beside], sigma_across_m[beside], (x, y, z), settings)
+
+
 def _checked_up(up: tuple[float, float, float]) -> FloatArray:
     axis = np.asarray(up, dtype=np.float64)
     if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:

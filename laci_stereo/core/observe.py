@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,12 +19,13 @@ from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
-from laci_stereo.core.ground import GroundPlane, fit_farther_ground
+from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground_beside
 from laci_stereo.core.ground_axes import ground_below
-from laci_stereo.core.ground_road import carried, road_ground, standing
+from laci_stereo.core.ground_road import FARTHEST, carried, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places
+from laci_stereo.core.road_surface import OTHER
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
 from laci_stereo.core.tracking import Track, link_tracks
@@ -32,6 +34,9 @@ log = logging.getLogger(__name__)
 
 LOOKS = 2
 """So often the road is looked for."""
+
+OTHER_M = FARTHEST * OTHER[0]
+"""A road is no farther than that above or below the land beside it."""
 
 GROUND_POINTS = 100_000
 """So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
@@ -114,7 +119,7 @@ def on_the_road(
     """Hold the ground against the road below the sender, and observe again where it is another one.
 
     On a wrong ground a stranger may pass for the sender, on land of its own. Where the sender is found elsewhere then,
-    this is done once more.
+    this is done once more. Where nothing on the ground is clearly the sender, it is looked for on other grounds.
 
     Parameters
     ----------
@@ -126,13 +131,10 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    first, before = seen, None
+    first = seen = _where_driven(seen, source, vehicles, settings)
+    before = None
     for _ in range(LOOKS):
         track = _driven(seen, vehicles, settings)
-        if track is None and before is None and seen.ground.unevenness_m > ONE_SURFACE_M:
-            other = _on_the_farther(seen, source, settings)
-            track = None if other is None else _driven(other, vehicles, settings)
-            first = seen = seen if other is None or track is None else other
         if track is None:
             break  # and it will be said why
         way = carried(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
@@ -151,22 +153,48 @@ def _is_along(way: FloatArray, before: FloatArray) -> bool:
     return bool(np.median(cKDTree(before).query(way)[0]) < HALF_LANE_M)
 
 
-def _driven(seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings) -> Track | None:
+def _where_driven(
+    seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
+) -> Observation:
+    """Return what is seen on the first ground on which something is clearly a sender; else, on which anything may be.
+
+    If there is none, what was seen.
+    """
+    tried = []
+    for each in chain([seen], _on_other_grounds(seen, source, settings)):
+        if _driven(each, vehicles, settings, surely=True) is not None:
+            return each
+        tried.append(each)
+    return next((each for each in tried if _driven(each, vehicles, settings) is not None), seen)
+
+
+def _driven(
+    seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings, *, surely: bool = False
+) -> Track | None:
     """Return the track that fits a sender best, if any does: a stranger drives on the road as well."""
     any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
+    match = settings.match if surely else any_fit
     try:
-        return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, any_fit).track
+        return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, match).track
     except CalibrationError:
         return None
 
 
-def _on_the_farther(seen: Observation, source: PointCloudSource, settings: Settings) -> Observation | None:
-    """Observe again on the ground farther away, if there is one."""
-    try:
-        farther = fit_farther_ground(*_gathered(seen.survey), seen.axes.up, settings.ground)
-        return observe(source, settings, farther)
-    except CalibrationError:
-        return None
+def _on_other_grounds(seen: Observation, source: PointCloudSource, settings: Settings) -> Iterator[Observation]:
+    """Observe again on what is above the ground, below it, and farther away, where there is a plane."""
+    points, axes, ground = _gathered(seen.survey), seen.axes, settings.ground
+    fits: list[Callable[[], GroundPlane]] = [
+        lambda: fit_ground_beside(*points, seen.ground, (0.0, OTHER_M), ground),
+        lambda: fit_ground_beside(*points, seen.ground, (-OTHER_M, 0.0), ground),
+    ]
+    if seen.ground.unevenness_m > ONE_SURFACE_M:
+        fits.append(lambda: fit_farther_ground(*points, axes.up, ground))
+    for fit in fits:
+        try:
+            other = observe(source, settings, fit())
+        except CalibrationError:
+            continue
+        yield other
 
 
 def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
