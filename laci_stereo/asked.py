@@ -27,6 +27,12 @@ from laci_stereo.job import DriveOptions, Result, Task
 UNKNOWN_CLOCK_S = 1.0
 """Standard deviation of the offset between clocks of which nothing is known but that people set them."""
 
+SURE_CLOCK_S, LOST_CLOCK_S = 1e-6, 60.0
+"""No clocks are known better than that, and beyond it nobody knows which vehicle would be which message's."""
+
+LONGEST_M = 30.0
+"""No vehicle on a road is longer (25.25 m, directive 96/53/EC), and its position refers to none farther away."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
@@ -287,12 +293,14 @@ def parse_reference(text: str) -> ReferencePoint:
         return CENTRE
     number = r"([+-]?\d+(?:\.\d+)?)"
     axle = re.fullmatch(rf"rear-axle:{number}", text)
-    if axle:
+    if axle and abs(float(axle[1])) <= LONGEST_M:
         return ReferencePoint(-float(axle[1]))
     point = re.fullmatch(rf"{number},{number}", text)
-    if point:
+    if point and max(abs(float(value)) for value in point.groups()) <= LONGEST_M:
         return ReferencePoint(float(point[1]), float(point[2]))
-    raise SettingError(f"--cam-reference is {text!r}; needed is front, center, rear-axle:X or X,Y in metres")
+    raise SettingError(
+        f"--cam-reference is {text!r}; needed is front, center, rear-axle:X or X,Y in metres, up to {LONGEST_M:g}"
+    )
 
 
 def ground_near(height_m: float | None) -> GroundSettings:
@@ -322,8 +330,8 @@ def clock_sigma(clock: str, sigma_s: float | None) -> float:
         return UNKNOWN_CLOCK_S if clock == "unknown" else JointSettings().clock_sigma_s
     if clock == "unknown":
         raise SettingError(f"--clock is unknown and --clock-sigma is {sigma_s} s; needed is one of them")
-    if not 0 < sigma_s < math.inf:
-        raise SettingError(f"--clock-sigma is {sigma_s} s; needed is a number above 0")
+    if not SURE_CLOCK_S <= sigma_s <= LOST_CLOCK_S:
+        raise SettingError(f"--clock-sigma is {sigma_s} s; needed is {SURE_CLOCK_S:g} to {LOST_CLOCK_S:g}")
     return sigma_s
 
 

@@ -347,7 +347,8 @@ class Result:
         )
         with result_folder(out, overwrite=overwrite) as folder:
             (folder / RESULT_FILE).write_text(to_text(document), encoding="utf-8")
-            (folder / PAGE_FILE).write_text(write_page(self.calibration, document, made), encoding="utf-8")
+            page = write_page(self.calibration, document, made)
+            (folder / PAGE_FILE).write_text(page, encoding="utf-8", errors="backslashreplace")  # paths may be any bytes
             for name, picture in self.pictures():
                 write_picture(folder / name, picture)
             kept = Kept(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -23,6 +24,9 @@ def _terminate(_signal: int, _frame: FrameType | None) -> None:
 def run_command(command: click.Command, program: str) -> None:
     """Run a command line: every error that is the input's becomes one line and an exit code."""
     _silence_decoders()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name may have letters that a terminal lacks
     signal.signal(signal.SIGTERM, _terminate)  # so that a half-written result is removed
     message, code = _outcome(command, program)
     if message:

@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ from tests.cli_support import (
     DEMONSTRATION,
     Finished,
     Site,
+    link_recording,
     refusal,
     rewrite,
     run,
@@ -353,6 +355,9 @@ def test_an_empty_road_is_not_calibrated(site: Site) -> None:
         (("--disparities", "nonsense"), ("--disparities is 'nonsense'", "needed is MIN..MAX")),
         (("--disparities", "0..100000"), ("0..100000", "needed", "640")),
         (("--cam-reference", "nonsense"), ("--cam-reference is 'nonsense'", "needed is front, center")),
+        (("--cam-reference", "9" * 20 + ",0"), ("--cam-reference is", "metres, up to 30")),
+        (("--clock-sigma", "1e308"), ("--clock-sigma is 1e+308 s", "needed is 1e-06 to 60")),
+        (("--clock-sigma", "nan"), ("--clock-sigma is nan s", "needed is 1e-06 to 60")),
         (("--crs", "nonsense"), ("'nonsense'", "needed is a UTM zone such as EPSG:32632")),
         (("--height", "-1"), ("--height is -1.0 m", "needed is a number above 0")),
         (("--height", "inf"), ("--height is inf m", "needed is a number above 0")),
@@ -616,6 +621,19 @@ def test_the_demonstration_finds_where_the_camera_really_is(demonstration: Finis
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere every path is text")
+def test_paths_and_names_of_any_letters_are_written(recording: Path, tmp_path: Path) -> None:
+    """A folder whose name is no UTF-8, as old archives have it, and a terminal that lacks a name's letters."""
+    site = Site(Path(os.fsdecode(os.fsencode(tmp_path) + b"/M\xfcnchen")))
+    site.root.mkdir()
+    link_recording(recording, site.root)
+    arguments = site.arguments("--name", "\u4ea4\u5dee\u70b9", out=tmp_path / "result")
+    ran = run_installed(arguments, tmp_path, env={"PYTHONIOENCODING": "cp1252"})
+    assert (ran.code, "Traceback" in ran.err) == (0, False), ran.err
+    assert "\\u4ea4\\u5dee\\u70b9" in ran.out
+    assert (tmp_path / "result" / "report.html").stat().st_size > 100_000
+
+
 def test_quiet_prints_nothing_whatever_decoders_say_and_makes_the_folders_above(site: Site) -> None:
     # Zeros in the compressed data, all markers whole: libjpeg complains and goes on.
     for path in images(site.left)[6:9]:

@@ -142,7 +142,7 @@ def _paper(track: Track, vehicle: VehicleTrack, settings: Settings) -> Placement
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:
-    """Lay the world around where the messages are.
+    """Lay the world around where the messages are: around the median, for some positions may be wrong by far.
 
     Raises
     ------
@@ -152,8 +152,9 @@ def world_around(messages: CamLog, crs: str | None = None) -> World:
     located = messages[np.isfinite(messages.latitude_deg) & np.isfinite(messages.longitude_deg)]
     if len(located) == 0:
         raise CamError("0 CAMs with a position fall into the recording's time; needed is a drive that was recorded")
-    middle = len(located) // 2
-    return World.around(float(located.latitude_deg[middle]), float(located.longitude_deg[middle]), crs)
+    east_deg = (located.longitude_deg - located.longitude_deg[0] + 180.0) % 360.0 - 180.0
+    longitude_deg = (float(located.longitude_deg[0] + np.median(east_deg)) + 180.0) % 360.0 - 180.0
+    return World.around(float(np.median(located.latitude_deg)), longitude_deg, crs)
 
 
 def vehicles_of(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:

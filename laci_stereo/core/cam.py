@@ -289,12 +289,12 @@ def _fitting(log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[flo
     Raises
     ------
     CamError
-        If fewer than half do: then it is not some messages that are wrong, but what all tell.
+        If fewer than half do, or one: then it is not some messages that are wrong, but what all tell.
     """
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
     fits = fitting(stamps_s, xy, yaw, log.speed_mps, arms, _position_sigma(log), MAX_GAP_S)
-    if 2 * np.count_nonzero(fits) < len(fits):
+    if np.count_nonzero(fits) < max(2, len(fits) / 2):
         told = np.nanmedian(log.speed_mps) if np.isfinite(log.speed_mps).any() else float("nan")
         raise CamError(
             f"the messages of station {log.station_id[0]} contradict one another: {np.count_nonzero(fits)} of "

@@ -15,6 +15,9 @@ from laci_stereo.core.frames import FloatArray, rigid
 MAX_ZONES_APART = 2
 """A grid may be continued into the zone beside its own, which on Svalbard has a number two away."""
 
+BAND_DEG = 8.0
+"""It may be continued across the equator, too, by one of its bands."""
+
 
 @dataclass(frozen=True)
 class World:
@@ -43,9 +46,10 @@ class World:
         CamError
             If UTM is not defined there (beyond 84 deg north or 80 deg south).
         SettingError
-            If ``crs`` is not a UTM zone known to PROJ, or neither the position's zone nor within two of it.
+            If ``crs`` is not a UTM zone known to PROJ, or neither the position's zone nor within two of it, or of the
+            other hemisphere.
         """
-        code = _own_utm(latitude_deg, longitude_deg) if crs is None else _checked_utm(crs, longitude_deg)
+        code = _own_utm(latitude_deg, longitude_deg) if crs is None else _checked_utm(crs, latitude_deg, longitude_deg)
         proj = Proj(code)
         east, north = proj(longitude_deg, latitude_deg)
         scale = float(proj.get_factors(longitude_deg, latitude_deg).meridional_scale)
@@ -142,8 +146,14 @@ def _utm(crs: str) -> CRS:
     return parsed
 
 
-def _checked_utm(crs: str, longitude_deg: float) -> str:
-    given, own = int(str(_utm(crs).utm_zone)[:-1]), _utm_zone(0.0, longitude_deg)
+def _checked_utm(crs: str, latitude_deg: float, longitude_deg: float) -> str:
+    zone = str(_utm(crs).utm_zone)
+    if abs(latitude_deg) > BAND_DEG and (zone[-1] == "N") != (latitude_deg > 0.0):
+        raise SettingError(
+            f"coordinate system {crs!r} is of the other hemisphere than the latitude, which is {latitude_deg:.3f} deg; "
+            f"needed is one like {_own_utm(latitude_deg, longitude_deg)}"
+        )
+    given, own = int(zone[:-1]), _utm_zone(0.0, longitude_deg)
     if min((given - own) % 60, (own - given) % 60) > MAX_ZONES_APART:
         raise SettingError(
             f"coordinate system {crs!r} is UTM zone {given}, but the longitude is {longitude_deg:.3f} deg; "

@@ -19,6 +19,7 @@ from laci_stereo.io.cam_etsi import Cam, DamagedError, OtherKindError
 from laci_stereo.io.cam_gnss import ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam_received import Packet, Source, read_received
 from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.stamps import POSSIBLE_NS
 from laci_stereo.io.text_file import listed, quoted
 
 CAM_TYPES = ("etsi_its_cam_msgs/msg/CAM", "etsi_its_cam_ts_msgs/msg/CAM")
@@ -26,7 +27,6 @@ FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 
 _NO_FIX = -1
-_POSSIBLE_NS = range(10**17, 9 * 10**18)
 _ROADSIDE_UNIT = 1
 
 # All elements that come before and with those of a Cam, in the order in which ROS writes them.
@@ -94,7 +94,7 @@ def _messages(path: Path, bag: Bag, topics: Sequence[Topic], notes: list[str]) -
 
 
 def _packet(place: int, message: Message) -> Packet:
-    stamp_ns = message.recorded_ns if message.recorded_ns in _POSSIBLE_NS else None
+    stamp_ns = message.recorded_ns if message.recorded_ns in POSSIBLE_NS else None
     try:
         return Packet(place, _cam(message.data, message.topic.ros1), stamp_ns)
     except (DamagedError, OtherKindError) as problem:
@@ -207,8 +207,8 @@ def _fix(message: Message) -> tuple[int, Mapping[Quantity, float]] | None:
             f"it cannot be decoded: {quoted(str(problem))}; needed is sensor_msgs/NavSatFix"
         ) from problem
     header_ns = fix.header.stamp.sec * 10**9 + fix.header.stamp.nanosec
-    stamp_ns = header_ns if header_ns in _POSSIBLE_NS else message.recorded_ns
-    if stamp_ns not in _POSSIBLE_NS:
+    stamp_ns = header_ns if header_ns in POSSIBLE_NS else message.recorded_ns
+    if stamp_ns not in POSSIBLE_NS:
         raise DamagedError(f"its time is {stamp_ns} ns; needed is a Unix time")
     if fix.status.status == _NO_FIX:
         return None

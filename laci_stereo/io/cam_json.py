@@ -14,11 +14,11 @@ from laci_stereo.io.cam_etsi import Cam, DamagedError, OtherKindError
 from laci_stereo.io.cam_gnss import ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam_received import Packet, Source, read_received
 from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.stamps import POSSIBLE_NS
 from laci_stereo.io.text_file import listed, quoted
 
 _FORMAT = "JSON (V2AIX)"
 _TIME = "recording_timestamp_nsec"
-_POSSIBLE_NS = range(10**17, 9 * 10**18)
 _LARGEST = 1 << 40
 _PARAMETERS = "cam.cam_parameters"
 _POSITION = f"{_PARAMETERS}.basic_container.reference_position"
@@ -109,7 +109,7 @@ def _element(message: object, paths: tuple[str, ...]) -> int:
 
 def _stamp_ns(record: object) -> int:
     stamp_ns = _at(record, _TIME)
-    if not isinstance(stamp_ns, int) or stamp_ns not in _POSSIBLE_NS:
+    if not isinstance(stamp_ns, int) or stamp_ns not in POSSIBLE_NS:
         raise DamagedError(f"{_TIME} is {quoted(str(stamp_ns))}; needed is a Unix time in nanoseconds")
     return stamp_ns
 

@@ -25,6 +25,7 @@ from laci_stereo.io.cam_columns import (
 )
 from laci_stereo.io.cam_gnss import gnss_messages, recorded_drive
 from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.stamps import POSSIBLE_NS
 from laci_stereo.io.text_file import quoted
 
 _FORMAT = "a log of NMEA sentences"
@@ -239,8 +240,11 @@ def _day(day: str, month: str, year: str) -> int:
     try:
         number = int(year)
         full = number + (0 if len(year) == 4 else 1900 if number >= 80 else 2000)
-        return (datetime(full, int(month), int(day), tzinfo=timezone.utc) - _UNIX_EPOCH) // timedelta(days=1)
+        days = (datetime(full, int(month), int(day), tzinfo=timezone.utc) - _UNIX_EPOCH) // timedelta(days=1)
     except ValueError as problem:
         raise _SentenceError(
             f"its date is {quoted(f'{day} {month} {year}')}; needed is day, month and year"
         ) from problem
+    if days * 86_400 * 10**9 not in POSSIBLE_NS:
+        raise _SentenceError(f"its date is {quoted(f'{day} {month} {year}')}; needed is one from 1974 to 2254")
+    return days

@@ -11,6 +11,7 @@ from laci_stereo.io.cam_received import Packet, Source, packet_of, read_received
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.geonetworking import ETHER_TYPE, Payload, cam_payload
 from laci_stereo.io.packet_capture import PCAPNG_MAGIC, CaptureError, frames
+from laci_stereo.io.stamps import POSSIBLE_NS
 
 _VLAN = (0x8100, 0x88A8)
 _ETHERNET_TYPES: Mapping[int, str] = {0x0800: "IPv4", 0x86DD: "IPv6", 0x0806: "ARP", 0x88DC: "WSMP"}
@@ -21,8 +22,6 @@ _FROM_AND_TO_DS, _PROTECTED, _ORDER = 3, 0x40, 0x80
 
 _HAS_CLOCK, _HAS_FLAGS, _MORE_MASKS = 1, 2, 1 << 31
 _PADDED = 0x20
-
-_POSSIBLE_NS = range(10**17, 9 * 10**18)
 
 
 def read_cam_capture(path: Path, content: bytes) -> CamRecording:
@@ -40,7 +39,7 @@ def read_cam_capture(path: Path, content: bytes) -> CamRecording:
         place = 0
         try:
             for place, frame in enumerate(frames(content), 1):
-                stamp_ns = frame.stamp_ns if frame.stamp_ns in _POSSIBLE_NS else None
+                stamp_ns = frame.stamp_ns if frame.stamp_ns in POSSIBLE_NS else None
                 yield packet_of(place, stamp_ns, partial(_payload, frame.link_type, frame.data))
         except CaptureError as problem:
             notes.append(f"{path} is damaged or cut off after {place} packets: {problem}; these are used")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from laci_stereo.io.cam_etsi import DamagedError, OtherKindError
 from laci_stereo.io.its_time import unix_ns
+from laci_stereo.io.stamps import POSSIBLE_NS
 
 ETHER_TYPE = 0x8947
 CAM_PORT = 2001
@@ -27,8 +28,6 @@ _UNSECURED, _SIGNED = 0x80, 0x81
 _CONTENTS: Mapping[int, str] = {0x82: "encrypted packet", 0x83: "certificate request"}
 _PAYLOAD_OF_DATA, _PAYLOAD_WITH_HASH = 0x40, 0x20
 _HAS_GENERATION_TIME = 0x40
-
-_POSSIBLE_NS = range(10**17, 9 * 10**18)
 
 
 class Payload(NamedTuple):
@@ -113,7 +112,7 @@ def _generation_time(header: _Bytes) -> int | None:
     has_time = header.take(1)[0] & _HAS_GENERATION_TIME
     header.take(header.length())  # the application's identifier (PSID)
     stamp_ns = unix_ns(int.from_bytes(header.take(8), "big")) if has_time else 0
-    return stamp_ns if stamp_ns in _POSSIBLE_NS else None
+    return stamp_ns if stamp_ns in POSSIBLE_NS else None
 
 
 class _Bytes:

@@ -112,7 +112,7 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
         pose = replace(pose, from_map=False)
     T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
     T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, told)
-    _check_place(path, T_utm_sensor)
+    _check_place(path, T_utm_sensor, told)
     if kind == "stereo":
         _check_sight(path, T_utm_sensor)
     world = _world(crs, T_utm_sensor, told)
@@ -202,7 +202,7 @@ def _in_utm(
     T = T_map_sensor.copy()
     east, north = T[:2, 3]
     if told is not None:
-        begins = (0.0, 0.0) if _is_utm(east, north) else told.world.origin_utm
+        begins = (0.0, 0.0) if _is_of_grid(east, north, told.world.origin_utm) else told.world.origin_utm
         if origin is not None and (*origin, 0.0)[:3] != (*begins, 0.0):
             raise SettingError(
                 f"{path} says that its map begins at UTM {begins[0]:.10g}, {begins[1]:.10g} on the ground, --origin "
@@ -231,9 +231,15 @@ def _is_utm(east: float, north: float) -> bool:
     return 5e4 <= east <= 9.5e5 and 0.0 <= north <= 1e7
 
 
-def _check_place(path: Path, T_utm_sensor: FloatArray) -> None:
+def _is_of_grid(east: float, north: float, origin: tuple[float, float]) -> bool:
+    """Tell whether coordinates are in a grid itself, and do not count from its point ``origin``, which is near."""
+    return math.hypot(east - origin[0], north - origin[1]) < math.hypot(east, north)
+
+
+def _check_place(path: Path, T_utm_sensor: FloatArray, told: Statement | None) -> None:
     east, north, height = T_utm_sensor[:3, 3]
-    if not _is_utm(east, north):
+    # A file of ours says where its grid begins, which may go on into the zone beside its own.
+    if not (_is_utm(east, north) if told is None else _is_of_grid(east, north, told.world.origin_utm)):
         raise CalibrationFileError(
             f"{path}: the sensor would stand at UTM {east:.6g}, {north:.6g}; needed are metres in a UTM zone: look at "
             "--origin, and at the unit"

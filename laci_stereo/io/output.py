@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -45,7 +46,7 @@ def check_output(out: Path, *, overwrite: bool) -> None:
 def _check_replaceable(out: Path, *, overwrite: bool) -> None:
     if not out.is_dir() or out.is_symlink():
         raise OutputError(f"{out}: is not a folder; needed is a folder that does not exist yet")
-    if out.is_mount():
+    if os.path.ismount(out):  # pathlib has it for Windows from Python 3.12
         raise OutputError(f"{out}: is a mount point, which cannot be renamed; needed is a folder below it")
     names = sorted(path.name for path in out.iterdir())
     if not names:

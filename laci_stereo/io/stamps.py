@@ -16,6 +16,10 @@ _ISO = re.compile(
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
+POSSIBLE_NS = range(10**17, 9 * 10**18)
+"""Unix times from 1973 to 2255: those of two units never touch, and clocks that count from 1980 or 2004 lie inside."""
+
+
 @dataclass(frozen=True)
 class TimeUnit:
     """A unit that Unix times are counted in.
@@ -32,8 +36,7 @@ class TimeUnit:
 
     def to_ns(self, value: Decimal) -> int | None:
         """Return the time in nanoseconds, or None if the number's size says that it has another unit."""
-        # From 1973 to 2286: the ranges of two units never touch, and clocks that count from 1980 or 2004 lie inside.
-        if not Decimal(10**17) <= value * self.ns < Decimal(9 * 10**18):
+        if not POSSIBLE_NS.start <= value * self.ns < POSSIBLE_NS.stop:
             return None
         return int((value * self.ns).to_integral_value())
 

@@ -272,6 +272,20 @@ def test_a_sender_that_is_parked() -> None:
         calibrate(made.recording, cam_log(ULM, car(Drive((17.0, 9.5), 0.0, speeds=((0.0, 0.0),))), 6.0))
 
 
+@pytest.mark.parametrize("change", [{"latitude_deg": -48.4}, {"longitude_deg": 0.9}, {"latitude_deg": 88.0}])
+def test_a_wrong_position_does_not_choose_the_world(change: dict[str, float]) -> None:
+    """Nor does the antimeridian: messages on both sides of it are near one another."""
+    log = scene(LEFT_TURN).messages
+    (name, value), middle = next(iter(change.items())), len(log) // 2
+    told = getattr(log, name).copy()
+    told[middle] = value
+    wrong, right = world_around(replace(log, **{name: told})), world_around(log)
+    assert wrong.crs == right.crs
+    assert np.hypot(*np.subtract(wrong.origin_utm, right.origin_utm)) < 100.0
+    fiji = replace(log, longitude_deg=np.where(np.arange(len(log)) % 2, -179.999, 179.999))
+    assert world_around(fiji).crs in ("EPSG:32601", "EPSG:32660")
+
+
 def test_the_world_needs_a_position() -> None:
     log = scene(last_s=1.0).messages
     with pytest.raises(InputError):

@@ -129,6 +129,12 @@ def test_messages_that_contradict_one_another(change: str, told: float) -> None:
         track_of(replace(log, **{change: wrong}))
 
 
+def test_two_messages_that_contradict_one_another_are_no_track() -> None:
+    log = log_of(TURN)[np.array([20, 21])]
+    with pytest.raises(CamError, match=r"contradict one another: 1 of 2 positions"):
+        track_of(moved(log, np.array([False, True]), 0.0, 111.0))
+
+
 # dimensions
 
 

@@ -66,6 +66,7 @@ def test_beyond_utm(latitude: float) -> None:
         ("nonsense", "is not known to PROJ"),
         ("EPSG:32612", "is UTM zone 12, but the longitude is 9.940 deg; needed is zone 32"),
         ("EPSG:32660", "is UTM zone 60"),
+        ("EPSG:32732", "is of the other hemisphere than the latitude, which is 48.420 deg; needed is .*EPSG:32632"),
     ],
 )
 def test_wrong_crs(crs: str, message: str) -> None:

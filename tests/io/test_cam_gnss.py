@@ -130,6 +130,8 @@ def test_sentences_that_do_not_suffice(tmp_path: Path):
     assert "holds no position" in refusal(tmp_path, writers.sentence("GNRMC,000000.00,V,,,,,,,091025,,,N"))
     zda = writers.sentence("GPZDA,085322.237,09,10,2025,00,00")
     assert len(read(tmp_path, "\n".join([zda, *lines[0::4]]))[0]) == 5
+    late = writers.sentence("GPZDA,085322.237,09,10,9999,00,00")
+    assert "without a date" in refusal(tmp_path, "\n".join([late, *lines[0::4]]))
 
 
 @fuzz

@@ -23,7 +23,7 @@ from laci_stereo.io.imported import Imported, ImportOptions, import_pose, import
 from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME
 from laci_stereo.io.siting import Siting, site
 from laci_stereo.io.stored_calibration import read_calibration
-from tests.io.sitings import FIJI, SITINGS, ULM, siting, sitings, ten_points
+from tests.io.sitings import CONTINUED, FIJI, SITINGS, ULM, siting, sitings, ten_points
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 
 STEREO = siting("stereo")
@@ -45,7 +45,9 @@ def taken(path: Path, **options: object) -> Imported:
 
 
 @pytest.mark.parametrize("form", [each.name for each in FORMATS if each.name != "proj"])
-@pytest.mark.parametrize("sited", SITINGS[:3], ids=["stereo", "lidar", "detections"])
+@pytest.mark.parametrize(
+    "sited", [*SITINGS[:3], siting("lidar", CONTINUED)], ids=["stereo", "lidar", "detections", "continued"]
+)
 def test_every_export_of_ours_comes_back(tmp_path: Path, sited: Siting, form: str) -> None:
     path = exported(tmp_path, sited, form)
     back = import_pose(path, ImportOptions()).siting

@@ -12,7 +12,19 @@ from laci_stereo.core.errors import GroundError, MapError
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.monitor.lanes import Strip, strips_of
 from laci_stereo.monitor.run import Monitor
-from tests.monitor.support import FINE, LANE_X, Seen, Traffic, drive, gone_through, lane, one_by_one, plan, traffic
+from tests.monitor.support import (
+    FINE,
+    LANE_X,
+    WORLD,
+    Seen,
+    Traffic,
+    drive,
+    gone_through,
+    lane,
+    one_by_one,
+    plan,
+    traffic,
+)
 from tests.simulated import Drive, car, pedestrian, stereo
 
 SIDE_M = 0.05
@@ -56,7 +68,9 @@ def test_positions_of_objects_are_the_truth(tmp_path: Path) -> None:
     assert np.abs(np.median(seen - xy, axis=0)).max() < 0.1
     # For a moment a parked car hides half of it.
     assert np.quantile(np.abs(seen - xy), 0.9) < 0.2
-    assert np.abs(np.cos(yaw - [float(row["yaw"]) for row in rows])).min() > np.cos(np.radians(5.0))
+    assert np.cos(yaw - [float(row["yaw"]) for row in rows]).min() > np.cos(np.radians(5.0))
+    utm = np.array([[float(row["utm_east"]), float(row["utm_north"])] for row in rows])
+    assert np.abs(utm - WORLD.to_utm(seen)).max() < 0.01
     assert float(rows[0]["length"]) == pytest.approx(4.4, abs=0.4)
     assert {row["lane"] for row in rows} == {"1"}
     assert float(rows[0]["speed"]) == pytest.approx(8.0, rel=0.1)
