@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, rigid
-from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground
+from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground, fit_ground_beside
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.ground_road import _seen_from, carried, road_ground, standing
 from laci_stereo.core.road_extent import places, road_along
 from laci_stereo.core.road_surface import FALL
-from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.settings import GroundSettings, Settings
 from laci_stereo.core.tracking import Track
 from tests.core.tracks import sighting
-from tools.scenes.scene import SensorKind, draw_scene
+from tools.scenes.scene import SensorKind, draw_scene, errors_of
 from tools.scenes.seeing import see
 
 AXES = Axes(forward=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
@@ -35,6 +36,14 @@ def seen(land_slope: float) -> PointCloud:
     road = -HEIGHT_M / ray[:, 2]
     on_road = np.abs(road * ray[:, 1] - ROAD_Y_M) < ROAD_HALF_M
     return measured(ray, np.where(on_road, road, land), rng)
+
+
+def seen_beside(above_m: float) -> PointCloud:
+    """Return rays to a road that is so far above level land on either side of it."""
+    rng = np.random.default_rng(0)
+    ray = rays(np.arange(-80.0, 81.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
+    road, land = -HEIGHT_M / ray[:, 2], -(HEIGHT_M + above_m) / ray[:, 2]
+    return measured(ray, np.where(np.abs(road * ray[:, 1] - ROAD_Y_M) < ROAD_HALF_M, road, land), rng)
 
 
 def seen_from_a_verge(slope: float, edge_m: float) -> PointCloud:
@@ -293,3 +302,26 @@ def test_the_road_behind_a_bank_is_found_by_what_is_farther_away(slope: float, e
     road = fit_farther_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, AXES.up)
     assert tilt_deg(road) < 0.05
     assert road.height_m == pytest.approx(HEIGHT_M, abs=0.02)
+
+
+@pytest.mark.parametrize("above_m", [-0.4, 0.4, 0.8])
+def test_the_road_beside_land_is_found_by_what_is_not_on_it(above_m: float) -> None:
+    cloud = seen_beside(above_m)
+    land = fitted(cloud)
+    assert land.height_m == pytest.approx(HEIGHT_M + above_m, abs=0.05)
+    within_m = (0.0, 1.2) if above_m > 0.0 else (-1.2, 0.0)
+    road = fit_ground_beside(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, land, within_m)
+    assert road.height_m == pytest.approx(HEIGHT_M, abs=0.02)
+    assert tilt_deg(road) < 0.05
+    with pytest.raises(GroundError):
+        fit_ground_beside(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, land, (-within_m[1], -within_m[0]))
+
+
+@pytest.mark.slow
+def test_a_sender_on_a_road_above_the_land_is_found() -> None:
+    """The land is the ground at first, 0.3 m below a road that is one obstacle then, with all that drives on it."""
+    scene = draw_scene(81279, "lidar_32")
+    found = see(scene, "simulated").locate(Settings())
+    errors = errors_of(found, scene)
+    assert found.quality.frames_used > 60
+    assert max(errors.sigma_ratio, errors.rotation_ratio) < 3.0
