@@ -119,6 +119,18 @@ def test_drives_of_different_zones_or_axes_are_refused() -> None:
         combine([one, replace(other, axes=Axes((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))])
 
 
+@pytest.mark.parametrize("late_s", [-0.2, 0.2])
+def test_each_drive_has_its_own_clock(late_s: float) -> None:
+    one, other = (replace(passage, clock_sigma_s=1.0) for passage in passages()[:2])
+    late = replace(other, vehicle=replace(other.vehicle, stamps_s=other.vehicle.stamps_s + late_s))
+    before, after = combine([one, other]), combine([one, late])
+    offsets = [{share.station_id: share.time_offset_s for share in found.shares} for found in (before, after)]
+    sigma_s = max(share.time_sigma_s for share in after.shares)
+    assert sigma_s < 0.02
+    assert offsets[1][other.station_id] - offsets[0][other.station_id] == pytest.approx(late_s, abs=sigma_s)
+    assert offsets[1][one.station_id] == pytest.approx(offsets[0][one.station_id], abs=sigma_s)
+
+
 def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
     one, other = passages()[:2]
     tight = combine([one, other], Settings(joint=JointSettings(clock_sigma_s=1.0)))

@@ -53,6 +53,22 @@ def test_the_motion_tells_heading_and_speed(latitude: float, longitude: float, h
     np.testing.assert_allclose(log.speed_mps, speed, rtol=1e-5)
 
 
+def test_motion_follows_the_time_and_not_the_order_of_the_file():
+    """Fixes along a quarter of a circle, some of them late, and one twice."""
+    at = np.array([0, 3, 1, 2, 2, 4, 6, 5, 7, 8])
+    degrees = 10.0 * at
+    east, north, _ = WGS84.fwd(np.full(10, 9.0), np.full(10, 48.0), degrees, np.full(10, 30.0))
+    fixes = {
+        i: (START_NS + int(at[i]) * 10**9, {LATITUDE: float(north[i]), LONGITUDE: float(east[i])}) for i in range(10)
+    }
+    log = recorded_drive(gnss_messages(Path("a"), "point", fixes, {}), [], "a test").log
+    second = (log.stamps_ns - START_NS) // 10**9
+    inside = (second > 0) & (second < 8)
+    turned = (log.heading_deg - (10.0 * second + 90.0) + 180.0) % 360.0 - 180.0
+    assert inside.sum() >= 7
+    assert np.abs(turned[inside]).max() < 1.0
+
+
 def test_across_a_gap_there_is_no_motion():
     places = {0: 0.0, 1: 0.1, 2: 0.2, 3: 10.0, 4: 20.0, 5: 20.1}
     fixes = {i: (START_NS + round(at * 1e9), {LATITUDE: 48.0 + at * 1e-4, LONGITUDE: 9.0}) for i, at in places.items()}
