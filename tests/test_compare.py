@@ -120,19 +120,19 @@ def test_chi_square_is_that_of_six_where_both_are_as_good_as_they_claim(tmp_path
     assert np.mean(np.array(found) > chi2.isf(0.01, 6)) < 0.05
 
 
-def test_sigma_of_objects_is_their_scatter(tmp_path: Path) -> None:
-    """Objects away from the centre are moved by turns too, and the sigma knows."""
+def test_every_sigma_is_the_scatter_of_its_difference(tmp_path: Path) -> None:
+    """Objects away from the centre, and the sensor itself, are moved by turns too, and their sigmas know."""
     rng = np.random.default_rng(8)
     covariance = np.array(original()["covariance"])
     base = stored(tmp_path, original())
     track = base.centre_world[None, :2] + np.array([[0.0, 15.0], [20.0, 0.0]])
-    apart, sigma = [], 0.0
+    apart, sigmas = [], np.zeros(8)
     for _ in range(300):
         other = stored(tmp_path, moved(rng.multivariate_normal(np.zeros(6), 2 * covariance)))
-        objects = compare_two(base, other, track, track).differences[6]
-        apart.append(objects.value)
-        sigma = objects.sigma
-    assert np.sqrt(np.mean(np.square(apart))) == pytest.approx(sigma, rel=0.12)
+        differences = compare_two(base, other, track, track).differences
+        apart.append([each.value for each in differences])
+        sigmas = np.array([each.sigma for each in differences])
+    assert np.sqrt(np.mean(np.square(apart), axis=0)) / sigmas == pytest.approx(np.ones(8), abs=0.13)
 
 
 def test_far_result_contradicts(tmp_path: Path) -> None:
