@@ -131,10 +131,11 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    first = seen = _where_driven(seen, source, vehicles, settings)
-    before = None
+    seen, track = _where_driven(seen, source, vehicles, settings)
+    first, before = seen, None
     for _ in range(LOOKS):
-        track = _driven(seen, vehicles, settings)
+        if before is not None:
+            track = _driven(seen, vehicles, settings)
         if track is None:
             break  # and it will be said why
         way = carried(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
@@ -155,17 +156,19 @@ def _is_along(way: FloatArray, before: FloatArray) -> bool:
 
 def _where_driven(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
-) -> Observation:
-    """Return what is seen on the first ground on which something is clearly a sender; else, on which anything may be.
-
-    If there is none, what was seen.
-    """
+) -> tuple[Observation, Track | None]:
+    """Return what is seen on the first ground on which a track is clearly a sender's; else, on which one may be."""
     tried = []
     for each in chain([seen], _on_other_grounds(seen, source, settings)):
-        if _driven(each, vehicles, settings, surely=True) is not None:
-            return each
+        track = _driven(each, vehicles, settings, surely=True)
+        if track is not None:
+            return each, track
         tried.append(each)
-    return next((each for each in tried if _driven(each, vehicles, settings) is not None), seen)
+    for each in tried:
+        track = _driven(each, vehicles, settings)
+        if track is not None:
+            return each, track
+    return seen, None
 
 
 def _driven(
