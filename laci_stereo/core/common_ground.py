@@ -106,6 +106,8 @@ def _laid_track(track: Track, T_level_own: FloatArray) -> Track:
             replace(
                 sighting,
                 points=transform(T_level_own, sighting.points),
+                low=replace(sighting.low, points=transform(T_level_own, sighting.low.points)),
+                borders=transform(T_level_own, sighting.borders),
                 middle=_laid_xy(sighting.middle, T_level_own),
                 box=_laid_box(sighting.box, T_level_own),
             )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -16,12 +17,14 @@ from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
 """Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own: clock offset, heading
-error, heading lever, the shape, how partial a detector's boxes are, and the knots of the GNSS bias."""
+error, heading lever, the shape, how partial a detector's boxes are, by how much borders grow, and the knots of the GNSS
+bias."""
 
 BIAS, SWEEP = 3, 4
 _CLOCK, _HEADING, _LEVER, _SHAPE = 5, 6, 7, 8
 _PARTIAL = _SHAPE + len(outline.SHAPE)
-_KNOTS = _PARTIAL + 1
+_GROWTH = _PARTIAL + 1
+_KNOTS = _GROWTH + 2
 
 SAME_VIEW_M = 0.5
 """What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
@@ -40,6 +43,10 @@ SAME_ERROR_M = 10.0
 """A matcher errs by texture, by gloss and by what is behind an edge, and so alike until the vehicle is seen from
 elsewhere: 20 m from the camera it has turned by 30 deg after so much of its way."""
 
+SAME_BORDER_M = 5.0
+"""Half of what a border is seen in the wrong place by is the body's texture beside it, and lasts as long; the other
+half is what is behind it, which is another thing after each window."""
+
 FINEST_M = 0.01
 """No position is better than that: its last digit in the message is a centimetre."""
 
@@ -50,6 +57,11 @@ deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 """A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
 
+
+BORDER_SIGMA = 12**-0.5
+"""A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
+is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
+windows, it is off on average, and in each place."""
 
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
 """What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
@@ -208,7 +220,7 @@ class Rows(Columns):
     distance, variance : ndarray, shape (n,)
     cos : ndarray, shape (n,)
         By which ranges are longer than distances; 0 where there is no range.
-    jacobian : ndarray, shape (n, 19)
+    jacobian : ndarray, shape (n, 21)
         Of the range, times the cosine: what is measured is the range, while the line of sight is known.
     by_time : ndarray, shape (n,)
         The same by the time of the messages, at that moment.
@@ -259,7 +271,7 @@ class DriveModel:
         )
         self.own = _KNOTS - FIRST_OWN + 2 * knots
         self.block = ((drive.stamps_s - first) // settings.block_s).astype(int)
-        self.worth = _worth(drive)
+        self.worth = _worth(drive, SAME_VIEW_M)
         self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, settings)
         self.base_sigmas = np.array(
             [
@@ -273,6 +285,8 @@ class DriveModel:
         self.mean = np.zeros(self.own)
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
+        self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
+        self.border_worth = _worth(drive, SAME_BORDER_M)
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
         self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
@@ -308,6 +322,8 @@ class DriveModel:
         covariance[shape, shape] = np.diag(self.shape_sigma**2) + (ways.T * variances[2:]) @ ways
         partial = _PARTIAL - FIRST_OWN
         covariance[partial, partial] = PARTIAL_SIGMA**2
+        growth = range(_GROWTH - FIRST_OWN, _KNOTS - FIRST_OWN)
+        covariance[growth, growth] = BORDER_SIGMA**2
         knots, count = _KNOTS - FIRST_OWN, len(self.knots_s)
         covariance[knots : knots + count, knots : knots + count] = self.drift
         covariance[knots + count :, knots + count :] = self.drift
@@ -358,7 +374,9 @@ class DriveModel:
         now[:, _CLOCK] = rows.by_time
         now[:, SWEEP] = rows.by_time * rows.late_s
         scores = now * pull[:, None]
-        held = np.bincount(rows.frame, mixed.surface, len(self.drive)) > 1.0
+        outline_ = rows.face < outline.TOUCHED_RIGHT
+        surface, behind = mixed.surface * outline_, mixed.behind * outline_
+        held = np.bincount(rows.frame, surface, len(self.drive)) > 1.0
         return Fitness(
             jacobian=jacobian,
             precision=weight,
@@ -368,10 +386,10 @@ class DriveModel:
             block=self.block[rows.frame],
             log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),
             shares=mixed.shares,
-            weight=float(mixed.surface.sum()),
-            squares=float((mixed.surface * rows.distance**2).sum()),
-            explained=float((mixed.surface + mixed.behind).sum()),
-            rows=float(len(rows.distance)),
+            weight=float(surface.sum()),
+            squares=float((surface * rows.distance**2).sum()),
+            explained=float((surface + behind).sum()),
+            rows=float(outline_.sum()),
             frames=int(held.sum()),
         )
 
@@ -422,9 +440,11 @@ class DriveModel:
             return self._centre_rows(x, poses)
         if chosen is None:
             met = self._wall(x, poses)
-            return self._outline_rows(x, poses, met, self._shares(met))
-        known = poses.known[self.drive.frame[chosen.points]]
-        return self._outline_rows(x, poses, self._meet(x, poses, chosen.points[known]), chosen.share[known])
+            share = self._shares(met)
+        else:
+            known = poses.known[self.drive.frame[chosen.points]]
+            met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
+        return _joined([self._outline_rows(x, poses, met, share), self._border_rows(x, poses)])
 
     def choose(self, x: FloatArray) -> Chosen:
         """Return which points meet the outline where it is upright, at some parameters, and how much each weighs.
@@ -516,14 +536,39 @@ class DriveModel:
         return Met(points, hits, arm, xy, origin, yaw)
 
     def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:
-        points, frame, hits, yaw = met.points, self.drive.frame[met.points], met.hits, met.yaw
+        drive, points, frame = self.drive, met.points, self.drive.frame[met.points]
+        late_s = drive.frames_late_s[frame] + drive.points_late_s[points]
+        rows = self._rows_of(x, poses, met, frame, late_s, share)
+        sight = rotate_xy(-met.yaw, rotate_xy(x[0], self.sight[points]))
+        rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * dot_xy(sight, met.hits.normal)
+        # Beside the outline is what its borders have grown by.
+        window_m = drive.window_rad * np.hypot(*drive.points[points, :2].T) * (met.hits.face == outline.PASSED)
+        return replace(rows, variance=rows.variance + (BORDER_SIGMA * window_m) ** 2)
+
+    def _border_rows(self, x: FloatArray, poses: Poses) -> Rows:
+        """Return by how much the outermost lines of sight miss the outline, beyond what its borders grow by.
+
+        Where something hides a border, what is seen ends behind it, as a point behind the surface does.
+        """
+        frame, side = np.nonzero(np.isfinite(self.borders[:, :, 0]) & poses.known[:, None])
+        at = self.borders[frame, side, :2]
+        window_m = self.drive.window_rad * np.hypot(*at.T)
+        arm = at - self.centre
+        xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
+        hits = outline.touch(xy, origin, side > 0, BORDER_SIGMA * window_m, self.size, x[_SHAPE:_PARTIAL])
+        met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, origin, yaw)
+        rows = self._rows_of(x, poses, met, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
+        rows.jacobian[np.arange(len(frame)), _GROWTH + side] = -window_m
+        return replace(rows, distance=rows.distance - window_m * x[_GROWTH + side])
+
+    def _rows_of(
+        self, x: FloatArray, poses: Poses, met: Met, frame: IntArray, late_s: FloatArray, share: FloatArray
+    ) -> Rows:
+        hits, yaw = met.hits, met.yaw
         # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
         arm = (met.arm + self.centre) * hits.reach[:, None] - self.centre
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
-        late_s = self.drive.frames_late_s[frame] + self.drive.points_late_s[points]
         jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, hits.normal)
-        sight = rotate_xy(-yaw, rotate_xy(x[0], self.sight[points]))
-        jacobian[:, BIAS] = -self.drive.sigma_along_m[points] * dot_xy(sight, hits.normal)
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         # A message's error is one for all points of a frame: so many have together what one of them would have.
         by_heading = self.heading_variance * np.bincount(frame, share)[frame] * jacobian[:, _HEADING] ** 2
@@ -537,7 +582,7 @@ class DriveModel:
             face=hits.face,
             frame=frame,
             share=share,
-            point=points,
+            point=met.points,
         )
 
     def _centre_rows(self, x: FloatArray, poses: Poses) -> Rows:
@@ -574,7 +619,7 @@ class DriveModel:
                     point=frame + axis * len(self.drive),
                 )
             )
-        return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
+        return _joined(parts)
 
     def _jacobian(
         self,
@@ -600,6 +645,10 @@ class DriveModel:
         return jacobian
 
 
+def _joined(parts: Sequence[Rows]) -> Rows:
+    return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
+
+
 def _heading_variance(drive: Evidence, otherwise_rad: float) -> float:
     """Return the variance that each frame has through the noise of the messages' headings, rad^2.
 
@@ -613,14 +662,14 @@ def _heading_variance(drive: Evidence, otherwise_rad: float) -> float:
     return heading_noise(drive.vehicle, otherwise_rad) ** 2 * frames
 
 
-def _worth(drive: Evidence) -> FloatArray:
+def _worth(drive: Evidence, alike_m: float) -> FloatArray:
     """Return how much each frame tells, shape (m,): those in which the vehicle is at one place show the same.
 
-    Each shares what it shows with those nearer than `SAME_VIEW_M` along the way, the more the nearer they are.
+    Each shares what it shows with those nearer than ``alike_m`` along the way, the more the nearer they are.
     """
     if not len(drive):
         return np.ones(0)
-    way = _way_m(drive) / SAME_VIEW_M
+    way = _way_m(drive) / alike_m
     total = np.append(0.0, np.cumsum(way))
     first, last, own = np.searchsorted(way, way - 1.0), np.searchsorted(way, way + 1.0), np.arange(len(way))
     before = (own - first) * (1.0 - way) + total[own] - total[first]

@@ -38,6 +38,8 @@ class Evidence:
         How long a turn of the scanner lasts if it turns, and the points' times are not known; else 0.
     window_rad : float
         Side of the window within which points have their noise in common; 0 if each has its own.
+    borders : ndarray, shape (m, 2, 3), or None
+        The vehicle's outermost points in each frame, level, right and left; NaN where unknown, None: all are.
     """
 
     stamps_s: FloatArray
@@ -52,6 +54,7 @@ class Evidence:
     vehicle: VehicleTrack
     turn_s: float = 0.0
     window_rad: float = 0.0
+    borders: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -134,4 +137,5 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         vehicle=vehicle,
         turn_s=track.turn_s,
         window_rad=track.window_rad,
+        borders=np.array([sighting.borders for sighting in seen]).reshape(-1, 2, 3),
     )

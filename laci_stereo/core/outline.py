@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.columns import Columns
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, turned
 from laci_stereo.core.settings import VehicleSettings
 
 LOWEST_M = 0.25
@@ -69,13 +69,14 @@ OUTLINE_SIGMA_M = 0.03
 CORNER_SIGMA_M = 0.05
 """The same at corners, which are no arcs of circles."""
 
-FACES = 5
-"""Rear, front, right, left, and the corner that a line of sight passes by."""
+FACES = 7
+"""Rear, front, right, left, the corner that a line of sight passes by, and the borders that the outermost lines of
+sight touch, right and left."""
 
 SIDES = 4
 """The first four of them."""
 
-_FRONT, _PASSED = 1, 4
+_FRONT, PASSED, TOUCHED_RIGHT, TOUCHED_LEFT = 1, 4, 5, 6
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Hits(Columns):
     by_shape : ndarray, shape (n, 10)
         Derivative of the distance by `SHAPE`.
     face : ndarray of int, shape (n,)
-        0 rear, 1 front, 2 right, 3 left, 4 passed by.
+        0 rear, 1 front, 2 right, 3 left, 4 passed by, 5 and 6 touched on its right and left border.
     reach : ndarray, shape (n,)
         Distance from the sensor to the side, over the distance to the point.
     cos : ndarray, shape (n,)
@@ -220,9 +221,62 @@ def meet(
                 np.where(of_front, 0.0, by_radius),
             ]
         ),
-        face=np.where(passes, _PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
+        face=np.where(passes, PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
         reach=np.where(passes, 1.0, enter / far),
         cos=np.where(passes, 0.0, cos),
+    )
+
+
+def touch(
+    xy: FloatArray,
+    origin: FloatArray,
+    to_left: BoolArray,
+    sigma_across: FloatArray,
+    size: tuple[float, float],
+    shape: FloatArray,
+) -> Hits:
+    """Find by how much lines of sight miss an outline of which each should touch one border.
+
+    Whatever the points' ranges, they touch it at the corner that lies farthest to that side.
+
+    Parameters
+    ----------
+    xy, origin : ndarray, shape (n, 2)
+        Points and the sensor in the vehicle frame, metres.
+    to_left : ndarray of bool, shape (n,)
+        It should touch the left border, so that all of the outline lies to its right.
+    sigma_across, size, shape
+        See `meet`.
+
+    Returns
+    -------
+    Hits
+        With ``distance`` at right angles to the line of sight, positive where it misses the outline, and with ``reach``
+        the distance from the sensor to where it is nearest to that corner, over the distance to the point.
+    """
+    lever_y, *radii = shape[[SHAPE.index("lever_y"), -2, -1]]
+    corner = _corners(np.array(size) / 2, shape)
+    outward = np.sign(corner[:, :2] - np.array([0.0, lever_y]))
+    centres = corner[:, :2] - outward * corner[:, 2:]
+    far = np.hypot(*(xy - origin).T)
+    ray = (xy - origin) / far[:, None]
+    normal = np.where(to_left, 1.0, -1.0)[:, None] * turned(ray)
+    beyond = normal @ centres.T - dot_xy(normal, origin)[:, None] + corner[:, 2]
+    which = beyond.argmax(axis=1)
+    (out_x, out_y), front = np.abs(normal).T, outward[which, 0] > 0.0
+    by_radius = (out_x + out_y - 1.0) / (1.0 + np.exp(-np.where(front, *radii) / SHARP_M))
+    ends = np.column_stack([front, ~front])
+    by_end = out_x[:, None] * ends
+    return Hits(
+        distance=-beyond.max(axis=1),
+        variance=sigma_across**2 + OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2,
+        normal=normal,
+        by_shape=np.column_stack(
+            [-by_end, -out_y, -normal[:, 1], by_end, out_y, out_y * front, by_radius[:, None] * ends]
+        ),
+        face=np.where(to_left, TOUCHED_LEFT, TOUCHED_RIGHT),
+        reach=dot_xy(centres[which] - origin, ray) / far,
+        cos=np.zeros(len(far)),
     )
 
 
@@ -266,7 +320,7 @@ def highest_of(width_m: float, face: IntArray, behind_m: FloatArray) -> FloatArr
     """
     if width_m < HEAVY_WIDTH_M:
         return np.full(len(face), HIGHEST_M)
-    low = (face == _FRONT) | (face == _PASSED) | (behind_m < MIRRORS_M)
+    low = (face == _FRONT) | (face == PASSED) | (behind_m < MIRRORS_M)
     return np.where(low, HEAVY_FRONT_HIGHEST_M, HEAVY_HIGHEST_M)
 
 
@@ -302,7 +356,7 @@ def on_the_wall(
         See `highest_of`.
     """
     met = height_m + (z - height_m) * hits.reach
-    all_kept = (GROUND_SIGMAS * sigma_z > LOWEST_M) & (hits.face != _PASSED)
+    all_kept = (GROUND_SIGMAS * sigma_z > LOWEST_M) & (hits.face != PASSED)
     lowest_m = np.where(all_kept, LOWEST_M + blur_m * hits.reach, lowest_of(sigma_z))
     chosen: BoolArray = (met > lowest_m) & (met < highest_m)
     return chosen

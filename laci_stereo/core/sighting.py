@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -48,6 +48,10 @@ class Low(Columns):
 
 
 NOTHING_LOW = Low(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+NO_BORDERS: FloatArray = np.full((2, 3), np.nan)
+
+BORDERS_M = 1.0
+"""Up to this height bodies are as wide as they are; above, mirrors stand out by 0.2 m, and windows stand back."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,9 @@ class Sighting:
         See `PointCloud`.
     low : Low
         The same share of them is kept as of its points.
+    borders : ndarray, shape (2, 3)
+        Its outermost points, right and left, as seen from the sensor; of cameras only, whose bearings are as exact as a
+        matcher's window. NaN where the field of view ends there, or nothing is seen below the mirrors.
     """
 
     stamp_s: float
@@ -99,6 +106,7 @@ class Sighting:
     turn_s: float = 0.0
     window_rad: float = 0.0
     low: Low = NOTHING_LOW
+    borders: FloatArray = field(default_factory=lambda: NO_BORDERS)
 
 
 def find_vehicles(
@@ -139,7 +147,7 @@ def find_vehicles(
         sigma_m = float(np.median(cloud.sigma_along_m[members]))
         below = low[_below(points[low], points[members], sigma_m, float(T_level_sensor[2, 3]), settings)]
         its_low = Low(points[below], cloud.sigma_along_m[below], cloud.sigma_across_m[below])
-        sighting = _sighting(points[members], cloud[members], its_low, frame_s, settings)
+        sighting = _sighting(points[members], cloud[members], its_low, frame_s, float(T_level_sensor[2, 3]), settings)
         if sighting is not None:
             found.append(sighting)
     return found
@@ -165,10 +173,8 @@ def _below(points: FloatArray, members: FloatArray, sigma_m: float, height_m: fl
 
 def _sight(points: FloatArray, forward: FloatArray, height_m: float) -> FloatArray:
     """Return azimuth from a direction, range on the ground plan, and slope of the line of sight, shape (n, 3)."""
-    xy = points[:, :2]
-    range_m = np.maximum(np.hypot(*xy.T), 1e-9)
-    azimuth = np.arctan2(dot_xy(turned(forward), xy), dot_xy(forward, xy))
-    return np.column_stack([azimuth, range_m, (points[:, 2] - height_m) / range_m])
+    range_m = np.maximum(np.hypot(*points[:, :2].T), 1e-9)
+    return np.column_stack([_bearing(points, forward[0]), range_m, (points[:, 2] - height_m) / range_m])
 
 
 def sigma_z(sight: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray) -> FloatArray:
@@ -234,7 +240,16 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
         flaw=other.flaw if other.flaw == "cut" else main.flaw,
         late_s=late_s,
         low=Low(*(np.concatenate([getattr(part, each.name) for part in low]) for each in fields(Low))),
+        borders=_outer(main, other),
     )
+
+
+def _outer(main: Sighting, other: Sighting) -> FloatArray:
+    """Return the borders, shape (2, 3), of two pieces of one thing."""
+    both = np.stack([main.borders, other.borders])
+    bearings = np.column_stack([_bearing(piece, main.middle) for piece in both])
+    right, left = bearings[0].argmin(), bearings[1].argmax()  # NaN, where one was cut, before all others
+    return np.stack([both[right, 0], both[left, 1]])
 
 
 def _of_both(main: FloatArray, other: FloatArray, kept: Sequence[IntArray]) -> FloatArray:
@@ -247,7 +262,9 @@ def _evenly(count: int, most: int) -> IntArray:
     return kept
 
 
-def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, settings: Settings) -> Sighting | None:
+def _sighting(
+    points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, height_m: float, settings: Settings
+) -> Sighting | None:
     limits = settings.vehicle
     sigma_m = float(np.median(cloud.sigma_along_m))
     flaw: Flaw | None = None
@@ -283,4 +300,31 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
         turn_s=cloud.turn_s,
         window_rad=cloud.window_rad,
         low=low[kept_low],
+        borders=_borders(points, cloud, height_m),
     )
+
+
+def _borders(points: FloatArray, cloud: PointCloud, height_m: float) -> FloatArray:
+    """Return the outermost points of a cluster, shape (2, 3): see `Sighting.borders`."""
+    if cloud.window_rad == 0.0:
+        return NO_BORDERS
+    noise_m = sigma_z(points - (0.0, 0.0, height_m), cloud.sigma_along_m, cloud.sigma_across_m)
+    low = np.flatnonzero(points[:, 2] - 2.0 * noise_m < BORDERS_M)
+    if not len(low):
+        return NO_BORDERS
+    beside_rad = _bearing(points[low], np.median(points[:, :2], axis=0))
+    found: FloatArray = points[low[[beside_rad.argmin(), beside_rad.argmax()]]]
+    cut = [
+        bool((cloud.at_edge[low] & (np.abs(beside_rad - outermost) < cloud.window_rad)).any())
+        for outermost in (beside_rad.min(), beside_rad.max())
+    ]
+    found[cut] = np.nan
+    return found
+
+
+def _bearing(points: FloatArray, middle: FloatArray) -> FloatArray:
+    """Return how far to the left of a place, shape (2,), points, shape (n, 3), are seen, shape (n,), rad."""
+    forward = (middle / max(float(np.hypot(*middle)), 1e-9))[None]
+    xy = points[:, :2]
+    bearing: FloatArray = np.arctan2(dot_xy(turned(forward), xy), dot_xy(forward, xy))
+    return bearing

@@ -35,7 +35,7 @@ from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-FORMAT = "laci-evidence/2"
+FORMAT = "laci-evidence/3"
 KINDS = ("stereo", "lidar", "detections")
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
@@ -65,6 +65,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "middles": ("f", ("frames", 2)),
     "boxes": ("f", ("frames", 5)),  # centre x and y, length, width, yaw
     "noise": ("f", ("frames", 2)),  # sigma of the points, radial speed (NaN: not measured)
+    "borders": ("f", ("frames", 6)),  # outermost points, right and left; the origin, below the sensor, if not known
     "counts": ("i", ("frames", 4)),  # points seen, points kept, flaw, low points kept
     "points": ("f", ("points", 3)),
     "sigmas": ("f", ("points", 2)),  # along and across the line of sight
@@ -245,6 +246,7 @@ def _to_arrays(passage: Passage) -> Arrays:
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
         "boxes": np.array([_row(each.box) for each in sightings]).reshape(-1, 5),
         "noise": np.array(noise).reshape(-1, 2),
+        "borders": np.nan_to_num([each.borders for each in sightings]).reshape(-1, 6),
         "counts": np.array(counts, dtype=np.int64).reshape(-1, 4),
         "points": np.concatenate([np.zeros((0, 3)), *(each.points for each in sightings)]).astype(np.float32),
         "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
@@ -381,6 +383,8 @@ def _track(found: Arrays) -> Track:
     points, sigmas, all_low = (found[name].astype(np.float64) for name in ("points", "sigmas", "low"))
     low = all_low[:, :3], all_low[:, 3], all_low[:, 4]
     boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
+    borders = found["borders"].astype(np.float64).reshape(-1, 2, 3)
+    borders[~borders.any(axis=2)] = np.nan
     turn_s, window_rad = float(found["turn"][0]), float(found["window"])
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
     return Track(
@@ -400,6 +404,7 @@ def _track(found: Arrays) -> Track:
                 turn_s=turn_s,
                 window_rad=window_rad,
                 low=Low(*(column[slice(*lows)] for column in low)),
+                borders=borders[i],
             )
             for i, ((first, end), lows) in enumerate(zip(pairwise(ends), pairwise(low_ends), strict=True))
         )

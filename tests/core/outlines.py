@@ -76,6 +76,29 @@ def evidence(
     )
 
 
+def with_borders(
+    seen: Evidence,
+    drive: Drive = TURN,
+    window_rad: float = 0.01,
+    growth: tuple[float, float] = (0.0, 0.0),
+    sigma: float = 0.0,
+    seed: int = 0,
+) -> Evidence:
+    """Return a camera's evidence: the borders, right and left, have grown by so many windows, with noise."""
+    xy, yaw = drive.at(seen.stamps_s)
+    corners = np.array(SIZE) / 2 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+    world = np.stack([rotate_xy(angle, corners) + at for at, angle in zip(xy, yaw, strict=True)])
+    level = rotate_xy(-TRUTH.yaw_rad, world.reshape(-1, 2) - TRUTH.shift).reshape(world.shape)
+    middle = np.arctan2(*seen.middles.T[::-1])[:, None]
+    beside = (np.arctan2(level[:, :, 1], level[:, :, 0]) - middle + np.pi) % (2 * np.pi) - np.pi
+    outermost = np.column_stack([beside.min(axis=1), beside.max(axis=1)])
+    off = np.array(growth) + sigma * np.random.default_rng([seed, 5]).normal(size=outermost.shape)
+    bearing = middle + outermost + window_rad * off * (-1.0, 1.0)
+    far = np.linalg.norm(seen.middles, axis=1)[:, None]
+    borders = np.stack([far * np.cos(bearing), far * np.sin(bearing), np.full(bearing.shape, 0.5)], axis=2)
+    return replace(seen, window_rad=window_rad, borders=borders)
+
+
 def told(
     drive: Drive,
     last_s: float,

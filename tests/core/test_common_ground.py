@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.box_ground import level_ground
-from laci_stereo.core.common_ground import merge_grounds
+from laci_stereo.core.common_ground import lay, merge_grounds
 from laci_stereo.core.errors import CombineError
 from laci_stereo.core.frames import OPENCV_AXES, FloatArray
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.sighting import Low
+from laci_stereo.core.tracking import Track
 from tests.report.support import calibration
 
 TILT = np.radians(15.0)
@@ -78,3 +80,15 @@ def test_a_mast_in_the_sun_was_not_moved() -> None:
     """However sharp the grounds are: 0.1 deg is what the sun bends it."""
     sharp = [ground(np.array([turn, 0.0, 0.0]), 6.0, 1e-3) for turn in (0.0, 0.0017)]
     assert merge_grounds([passage(each) for each in sharp]).height_m == pytest.approx(6.0)
+
+
+def test_all_that_was_seen_is_laid_onto_the_other_ground() -> None:
+    own, other = ground(np.zeros(3), 6.0), ground(np.array([0.03, 0.0, 0.02]), 6.2)
+    at = np.array([[20.0, 1.0, 0.5], [22.0, -1.0, 0.3]])
+    drive = passage(own)
+    first = drive.track.sightings[0]
+    sighting = replace(first, points=at, low=Low(at, np.ones(2), np.ones(2)), borders=at)
+    (laid,) = lay(replace(drive, track=Track((sighting,))), other, drive.world).track.sightings
+    assert np.linalg.norm(laid.points - at, axis=1).min() > 0.1  # higher, and tilted
+    assert laid.low.points == pytest.approx(laid.points)
+    assert laid.borders == pytest.approx(laid.points)

@@ -22,6 +22,7 @@ from laci_stereo.core.outline import (
     highest_of,
     meet,
     on_the_wall,
+    touch,
 )
 from tests.core.outlines import SIZE, rectangle_points
 
@@ -38,6 +39,11 @@ def sensor(distance: float, bearing: float) -> FloatArray:
 def met(xy: FloatArray, origin: FloatArray, shape: FloatArray = FLAT, sigma: float = 0.02):
     n = len(xy)
     return meet(xy, np.tile(origin, (n, 1)), np.full(n, sigma), np.full(n, 0.003), SIZE, shape)
+
+
+def rounded(radius: float) -> FloatArray:
+    """Return the shape of the rectangle with corners that are round by so much."""
+    return np.append(FLAT[:-2], np.full(2, SHARP_M * np.log(np.expm1(radius / SHARP_M))))
 
 
 @given(places)
@@ -65,8 +71,7 @@ def test_the_distance_is_measured_along_the_normal_of_the_side_that_is_met(
 
 @given(places, st.floats(0.1, 0.5))
 def test_points_on_a_round_corner_are_on_it(place: tuple[float, float, int], radius: float) -> None:
-    shape = FLAT.copy()
-    shape[-2:] = SHARP_M * np.log(np.expm1(radius / SHARP_M))
+    shape = rounded(radius)
     centre = np.array(SIZE) / 2 - radius
     # A corner that the sensor sees all of, from somewhere in its own quadrant.
     bearing = 0.3 + (abs(place[1]) % 1.0)
@@ -105,6 +110,45 @@ def test_the_derivatives_by_the_shape_are_those_of_the_range(place: tuple[float,
         ranges = more.distance[same] / more.cos[same] - less.distance[same] / less.cos[same]
         off = ranges / 2e-5 * at.cos[same] - at.by_shape[same, index]
         assert np.mean(np.abs(off) < 0.05) > 0.9
+
+
+@given(places, st.floats(0.05, 0.4), st.booleans())
+def test_a_line_of_sight_that_touches_is_between_those_that_meet_and_those_that_pass(
+    place: tuple[float, float, int], radius: float, to_left: bool
+) -> None:
+    origin = sensor(place[0], place[1])
+    shape = rounded(radius)
+    across = np.array([-origin[1], origin[0]]) / place[0] * (-1.0 if to_left else 1.0)  # seen from the sensor
+    inside, outside = 0.0, 6.0
+    for _ in range(50):
+        middle = (inside + outside) / 2
+        passes = met((middle * across)[None], origin, shape).cos[0] == 0.0
+        inside, outside = (inside, middle) if passes else (middle, outside)
+    for off_m in (-0.02, 0.0, 0.02):
+        ray = inside * across - origin
+        aside = off_m * np.array([-ray[1], ray[0]]) / np.linalg.norm(ray) * (1.0 if to_left else -1.0)
+        at = origin + ray + aside
+        hits = touch(at[None], origin[None], np.array([to_left]), np.array([0.1]), SIZE, shape)
+        assert hits.distance[0] == pytest.approx(off_m * hits.reach[0], abs=0.02 * abs(off_m) + 1e-6)
+    assert hits.variance[0] > 0.1**2
+
+
+@settings(max_examples=30)
+@given(places)
+def test_the_derivatives_by_the_shape_are_those_of_the_lines_that_touch(place: tuple[float, float, int]) -> None:
+    rng = np.random.default_rng(place[2])
+    origin = np.tile(sensor(place[0], place[1]), (2, 1))
+    xy, to_left, sigma = rng.normal(0.0, 1.0, (2, 2)), np.array([False, True]), np.full(2, 0.1)
+    shape = SHAPE_MEAN + rng.normal(0.0, 0.01, len(SHAPE))
+
+    def distance(at: FloatArray) -> FloatArray:
+        return touch(xy, origin, to_left, sigma, SIZE, at).distance
+
+    by_shape = touch(xy, origin, to_left, sigma, SIZE, shape).by_shape
+    steps = 1e-6 * np.eye(len(SHAPE))
+    slopes = np.array([(distance(shape + step) - distance(shape - step)) / 2e-6 for step in steps]).T
+    assume(np.abs(slopes - by_shape).max() < 0.5)  # else two corners are touched at once
+    assert by_shape == pytest.approx(slopes, abs=1e-4)
 
 
 @given(places)

@@ -9,7 +9,7 @@ from laci_stereo.core.background import Background, learn_background
 from laci_stereo.core.cloud import empty_cloud
 from laci_stereo.core.frames import FloatArray, invert, planar, rotate_xy, transform
 from laci_stereo.core.settings import Settings, VehicleSettings
-from laci_stereo.core.sighting import KEPT_LOW, KEPT_POINTS, Sighting, dense, find_vehicles
+from laci_stereo.core.sighting import KEPT_LOW, KEPT_POINTS, Sighting, dense, find_vehicles, together
 from tests.simulated import (
     EPOCH_NS,
     LEFT_TURN,
@@ -143,6 +143,42 @@ def test_cut_by_the_border_of_the_field_of_view(sensor: Sensor) -> None:
     names = [flaw for i, flaw in enumerate(flaws) if i == 0 or flaw != flaws[i - 1]]
     assert names == [(None,), ("cut",), ()]
     assert 4.0 <= flaws.count(("cut",)) * 0.5 <= 6.0
+
+
+CAMERA = stereo(columns=480, window_px=11)
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 90.0, 135.0])
+def test_the_borders_of_a_vehicle_are_within_half_a_window_of_where_they_are(yaw_deg: float) -> None:
+    (only,) = found(alone(standing(17.0, 1.0, yaw_deg), CAMERA))
+    corners = rotate_xy(np.radians(yaw_deg), np.array([(2.2, 0.9), (2.2, -0.9), (-2.2, 0.9), (-2.2, -0.9)]))
+    bearings = np.arctan2(corners[:, 1] + 1.0, corners[:, 0] + 17.0)
+    seen = np.arctan2(only.borders[:, 1], only.borders[:, 0])
+    assert seen == pytest.approx([bearings.min(), bearings.max()], abs=CAMERA.window_rad / 2)
+    assert only.borders[:, 2].max() < 1.0 + 3 * only.sigma_m
+
+
+def test_borders_are_a_cameras() -> None:
+    """Of a scanner's next beams nobody knows what they would have met."""
+    (only,) = found(alone(standing(17.0, 1.0), lidar()))
+    assert np.isnan(only.borders).all()
+
+
+def test_where_the_field_of_view_ends_no_border_is_known() -> None:
+    """A vehicle drives out of it to the left: its right border is seen until the end."""
+    seen = [found(alone(standing(18.0, y, 90.0), CAMERA)) for y in np.arange(6.0, 16.0, 1.0)]
+    known = [tuple(np.isfinite(sighting.borders[:, 0])) for (sighting, *_) in filter(None, seen)]
+    assert list(dict.fromkeys(known)) == [(True, True), (True, False)]
+
+
+def test_of_two_pieces_the_outer_borders_are_those_of_both() -> None:
+    first, second = (found(alone(standing(17.0, y), CAMERA))[0] for y in (0.0, 2.5))
+    for one, other in ((first, second), (second, first)):
+        both = together(one, other, Settings()).borders
+        assert (both == [first.borders[0], second.borders[1]]).all()
+        cut = replace(first, borders=np.array([[np.nan] * 3, first.borders[1]]))
+        known = np.isfinite(together(*((cut, other) if one is first else (one, cut)), Settings()).borders[:, 0])
+        assert known.tolist() == [False, True]
 
 
 def test_far() -> None:

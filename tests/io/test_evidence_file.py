@@ -46,6 +46,7 @@ def passage() -> Passage:
             flaw=flaw,  # type: ignore[arg-type]
             sigma_m=0.02 * i,
             radial_mps=-3.5 if i == 2 else None,
+            borders=rng.uniform(-100.0, 100.0, (2, 3)) if i else np.array([[np.nan] * 3, [9.0, 2.0, 0.5]]),
             low=Low(rng.uniform(-1.0, 1.0, (10 * i, 3)), rng.uniform(0.1, 0.5, 10 * i), rng.uniform(0.0, 0.1, 10 * i)),
         )
     vehicle = replace(
@@ -154,8 +155,8 @@ def test_detections_without_points(tmp_path: Path) -> None:
 
 def test_other_versions_are_named(tmp_path: Path) -> None:
     path = tmp_path / "evidence.npz"
-    np.savez(path, **{**arrays(), "format": np.array("laci-evidence/1")})
-    refused(path, "laci-evidence/1", "needed is laci-evidence/2")
+    np.savez(path, **{**arrays(), "format": np.array("laci-evidence/2")})
+    refused(path, "laci-evidence/2", "needed is laci-evidence/3")
 
 
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:

@@ -129,6 +129,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
     rows = model.rows(x)
+    rows = rows[rows.face < outline.TOUCHED_RIGHT]
     group = rows.frame * outline.FACES + rows.face
     mixed = mixture.weigh(rows.distance, np.sqrt(rows.variance), group, shares)
     return Laid(model.drive.stamps_s[rows.frame], model.wall(x).xy, rows.distance, rows.face, mixed.surface)
