@@ -44,7 +44,6 @@ __all__ = [
     "Size",
     "StereoRig",
     "calibration_files",
-    "find_stereo_calibration",
     "read_rig",
     "read_stereo_calibration",
 ]
@@ -75,17 +74,6 @@ _FORMATS: tuple[Reader, ...] = (
     read_opencv,
 )
 """Readers in the order in which they are tried; one that does not know the files' names returns None."""
-
-
-def find_stereo_calibration(left_folder: Path) -> tuple[Path, ...]:
-    """Return the files of the calibration that lies beside the folder of left images; none if there is none.
-
-    Raises
-    ------
-    RigError
-        If there are several, and nothing tells which.
-    """
-    return _found_in(left_folder.absolute().parent)
 
 
 def calibration_files(given: Path | Sequence[Path], left_folder: Path) -> tuple[Path, ...]:

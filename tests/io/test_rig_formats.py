@@ -18,7 +18,6 @@ from laci_stereo.io.rig_mat import LARGEST_UNPACKED
 from laci_stereo.io.rig_syntax import LARGEST_FILE
 from laci_stereo.io.stereo_calibration import (
     calibration_files,
-    find_stereo_calibration,
     read_rig,
     read_stereo_calibration,
 )
@@ -359,9 +358,9 @@ def test_files_that_are_found_beside_the_images(tmp_path: Path, names: tuple[str
     left.mkdir()
     expected = tuple(tmp_path / name for name in names)
     for path in expected:
-        assert find_stereo_calibration(left) == ()
+        with pytest.raises(RigError, match=r"no stereo\.yaml"):
+            calibration_files((), left)
         path.touch()
-    assert find_stereo_calibration(left) == expected
     assert calibration_files((), left) == expected
     assert calibration_files((tmp_path,), Path("elsewhere/left")) == expected
     assert calibration_files(Path("mine.yaml"), left) == (Path("mine.yaml"),)
@@ -379,7 +378,7 @@ def test_files_that_are_not_found(tmp_path: Path) -> None:
     for name in ("a-camchain.yaml", "b-camchain.yaml"):
         (tmp_path / name).touch()
     with pytest.raises(RigError, match=r"holds a-camchain\.yaml, b-camchain\.yaml; needed is one of them"):
-        find_stereo_calibration(left)
+        calibration_files((), left)
     with pytest.raises(RigError, match="3 files are given"):
         read_stereo_calibration([left, left, left])
 

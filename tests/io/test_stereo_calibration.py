@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.errors import RigError
-from laci_stereo.io.stereo_calibration import StereoRig, find_stereo_calibration, read_stereo_calibration
+from laci_stereo.io.stereo_calibration import StereoRig, calibration_files, read_stereo_calibration
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 
 SIZE = (1280, 720)
@@ -239,12 +239,13 @@ def test_what_is_no_calibration_file(tmp_path: Path) -> None:
 def test_the_file_beside_the_left_images_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     left = tmp_path / "left"
     left.mkdir()
-    assert find_stereo_calibration(left) == ()
+    with pytest.raises(RigError, match=r"no stereo\.yaml"):
+        calibration_files((), left)
     for name in ("stereo.xml", "stereo.json", "stereo.yml", "stereo.yaml"):
         (tmp_path / name).touch()
-        assert find_stereo_calibration(left) == (tmp_path / name,)
+        assert calibration_files((), left) == (tmp_path / name,)
     monkeypatch.chdir(left)
-    assert find_stereo_calibration(Path()) == (tmp_path / "stereo.yaml",)
+    assert calibration_files((), Path()) == (tmp_path / "stereo.yaml",)
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "json", "xml"])
@@ -264,7 +265,7 @@ def test_any_file_is_read_or_refused(tmp_path: Path, suffix: str) -> None:
 
 @needs_shared
 def test_the_shared_calibrations() -> None:
-    (path,) = find_stereo_calibration(SHARED / "data/crossing/left")
+    (path,) = calibration_files((), SHARED / "data/crossing/left")
     rig = read_stereo_calibration(path, SIZE)
     assert (rig.left.K[0, 0], rig.baseline_m, rig.left.size) == (1100.0, 0.6, SIZE)
     with pytest.raises(RigError, match=r"lacks the rotation between the cameras.*it holds M1, D1, M2, D2"):
