@@ -50,6 +50,9 @@ HALF_LANE_M = 1.75
 OUTLINE_REACH = 10.0
 """What outlines can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
 
+EVEN_ODDS = 2.0
+"""Up to such odds people call two things equally likely."""
+
 MOST_OUTLINES = 8
 """So many hypotheses are held against the outlines at the most: of those far down there are always more."""
 
@@ -391,9 +394,11 @@ def _tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
         if second.station != best.station
         else f"two moving objects, seen in {frames[0]} and {frames[1]} frames,"
     )
+    # Where one may drive in line with the other, the one that was taken need not be the likelier of the two.
+    odds = math.exp(max(margin, 0.0))
     return (
-        f"{what} fit {'equally' if margin < scene.settings.least_log_odds else 'nearly as'} well (odds of "
-        f"{math.exp(margin):.1f} to 1): name the sender's station, or record a drive with a turn or less traffic"
+        f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1): "
+        "name the sender's station, or record a drive with a turn or less traffic"
     )
 
 

@@ -57,7 +57,6 @@ deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 """A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
 
-
 BORDER_SIGMA = 12**-0.5
 """A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
 is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
@@ -177,7 +176,7 @@ class Met(Columns):
     Attributes
     ----------
     points : ndarray of int, shape (n,)
-        Which of the drive's.
+        Which of the drive's; behind them are the borders of each frame.
     hits : Hits
     arm : ndarray, shape (n, 2)
         From ``centre``, in level axes.
@@ -230,7 +229,7 @@ class Rows(Columns):
     share : ndarray, shape (n,)
         How much each weighs, since it shares its noise with others.
     point : ndarray of int, shape (n,)
-        Which of the drive's it is of.
+        Which of the drive's it is of; behind them are the borders of each frame.
     """
 
     distance: FloatArray
@@ -347,8 +346,34 @@ class DriveModel:
         )
 
     def shares(self) -> FloatArray:
-        """Return the mixture's shares to begin with."""
-        return mixture.first_shares(len(self.drive) * outline.FACES)
+        """Return the mixture's shares to begin with: of each frame's faces, then of the borders of all frames."""
+        groups = (len(self.drive) * outline.FACES, outline.BORDERS)
+        return np.concatenate([mixture.first_shares(each) for each in groups])
+
+    def mixed(self, rows: Rows, distance: FloatArray, sigma: FloatArray, shares: FloatArray) -> mixture.Mixture:
+        """Weigh distances by what they can come from; what hides a border is another thing than what is behind a face.
+
+        Parameters
+        ----------
+        rows : Rows
+            Whose distances they are.
+        distance, sigma : ndarray, shape (n,)
+        shares : ndarray
+            As `shares` has them.
+        """
+        faces = len(self.drive) * outline.FACES
+        of_border = rows.face >= outline.FACES
+        group = np.where(of_border, rows.face - outline.FACES, rows.frame * outline.FACES + rows.face)
+        parts = [
+            mixture.weigh(distance[part], sigma[part], group[part], its, rows.share[part])
+            for part, its in ((~of_border, shares[: faces + 1]), (of_border, shares[faces + 1 :]))
+        ]
+        place = np.argsort(np.argsort(of_border, kind="stable"))
+        whole = {
+            name: np.concatenate([getattr(part, name) for part in parts])[place]
+            for name in ("surface", "behind", "slope", "log_likelihood", "growth")
+        }
+        return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
 
     def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
         """Return information and gradient, shape (5 + own,), where some distances were taken.
@@ -365,16 +390,15 @@ class DriveModel:
             See `mixture.Mixture`.
         """
         sigma = np.sqrt(rows.variance + softening_m**2)
-        group = rows.frame * outline.FACES + rows.face
-        mixed = mixture.weigh(rows.distance, sigma, group, shares, rows.share)
-        weight = rows.share * mixed.surface / (sigma * shares[group, 2]) ** 2
+        mixed = self.mixed(rows, rows.distance, sigma, shares)
+        weight = rows.share * mixed.surface / (sigma * mixed.growth) ** 2
         jacobian = self._by_all(rows)
         pull = mixed.slope * rows.share
         now = jacobian.copy()
         now[:, _CLOCK] = rows.by_time
         now[:, SWEEP] = rows.by_time * rows.late_s
         scores = now * pull[:, None]
-        outline_ = rows.face < outline.TOUCHED_RIGHT
+        outline_ = rows.face < outline.FACES
         surface, behind = mixed.surface * outline_, mixed.behind * outline_
         held = np.bincount(rows.frame, surface, len(self.drive)) > 1.0
         return Fitness(
@@ -427,10 +451,7 @@ class DriveModel:
         hit = before.cos > 0.0
         distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
         sigma = np.sqrt(before.variance)
-        there, here = (
-            mixture.weigh(at, sigma, its.frame * outline.FACES + its.face, shares, before.share).log_likelihood
-            for its, at in ((rows, distance), (before, before.distance))
-        )
+        there, here = (self.mixed(before, at, sigma, shares).log_likelihood for at in (distance, before.distance))
         return float((before.share * (there - here)).sum())
 
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
@@ -444,7 +465,12 @@ class DriveModel:
         else:
             known = poses.known[self.drive.frame[chosen.points]]
             met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
-        return _joined([self._outline_rows(x, poses, met, share), self._border_rows(x, poses)])
+        rows = self._outline_rows(x, poses, met, share)
+        if len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
+            rows = _joined([rows, self._border_rows(x, poses)])
+        # A message's error is one for all of a frame: so many have together what one of them would have.
+        by_heading = self.heading_variance * np.bincount(rows.frame, rows.share)[rows.frame]
+        return replace(rows, variance=rows.variance + by_heading * rows.jacobian[:, _HEADING] ** 2)
 
     def choose(self, x: FloatArray) -> Chosen:
         """Return which points meet the outline where it is upright, at some parameters, and how much each weighs.
@@ -542,8 +568,13 @@ class DriveModel:
         sight = rotate_xy(-met.yaw, rotate_xy(x[0], self.sight[points]))
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * dot_xy(sight, met.hits.normal)
         # Beside the outline is what its borders have grown by.
-        window_m = drive.window_rad * np.hypot(*drive.points[points, :2].T) * (met.hits.face == outline.PASSED)
+        window_m = self._window_m(np.hypot(*drive.points[points, :2].T)) * (met.hits.face == outline.PASSED)
         return replace(rows, variance=rows.variance + (BORDER_SIGMA * window_m) ** 2)
+
+    def _window_m(self, range_m: FloatArray) -> FloatArray:
+        """Return how wide a matcher's window is at ranges on the ground plan, shape (n,)."""
+        window_m: FloatArray = self.drive.window_rad * np.hypot(range_m, self.drive.height_m)
+        return window_m
 
     def _border_rows(self, x: FloatArray, poses: Poses) -> Rows:
         """Return by how much the outermost lines of sight miss the outline, beyond what its borders grow by.
@@ -552,14 +583,18 @@ class DriveModel:
         """
         frame, side = np.nonzero(np.isfinite(self.borders[:, :, 0]) & poses.known[:, None])
         at = self.borders[frame, side, :2]
-        window_m = self.drive.window_rad * np.hypot(*at.T)
         arm = at - self.centre
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
-        hits = outline.touch(xy, origin, side > 0, BORDER_SIGMA * window_m, self.size, x[_SHAPE:_PARTIAL])
+        hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE:_PARTIAL])
+        window_m = self._window_m(hits.reach * np.hypot(*at.T))
         met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, origin, yaw)
         rows = self._rows_of(x, poses, met, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
         rows.jacobian[np.arange(len(frame)), _GROWTH + side] = -window_m
-        return replace(rows, distance=rows.distance - window_m * x[_GROWTH + side])
+        return replace(
+            rows,
+            distance=rows.distance - window_m * x[_GROWTH + side],
+            variance=rows.variance + (BORDER_SIGMA * window_m) ** 2,
+        )
 
     def _rows_of(
         self, x: FloatArray, poses: Poses, met: Met, frame: IntArray, late_s: FloatArray, share: FloatArray
@@ -570,11 +605,9 @@ class DriveModel:
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
         jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, hits.normal)
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
-        # A message's error is one for all points of a frame: so many have together what one of them would have.
-        by_heading = self.heading_variance * np.bincount(frame, share)[frame] * jacobian[:, _HEADING] ** 2
         return Rows(
             distance=hits.distance,
-            variance=hits.variance + by_heading,
+            variance=hits.variance,
             cos=hits.cos,
             jacobian=jacobian,
             by_time=by_time(poses.now, frame, xy, yaw, hits.normal),

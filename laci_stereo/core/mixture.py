@@ -36,6 +36,8 @@ class Mixture:
         Derivative of the negative log-likelihood by the distance [1/m].
     log_likelihood : ndarray, shape (n,)
         Beyond that of what lies elsewhere.
+    growth : ndarray, shape (n,)
+        By how much the noise was taken for larger than was told.
     shares : ndarray, shape (groups + 1, 3)
         Of points behind and elsewhere in each group, and by how much its noise is larger than was told, for the next
         iteration; the last row holds the mean depth behind.
@@ -45,6 +47,7 @@ class Mixture:
     behind: FloatArray
     slope: FloatArray
     log_likelihood: FloatArray
+    growth: FloatArray
     shares: FloatArray
 
 
@@ -111,4 +114,4 @@ def weigh(
     update[:-1, 2] = np.sqrt(variance).clip(1.0, MOST_GROWTH)
     mean_depth = (of_behind * depths).sum() / max(float(of_behind.sum()), 1e-9)
     update[-1] = np.clip(mean_depth, MIN_DEPTH_M, MAX_DEPTH_M)
-    return Mixture(of_surface, of_behind, slope, total + np.log(ELSEWHERE_M), update)
+    return Mixture(of_surface, of_behind, slope, total + np.log(ELSEWHERE_M), growth, update)

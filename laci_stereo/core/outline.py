@@ -69,14 +69,16 @@ OUTLINE_SIGMA_M = 0.03
 CORNER_SIGMA_M = 0.05
 """The same at corners, which are no arcs of circles."""
 
-FACES = 7
-"""Rear, front, right, left, the corner that a line of sight passes by, and the borders that the outermost lines of
-sight touch, right and left."""
+FACES = 5
+"""Rear, front, right, left, and the corner that a line of sight passes by."""
+
+BORDERS = 2
+"""Further faces: the borders that the outermost lines of sight touch, right and left."""
 
 SIDES = 4
 """The first four of them."""
 
-_FRONT, PASSED, TOUCHED_RIGHT, TOUCHED_LEFT = 1, 4, 5, 6
+_FRONT, PASSED = 1, 4
 
 
 @dataclass(frozen=True)
@@ -227,14 +229,7 @@ def meet(
     )
 
 
-def touch(
-    xy: FloatArray,
-    origin: FloatArray,
-    to_left: BoolArray,
-    sigma_across: FloatArray,
-    size: tuple[float, float],
-    shape: FloatArray,
-) -> Hits:
+def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[float, float], shape: FloatArray) -> Hits:
     """Find by how much lines of sight miss an outline of which each should touch one border.
 
     Whatever the points' ranges, they touch it at the corner that lies farthest to that side.
@@ -245,14 +240,15 @@ def touch(
         Points and the sensor in the vehicle frame, metres.
     to_left : ndarray of bool, shape (n,)
         It should touch the left border, so that all of the outline lies to its right.
-    sigma_across, size, shape
+    size, shape
         See `meet`.
 
     Returns
     -------
     Hits
-        With ``distance`` at right angles to the line of sight, positive where it misses the outline, and with ``reach``
-        the distance from the sensor to where it is nearest to that corner, over the distance to the point.
+        With ``distance`` at right angles to the line of sight, positive where it misses the outline, with the outline's
+        own ``variance``, and with ``reach`` the distance from the sensor to where it is nearest to that corner, over
+        the distance to the point.
     """
     lever_y, *radii = shape[[SHAPE.index("lever_y"), -2, -1]]
     corner = _corners(np.array(size) / 2, shape)
@@ -269,12 +265,12 @@ def touch(
     by_end = out_x[:, None] * ends
     return Hits(
         distance=-beyond.max(axis=1),
-        variance=sigma_across**2 + OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2,
+        variance=np.full(len(far), OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2),
         normal=normal,
         by_shape=np.column_stack(
             [-by_end, -out_y, -normal[:, 1], by_end, out_y, out_y * front, by_radius[:, None] * ends]
         ),
-        face=np.where(to_left, TOUCHED_LEFT, TOUCHED_RIGHT),
+        face=FACES + to_left,
         reach=dot_xy(centres[which] - origin, ray) / far,
         cos=np.zeros(len(far)),
     )

@@ -50,7 +50,7 @@ class Low(Columns):
 NOTHING_LOW = Low(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 NO_BORDERS: FloatArray = np.full((2, 3), np.nan)
 
-BORDERS_M = 1.0
+BORDERS_M = 0.9
 """Up to this height bodies are as wide as they are; above, mirrors stand out by 0.2 m, and windows stand back."""
 
 
@@ -88,7 +88,8 @@ class Sighting:
         The same share of them is kept as of its points.
     borders : ndarray, shape (2, 3)
         Its outermost points, right and left, as seen from the sensor; of cameras only, whose bearings are as exact as a
-        matcher's window. NaN where the field of view ends there, or nothing is seen below the mirrors.
+        matcher's window. NaN where the field of view ends there, the background is near, or nothing is seen below the
+        mirrors.
     """
 
     stamp_s: float
@@ -140,16 +141,20 @@ def find_vehicles(
     )
     standing = (z > limits.min_height_m) & (z > noise_m)
     open_ = ~standing & (noise_m > limits.min_height_m) & (z + noise_m > limits.min_height_m)
-    candidates, low = (each[~background.covers(points[each, :2])] for each in (near[standing], near[open_]))
+    upright = near[standing]
+    hidden = background.covers(points[upright, :2])
+    covered, candidates = upright[hidden], upright[~hidden]
+    low = near[open_][~background.covers(points[near[open_], :2])]
     found = []
     for group in cluster(points[candidates, :2], settings.cluster):
         members = candidates[group]
         sigma_m = float(np.median(cloud.sigma_along_m[members]))
         below = low[_below(points[low], points[members], sigma_m, float(T_level_sensor[2, 3]), settings)]
         its_low = Low(points[below], cloud.sigma_along_m[below], cloud.sigma_across_m[below])
-        sighting = _sighting(points[members], cloud[members], its_low, frame_s, float(T_level_sensor[2, 3]), settings)
+        sighting = _sighting(points[members], cloud[members], its_low, frame_s, settings)
         if sighting is not None:
-            found.append(sighting)
+            borders = _borders(points[members], cloud[members], points[covered, :2], settings)
+            found.append(replace(sighting, borders=borders))
     return found
 
 
@@ -262,9 +267,7 @@ def _evenly(count: int, most: int) -> IntArray:
     return kept
 
 
-def _sighting(
-    points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, height_m: float, settings: Settings
-) -> Sighting | None:
+def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, settings: Settings) -> Sighting | None:
     limits = settings.vehicle
     sigma_m = float(np.median(cloud.sigma_along_m))
     flaw: Flaw | None = None
@@ -300,26 +303,44 @@ def _sighting(
         turn_s=cloud.turn_s,
         window_rad=cloud.window_rad,
         low=low[kept_low],
-        borders=_borders(points, cloud, height_m),
     )
 
 
-def _borders(points: FloatArray, cloud: PointCloud, height_m: float) -> FloatArray:
-    """Return the outermost points of a cluster, shape (2, 3): see `Sighting.borders`."""
-    if cloud.window_rad == 0.0:
+def _borders(points: FloatArray, cloud: PointCloud, beside: FloatArray, settings: Settings) -> FloatArray:
+    """Return the outermost points of a cluster, shape (2, 3): see `Sighting.borders`.
+
+    A point or two may be something else's: the outermost has so many others within half a window farther in, where a
+    border may be anyhow, as make a cluster.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Of the cluster, level frame.
+    cloud : PointCloud
+        The same.
+    beside : ndarray, shape (m, 2)
+        What the background covers: within reach of it a border may be covered, too.
+    settings : Settings
+    """
+    low = np.flatnonzero(points[:, 2] < BORDERS_M)
+    if cloud.window_rad == 0.0 or len(low) < settings.cluster.min_points:
         return NO_BORDERS
-    noise_m = sigma_z(points - (0.0, 0.0, height_m), cloud.sigma_along_m, cloud.sigma_across_m)
-    low = np.flatnonzero(points[:, 2] - 2.0 * noise_m < BORDERS_M)
-    if not len(low):
-        return NO_BORDERS
-    beside_rad = _bearing(points[low], np.median(points[:, :2], axis=0))
-    found: FloatArray = points[low[[beside_rad.argmin(), beside_rad.argmax()]]]
-    cut = [
-        bool((cloud.at_edge[low] & (np.abs(beside_rad - outermost) < cloud.window_rad)).any())
-        for outermost in (beside_rad.min(), beside_rad.max())
-    ]
-    found[cut] = np.nan
-    return found
+    middle = np.median(points[:, :2], axis=0)
+    return np.stack([_outermost(points[low], way, cloud[low], middle, beside, settings) for way in (-1.0, 1.0)])
+
+
+def _outermost(
+    points: FloatArray, way: float, cloud: PointCloud, middle: FloatArray, beside: FloatArray, settings: Settings
+) -> FloatArray:
+    """Return the outermost point, shape (3,), to the right (-1) or to the left (1)."""
+    inward = -way * _bearing(points, middle)
+    order = np.argsort(inward)
+    near = np.searchsorted(inward[order], inward[order] + cloud.window_rad / 2) - np.arange(len(order))
+    found = order[np.argmax(near >= settings.cluster.min_points)]
+    cut = cloud.at_edge[np.abs(inward - inward[found]) < cloud.window_rad].any()
+    reached = np.linalg.norm(beside - points[found, :2], axis=1) < settings.cluster.reach_m
+    outermost: FloatArray = NO_BORDERS[0] if cut or reached.any() else points[found]
+    return outermost
 
 
 def _bearing(points: FloatArray, middle: FloatArray) -> FloatArray:

@@ -384,7 +384,7 @@ def _track(found: Arrays) -> Track:
     low = all_low[:, :3], all_low[:, 3], all_low[:, 4]
     boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
     borders = found["borders"].astype(np.float64).reshape(-1, 2, 3)
-    borders[~borders.any(axis=2)] = np.nan
+    borders[~borders[:, :, :2].any(axis=2)] = np.nan
     turn_s, window_rad = float(found["turn"][0]), float(found["window"])
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
     return Track(

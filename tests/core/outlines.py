@@ -127,6 +127,7 @@ def lacking(drive: Evidence, first_s: float, last_s: float) -> Evidence:
         stamps_s=drive.stamps_s[known],
         middles=drive.middles[known],
         lacking_m=drive.lacking_m[known],
+        borders=None if drive.borders is None else drive.borders[known],
         frame=(np.cumsum(known) - 1)[drive.frame[points]],
         vehicle=vehicle,
         **{name: getattr(drive, name)[points] for name in per_point},

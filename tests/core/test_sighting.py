@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.background import Background, learn_background
-from laci_stereo.core.cloud import empty_cloud
+from laci_stereo.core.background import Background, BackgroundBox, learn_background
+from laci_stereo.core.box import Box
+from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.frames import FloatArray, invert, planar, rotate_xy, transform
 from laci_stereo.core.settings import Settings, VehicleSettings
 from laci_stereo.core.sighting import KEPT_LOW, KEPT_POINTS, Sighting, dense, find_vehicles, together
@@ -155,7 +156,40 @@ def test_the_borders_of_a_vehicle_are_within_half_a_window_of_where_they_are(yaw
     bearings = np.arctan2(corners[:, 1] + 1.0, corners[:, 0] + 17.0)
     seen = np.arctan2(only.borders[:, 1], only.borders[:, 0])
     assert seen == pytest.approx([bearings.min(), bearings.max()], abs=CAMERA.window_rad / 2)
-    assert only.borders[:, 2].max() < 1.0 + 3 * only.sigma_m
+    assert only.borders[:, 2].max() < 0.9
+
+
+def beside(extra: FloatArray, background: Background = NOTHING) -> Sighting:
+    """Return a car seen from behind, 12 m away, with some more points, shape (n, 3), level frame."""
+    recording = alone(standing(12.0, 0.0), CAMERA).recording
+    cloud, T = recording.frame(0), T_level_sensor(recording)
+    count, near = len(extra), int(np.linalg.norm(transform(T, cloud.points)[:, :2] - [9.8, 0.0], axis=1).argmin())
+    more = PointCloud(
+        cloud.stamp_ns,
+        np.concatenate([cloud.points, transform(invert(T), extra)]),
+        np.append(cloud.sigma_along_m, np.full(count, cloud.sigma_along_m[near])),
+        np.append(cloud.sigma_across_m, np.full(count, cloud.sigma_across_m[near])),
+        np.append(cloud.at_edge, np.zeros(count, dtype=bool)),
+        window_rad=cloud.window_rad,
+    )
+    return find_vehicles(more, 0.5, T, background, Settings())[0]
+
+
+def test_neither_mirrors_nor_a_stray_point_are_borders() -> None:
+    plain = beside(np.zeros((0, 3)))
+    mirrors = np.array([(11.0, side * y, z) for side in (-1, 1) for y in (0.95, 1.0, 1.1) for z in (0.95, 1.0, 1.1)])
+    stray = np.array([(9.9, -1.3, 0.4), (9.9, 1.4, 0.5)])
+    for extra in (mirrors, stray):
+        more = beside(extra)
+        assert more.count == plain.count + len(extra)  # they are of the cluster
+        assert more.borders == pytest.approx(plain.borders)
+
+
+def test_a_border_that_the_background_may_cover_is_not_known() -> None:
+    hedge = np.array([(10.0, y, z) for y in (1.2, 1.3, 1.4) for z in np.arange(0.3, 1.5, 0.1)])
+    grown = Background((BackgroundBox(Box(np.array([10.0, 1.5]), 2.0, 0.8, 0.0), 1.5),), 1, 0.0)
+    known = [np.isfinite(beside(hedge, background).borders[:, 0]).tolist() for background in (NOTHING, grown)]
+    assert known == [[True, True], [True, False]]
 
 
 def test_borders_are_a_cameras() -> None:

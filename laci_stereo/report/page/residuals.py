@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core import mixture, outline
+from laci_stereo.core import outline
 from laci_stereo.core.drive_model import BIAS, FIRST_OWN, Correction, DriveModel
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
@@ -129,10 +129,10 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
     rows = model.rows(x)
-    rows = rows[rows.face < outline.TOUCHED_RIGHT]
-    group = rows.frame * outline.FACES + rows.face
-    mixed = mixture.weigh(rows.distance, np.sqrt(rows.variance), group, shares)
-    return Laid(model.drive.stamps_s[rows.frame], model.wall(x).xy, rows.distance, rows.face, mixed.surface)
+    surface = model.mixed(rows, rows.distance, np.sqrt(rows.variance), shares).surface
+    of_outline = rows.face < outline.FACES
+    rows = rows[of_outline]
+    return Laid(model.drive.stamps_s[rows.frame], model.wall(x).xy, rows.distance, rows.face, surface[of_outline])
 
 
 @dataclass(frozen=True)
