@@ -212,7 +212,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Rows(Columns):
-    """Distances from the outline, with their derivatives by the first parameters, up to the knots.
+    """Distances from the outline, borders' last, with their derivatives by the first parameters, up to the knots.
 
     Attributes
     ----------
@@ -361,18 +361,15 @@ class DriveModel:
         shares : ndarray
             As `shares` has them.
         """
-        faces = len(self.drive) * outline.FACES
-        of_border = rows.face >= outline.FACES
-        group = np.where(of_border, rows.face - outline.FACES, rows.frame * outline.FACES + rows.face)
+        faces, count = len(self.drive) * outline.FACES, int((rows.face < outline.FACES).sum())
+        group = rows.frame * outline.FACES + rows.face
+        group[count:] = rows.face[count:] - outline.FACES
         parts = [
             mixture.weigh(distance[part], sigma[part], group[part], its, rows.share[part])
-            for part, its in ((~of_border, shares[: faces + 1]), (of_border, shares[faces + 1 :]))
+            for part, its in ((slice(count), shares[: faces + 1]), (slice(count, None), shares[faces + 1 :]))
         ]
-        place = np.argsort(np.argsort(of_border, kind="stable"))
-        whole = {
-            name: np.concatenate([getattr(part, name) for part in parts])[place]
-            for name in ("surface", "behind", "slope", "log_likelihood", "growth")
-        }
+        names = ("surface", "behind", "slope", "log_likelihood", "growth")
+        whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
 
     def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
