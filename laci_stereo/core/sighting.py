@@ -332,15 +332,18 @@ def _borders(points: FloatArray, cloud: PointCloud, beside: FloatArray, settings
 def _outermost(
     points: FloatArray, way: float, cloud: PointCloud, middle: FloatArray, beside: FloatArray, settings: Settings
 ) -> FloatArray:
-    """Return the outermost point, shape (3,), to the right (-1) or to the left (1)."""
+    """Return the outermost point, shape (3,), to the right (-1) or to the left (1); NaN where it is not known."""
     inward = -way * _bearing(points, middle)
     order = np.argsort(inward)
     near = np.searchsorted(inward[order], inward[order] + cloud.window_rad / 2) - np.arange(len(order))
-    found = order[np.argmax(near >= settings.cluster.min_points)]
+    crowded = order[near >= settings.cluster.min_points]
+    unknown: FloatArray = NO_BORDERS[0]
+    if not len(crowded):
+        return unknown
+    found = crowded[0]
     cut = cloud.at_edge[np.abs(inward - inward[found]) < cloud.window_rad].any()
     reached = np.linalg.norm(beside - points[found, :2], axis=1) < settings.cluster.reach_m
-    outermost: FloatArray = NO_BORDERS[0] if cut or reached.any() else points[found]
-    return outermost
+    return unknown if cut or reached.any() else points[found]
 
 
 def _bearing(points: FloatArray, middle: FloatArray) -> FloatArray:
