@@ -146,7 +146,7 @@ def test_cut_by_the_border_of_the_field_of_view(sensor: Sensor) -> None:
     assert 4.0 <= flaws.count(("cut",)) * 0.5 <= 6.0
 
 
-CAMERA = stereo(columns=480, window_px=11)
+CAMERA = stereo(columns=320, window_px=11)
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 90.0, 135.0])
@@ -200,7 +200,7 @@ def test_borders_are_a_cameras() -> None:
 
 def test_where_the_field_of_view_ends_no_border_is_known() -> None:
     """A vehicle drives out of it to the left: its right border is seen until the end."""
-    seen = [found(alone(standing(18.0, y, 90.0), CAMERA)) for y in np.arange(6.0, 16.0, 1.0)]
+    seen = [found(alone(standing(18.0, y, 90.0), CAMERA)) for y in (6.0, 9.0, 11.0, 13.0)]
     known = [tuple(np.isfinite(sighting.borders[:, 0])) for (sighting, *_) in filter(None, seen)]
     assert list(dict.fromkeys(known)) == [(True, True), (True, False)]
 
