@@ -271,6 +271,8 @@ class DriveModel:
         self.own = _KNOTS - FIRST_OWN + 2 * knots
         self.block = ((drive.stamps_s - first) // settings.block_s).astype(int)
         self.worth = _worth(drive, SAME_VIEW_M)
+        self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
+        self.border_worth = _worth(drive, SAME_BORDER_M)
         self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, settings)
         self.base_sigmas = np.array(
             [
@@ -284,8 +286,6 @@ class DriveModel:
         self.mean = np.zeros(self.own)
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
-        self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
-        self.border_worth = _worth(drive, SAME_BORDER_M)
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
         self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
@@ -395,8 +395,8 @@ class DriveModel:
         now[:, _CLOCK] = rows.by_time
         now[:, SWEEP] = rows.by_time * rows.late_s
         scores = now * pull[:, None]
-        outline_ = rows.face < outline.FACES
-        surface, behind = mixed.surface * outline_, mixed.behind * outline_
+        of_outline = rows.face < outline.FACES
+        surface, behind = mixed.surface * of_outline, mixed.behind * of_outline
         held = np.bincount(rows.frame, surface, len(self.drive)) > 1.0
         return Fitness(
             jacobian=jacobian,
@@ -410,7 +410,7 @@ class DriveModel:
             weight=float(surface.sum()),
             squares=float((surface * rows.distance**2).sum()),
             explained=float((surface + behind).sum()),
-            rows=float(outline_.sum()),
+            rows=float(of_outline.sum()),
             frames=int(held.sum()),
         )
 

@@ -13,6 +13,7 @@ from laci_stereo.core.matching import PlanarMatch
 from tests.simulated import Drive
 
 SIZE = (4.6, 1.8)
+CORNERS = np.array(SIZE) / 2 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 HEIGHT_M = 6.0
 TRUTH = PlanarMatch(0.7, np.array([-30.0, 12.0]))
 TURN = Drive((-20.0, 30.0), -60.0, ((22.0, 0.0), (12.0, 80.0)), ((0.0, 8.0), (4.0, 5.0), (8.0, 9.0)))
@@ -86,8 +87,7 @@ def with_borders(
 ) -> Evidence:
     """Return a camera's evidence: the borders, right and left, have grown by so many windows, with noise."""
     xy, yaw = drive.at(seen.stamps_s)
-    corners = np.array(SIZE) / 2 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
-    world = np.stack([rotate_xy(angle, corners) + at for at, angle in zip(xy, yaw, strict=True)])
+    world = np.stack([rotate_xy(angle, CORNERS) + at for at, angle in zip(xy, yaw, strict=True)])
     level = rotate_xy(-TRUTH.yaw_rad, world.reshape(-1, 2) - TRUTH.shift).reshape(world.shape)
     middle = np.arctan2(*seen.middles.T[::-1])[:, None]
     beside = (np.arctan2(level[:, :, 1], level[:, :, 0]) - middle + np.pi) % (2 * np.pi) - np.pi

@@ -24,7 +24,7 @@ from laci_stereo.core.outline import (
     on_the_wall,
     touch,
 )
-from tests.core.outlines import SIZE, rectangle_points
+from tests.core.outlines import CORNERS, SIZE, rectangle_points
 
 FLAT = np.append(np.zeros(len(SHAPE) - 2), [-1.0, -1.0])
 """With corners as sharp as they get."""
@@ -114,8 +114,7 @@ def test_the_derivatives_by_the_shape_are_those_of_the_range(place: tuple[float,
 
 def lead_m(ray: FloatArray) -> float:
     """Return by how much one corner of the rectangle lies farther to either side of a line of sight than all others."""
-    corners = np.array(SIZE) / 2 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
-    reached = np.sort(corners @ np.array([-ray[1], ray[0]])) / np.linalg.norm(ray)
+    reached = np.sort(CORNERS @ np.array([-ray[1], ray[0]])) / np.linalg.norm(ray)
     return float(reached[-1] - reached[-2])  # and on the other side as much
 
 
