@@ -372,8 +372,10 @@ def test_what_is_matched_in_one_window_is_one_statement() -> None:
 
 
 @pytest.mark.parametrize(("drive", "indices"), [(TURN, (0, 1, 2, 5, 6, 7)), (CIRCLE, (0, 5, 6))])
-def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple[int, ...]) -> None:
-    model, x = at_the_truth(evidence(drive, sigma_m=0.3, behind=0.2))
+@pytest.mark.parametrize("camera", [False, True])
+def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple[int, ...], camera: bool) -> None:
+    seen = evidence(drive, sigma_m=0.3, behind=0.2)
+    model, x = at_the_truth(with_borders(seen, drive, sigma=0.3) if camera else seen)
     x[:3] += 0.01, 0.1, -0.1
     rows, shares = model.rows(x), model.shares()
     chosen = model.choose(x)
