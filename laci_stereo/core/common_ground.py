@@ -9,15 +9,13 @@ from itertools import combinations
 import numpy as np
 
 from laci_stereo.core.agreement import weighted_mean
-from laci_stereo.core.background import Background
-from laci_stereo.core.box import Box
 from laci_stereo.core.errors import CombineError
-from laci_stereo.core.frames import FloatArray, invert, planar, transform, wrap
+from laci_stereo.core.frames import FloatArray, invert, planar
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
+from laci_stereo.core.laying import laid_background, laid_track
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
 GROUND_GATE = 5.0
@@ -84,8 +82,8 @@ def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
         passage,
         world=world,
         ground=ground,
-        background=_laid_background(passage.background, T_level_own),
-        track=_laid_track(passage.track, T_level_own),
+        background=laid_background(T_level_own, passage.background),
+        track=laid_track(T_level_own, passage.track),
         vehicle=replace(passage.vehicle, xy=xy, slope=slope),
         match=PlanarMatch(yaw, shift),
     )
@@ -93,33 +91,3 @@ def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
 
 def _between_worlds(xy: FloatArray, own: World, world: World) -> FloatArray:
     return world.from_utm(own.to_utm(xy))
-
-
-def _laid_background(background: Background, T_level_own: FloatArray) -> Background:
-    boxes = tuple(replace(static, box=_laid_box(static.box, T_level_own)) for static in background.boxes)
-    return replace(background, boxes=boxes)
-
-
-def _laid_track(track: Track, T_level_own: FloatArray) -> Track:
-    return Track(
-        tuple(
-            replace(
-                sighting,
-                points=transform(T_level_own, sighting.points),
-                low=replace(sighting.low, points=transform(T_level_own, sighting.low.points)),
-                borders=transform(T_level_own, sighting.borders),
-                middle=_laid_xy(sighting.middle, T_level_own),
-                box=_laid_box(sighting.box, T_level_own),
-            )
-            for sighting in track.sightings
-        )
-    )
-
-
-def _laid_box(box: Box, T_level_own: FloatArray) -> Box:
-    turned = 2 * (box.yaw_rad + np.arctan2(T_level_own[1, 0], T_level_own[0, 0]))
-    return replace(box, centre=_laid_xy(box.centre, T_level_own), yaw_rad=float(wrap(turned)) / 2)
-
-
-def _laid_xy(xy: FloatArray, T_level_own: FloatArray) -> FloatArray:
-    return transform(T_level_own, np.append(xy, 0.0)[None])[0, :2]

@@ -19,6 +19,7 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
+from laci_stereo.core.laying import laid_xy
 from laci_stereo.core.road_extent import road_along
 from laci_stereo.core.road_surface import FALL, OTHER, height_of
 from laci_stereo.core.settings import GroundSettings
@@ -147,7 +148,7 @@ def _seen_from(
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
     normal, origin = T_level_ground[:3, 2], T_level_ground[:3, 3]
     before = np.append(normal @ origin, -normal[:2]) / normal[2]
-    surface = road_along(carried(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
+    surface = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
     if surface is None:
         return None
     plane, covariance, by_crown = surface.plane()
@@ -158,11 +159,6 @@ def _seen_from(
     by_plane = _by_plane(chart, axes, surface.middle)
     value = chart.values([found])[0] + by_plane @ plane
     return chart.plane(value, by_plane @ covariance @ by_plane.T), chart.plane(value, by_plane @ by_crown @ by_plane.T)
-
-
-def carried(T_a_b: FloatArray, way: FloatArray) -> FloatArray:
-    """Return places on one ground, shape (n, 2), in the level frame of another."""
-    return transform(T_a_b, np.column_stack([way, np.zeros(len(way))]))[:, :2]
 
 
 def _together(

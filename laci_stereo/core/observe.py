@@ -21,8 +21,9 @@ from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground_beside
 from laci_stereo.core.ground_axes import ground_below
-from laci_stereo.core.ground_road import FARTHEST, carried, road_ground, standing
+from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
+from laci_stereo.core.laying import laid_xy
 from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places
 from laci_stereo.core.road_surface import OTHER
@@ -138,7 +139,7 @@ def on_the_road(
             track = _driven(seen, vehicles, settings)
         if track is None:
             break  # and it will be said why
-        way = carried(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
+        way = laid_xy(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
         if before is not None and _is_along(way, before):
             break
         survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
