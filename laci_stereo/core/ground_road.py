@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri
 
 from laci_stereo.core.box import Box
 from laci_stereo.core.cloud import PointCloud
@@ -37,9 +35,6 @@ OPEN = 10.0
 """What the crown leaves open of the road it leaves open of the ground, which sees the same side of it: by so many times
 that, the ground tells nothing of it."""
 
-FALSE_ALARM = 0.05
-"""Probability that a ground is replaced although it is the road's: to observe again takes time, and gains nothing."""
-
 PASSES, SETTLED = 5, 0.1
 """What is far above a plane is not looked at from it, so the road is looked at again from its own, until that moves by
 less than a third of its doubt, squared here. Where it goes on moving, it may be any that was found, and the ground if a
@@ -56,10 +51,9 @@ ROOM_M = 1.0
 def road_ground(
     survey: Sequence[PointCloud], axes: Axes, ground: GroundPlane, way: FloatArray, settings: GroundSettings
 ) -> GroundPlane:
-    """Hold a ground against the road around the way of a vehicle.
+    """Return the plane of the road around the way of a vehicle: what is seen of it, and of the ground as a whole.
 
-    Where the road is another plane than the ground, by more than its doubt, it is returned in its place. Otherwise the
-    ground stays, as uncertain as the road is, and by what it differs from it. Where no road is seen, nobody knows
+    The ground tells the road's plane as far as it may be that plane, by `APART`. Where no road is seen, nobody knows
     whether the ground is one, or only one side of it.
 
     Parameters
@@ -88,21 +82,13 @@ def road_ground(
             alike = chart.covariance(ground) + OPEN * chart.covariance(by_crown)
             cases = [alike + _spread(by_plane, apart) for apart in APART[:-1]]
             off, doubt = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
-        is_ground = off @ np.linalg.solve(doubt, off) < chdtri(len(off), FALSE_ALARM)
-        if is_ground:
-            off, doubt = np.zeros(3), doubt + np.outer(off, off)
-            if not doubts:
-                return _as_uncertain(ground, chart, doubt)
         moved, found = off - offs[-1], chart.plane(value + off, doubt)
         offs.append(off)
         doubts.append(doubt)
-        if is_ground or moved @ np.linalg.solve(doubt, moved) < SETTLED:
-            break
-    if moved @ np.linalg.solve(doubt, moved) >= SETTLED:
-        among = np.cov(np.transpose(offs[1:]), bias=True)
-        found = chart.plane(value + np.mean(offs[1:], axis=0), np.mean(doubts, axis=0) + among)
-    log.info("ground: the road is another plane, %.3f m below the sensor", found.height_m)
-    return found
+        if moved @ np.linalg.solve(doubt, moved) < SETTLED:
+            return found
+    among = np.cov(np.transpose(offs[1:]), bias=True)
+    return chart.plane(value + np.mean(offs[1:], axis=0), np.mean(doubts, axis=0) + among)
 
 
 def standing(
@@ -193,12 +179,6 @@ def _together(
     mean = likely @ np.array(means)
     apart = np.array(means) - mean
     return mean, np.tensordot(likely, covariances, 1) + (apart.T * likely) @ apart
-
-
-def _as_uncertain(ground: GroundPlane, chart: Chart, covariance: FloatArray) -> GroundPlane:
-    """Return a ground with another covariance, given in a chart."""
-    (value,) = chart.values([ground])
-    return replace(ground, covariance_sensor=chart.plane(value, covariance).covariance_sensor)
 
 
 def _spread(by_plane: FloatArray, sigmas: ArrayLike) -> FloatArray:

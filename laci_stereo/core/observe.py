@@ -23,7 +23,7 @@ from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground_
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
-from laci_stereo.core.laying import laid_xy
+from laci_stereo.core.laying import laid_background, laid_track, laid_xy
 from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places
 from laci_stereo.core.road_surface import OTHER
@@ -35,6 +35,10 @@ log = logging.getLogger(__name__)
 
 LOOKS = 2
 """So often the road is looked for."""
+
+SAME_M = 0.05
+"""By so much another ground may be higher or lower along the way for what was seen from the first to be laid onto it:
+then an eighth of a wall's lower part is missing at most, and else the recording is observed again, which takes time."""
 
 OTHER_M = FARTHEST * OTHER[0]
 """A road is no farther than that above or below the land beside it."""
@@ -117,7 +121,7 @@ def observe(
 def on_the_road(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings | None = None
 ) -> Observation:
-    """Hold the ground against the road below the sender, and observe again where it is another one.
+    """Take the road below the sender for the ground, and observe again where that is another one.
 
     On a wrong ground a stranger may pass for the sender, on land of its own. Where the sender is found elsewhere then,
     this is done once more. Where nothing on the ground is clearly the sender, it is looked for on other grounds.
@@ -144,10 +148,18 @@ def on_the_road(
             break
         survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
         ground = road_ground(survey, first.axes, first.ground, way, settings.ground)
-        if np.array_equal(ground.normal, first.ground.normal):
-            return replace(first, ground=ground)
+        log.info("ground: by the road, %.3f m below the sensor", ground.height_m)
+        T_road_first = ground.T_level_sensor(first.axes) @ invert(first.T_level_sensor)
+        if np.abs(transform(T_road_first, np.column_stack([way, np.zeros(len(way))]))[:, 2]).max() < SAME_M:
+            return _laid(first, ground, T_road_first)
         seen, before = observe(source, settings, ground), way
     return seen
+
+
+def _laid(seen: Observation, ground: GroundPlane, T_ground_seen: FloatArray) -> Observation:
+    """Return what was seen, in the level frame of another ground."""
+    tracks = tuple(laid_track(T_ground_seen, track) for track in seen.tracks)
+    return replace(seen, ground=ground, background=laid_background(T_ground_seen, seen.background), tracks=tracks)
 
 
 def _is_along(way: FloatArray, before: FloatArray) -> bool:

@@ -17,8 +17,9 @@ from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
 
-REACH_M = 9.0
-"""So far beside a way road is looked for: two lanes, and half of one that the way may lie off its lane's middle."""
+REACH_M = 20.0
+"""So far beside a way road is looked for, unless it ends before: from one edge to the other of five lanes. The more is
+seen of a road, the less do its waves tilt it."""
 
 CELL_M = 0.5
 
@@ -227,7 +228,9 @@ def _below(lane: Cells, xy: FloatArray, before: FloatArray) -> FloatArray:
 def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> FloatArray:
     """Return how far to its side each piece of the road goes on, shape (k,): at most a step farther than before.
 
-    That is where the evidence that cells are road, summed from the way on over it and the next pieces, is largest.
+    That is a cell before where the evidence that cells are road, summed from the way on over it and the next pieces, is
+    largest: the last of these may be on the edge and show some of both, and the surface that bends up there would take
+    the next step for the road.
 
     Parameters
     ----------
@@ -248,5 +251,5 @@ def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: Floa
         total = np.cumsum(evidence[members])
         beyond = int(np.argmax(total)) + 1 if (total > 0.0).any() else 0
         if beyond < len(members):
-            found[piece] = max(HALF_VEHICLE_M, float(away_m[members[beyond]]))
+            found[piece] = max(HALF_VEHICLE_M, float(away_m[members[beyond]]) - CELL_M)
     return found

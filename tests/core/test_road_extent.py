@@ -29,8 +29,8 @@ def cloud(height_of: FloatArray, xy: FloatArray, sigma_m: float = SIGMA_M) -> Po
     return PointCloud(0, points, noise, 0.01 * noise, np.zeros(len(points), dtype=bool))
 
 
-def plan(step_m: float) -> FloatArray:
-    x, y = np.meshgrid(np.arange(-20.0, 20.0, step_m), np.arange(3.0, 27.0, step_m))
+def plan(step_m: float, half_m: float = 12.0) -> FloatArray:
+    x, y = np.meshgrid(np.arange(-20.0, 20.0, step_m), np.arange(WAY_Y_M - half_m, WAY_Y_M + half_m, step_m))
     return np.column_stack([x.ravel(), y.ravel()])
 
 
@@ -46,8 +46,23 @@ def test_a_road_ends_at_its_kerbs(half_m: float, kerb_m: float) -> None:
     assert half_m - 0.5 < np.abs(surface.cells.left_m).max() < half_m + 0.5
 
 
-def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
+def test_a_low_kerb_with_a_pavement_behind_it_ends_a_road_with_a_crown() -> None:
+    """The road falls to the kerb and the pavement rises from it, so a surface that bends up fits both."""
     xy = plan(0.2)
+    left_m = xy[:, 1] - WAY_Y_M
+    beyond = -left_m - 5.4
+    road = -0.018 * np.abs(left_m - 1.5)
+    height = np.where(beyond > 0.0, -0.018 * 6.9 + 0.045 + 0.03 * beyond, road)
+    surface = road_along(way(), [cloud(height, xy, 0.05)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert surface is not None
+    assert 4.0 < -surface.cells.left_m.min() < 5.4
+    value, covariance, _ = surface.plane()
+    assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
+    assert np.degrees(abs(value[2])) < 0.2
+
+
+def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
+    xy = plan(0.2, 22.0)
     surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
     assert surface is not None
     assert surface.cells.left_m.min() < -0.9 * REACH_M
