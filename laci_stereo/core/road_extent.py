@@ -69,7 +69,11 @@ FIRST_CELLS, LEAST_CELLS = 6, 36
 
 
 def places(track: Track) -> FloatArray:
-    """Return the way of a vehicle, level frame, shape (n, 2), every `CELL_M`, however fast it was or long it stood."""
+    """Return the way of a vehicle, level frame, shape (n, 2), every `CELL_M`, however fast it was or long it stood.
+
+    Where it comes back over its own way, as who backs out of a yard and drives off, that is left out: nothing new is
+    below it, and what was to the left of it would be to the right.
+    """
     cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / CELL_M)
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
     seen = (cells[first] + 0.5) * CELL_M
@@ -82,7 +86,9 @@ def places(track: Track) -> FloatArray:
     smooth: FloatArray = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
     # Where it was not seen for longer, the way may have turned.
     gap_m = np.append(np.diff(along_m), 0.0)[np.searchsorted(along_m, at_m, side="right") - 1]
-    return smooth[gap_m < PIECE_M]
+    seen_m, smooth = at_m[gap_m < PIECE_M], smooth[gap_m < PIECE_M]
+    again = np.linalg.norm(smooth[:, None] - smooth, axis=2) < HALF_VEHICLE_M
+    return smooth[~(again & (seen_m < seen_m[:, None] - 2 * HALF_VEHICLE_M)).any(axis=1)]
 
 
 def road_along(

@@ -286,7 +286,7 @@ def test_how_far_a_road_may_be_counts_from_the_ground(apart_m: float, is_seen: b
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [75005, 80065])
+@pytest.mark.parametrize("seed", [75005])
 def test_a_road_that_never_settles_may_be_any_that_was_found(seed: int) -> None:
     """Eight layers on a strip of 2 m: from one plane it is level, from the next it passes a crown, 2 deg off."""
     off_rad, covariance = tilted("lidar_8", seed)

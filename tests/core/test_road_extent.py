@@ -134,3 +134,18 @@ def test_a_fast_vehicle_was_everywhere_between_two_frames_but_not_where_it_was_h
     between = np.diff(found[:, 0])
     assert np.sort(between)[-1] == pytest.approx(15.0, abs=2.0)
     assert np.sort(between)[-2] < 1.0
+
+
+def there_and_back(first_x: float, turn_x: float, last_x: float, aside_m: float) -> FloatArray:
+    """Return the places of who drives there at `WAY_Y_M`, and back so far aside of that."""
+    there = [(x, WAY_Y_M) for x in np.arange(first_x, turn_x, 0.5)]
+    back = [(x, WAY_Y_M + aside_m) for x in np.arange(turn_x, last_x, -0.5)]
+    return places(Track(tuple(sighting(0.1 * i, np.array(at)) for i, at in enumerate(there + back))))
+
+
+def test_who_comes_back_over_the_own_way_was_there_once() -> None:
+    found = there_and_back(0.0, 12.0, -20.0, 0.7)
+    assert len(found) == pytest.approx(2 * 32, abs=8)
+    assert np.diff(np.sort(found[:, 0])).max() < 3.0
+    other_lane = there_and_back(0.0, 12.0, -20.0, 3.5)
+    assert len(other_lane) == pytest.approx(2 * 44, abs=8)
