@@ -88,7 +88,9 @@ def places(track: Track) -> FloatArray:
     gap_m = np.append(np.diff(along_m), 0.0)[np.searchsorted(along_m, at_m, side="right") - 1]
     seen_m, smooth = at_m[gap_m < PIECE_M], smooth[gap_m < PIECE_M]
     again = np.linalg.norm(smooth[:, None] - smooth, axis=2) < HALF_VEHICLE_M
-    return smooth[~(again & (seen_m < seen_m[:, None] - 2 * HALF_VEHICLE_M)).any(axis=1)]
+    again &= seen_m < seen_m[:, None] - 2 * HALF_VEHICLE_M
+    once: FloatArray = smooth[~again.any(axis=1)]
+    return once
 
 
 def road_along(
