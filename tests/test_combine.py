@@ -109,7 +109,7 @@ def test_a_drive_that_contradicts_the_others_is_named_and_left_out(site: Site) -
 def test_what_cannot_be_combined_is_refused(site: Site) -> None:
     runs = [site.lay(0), site.lay(1, off_by(passages()[1], 1.0, 0.0))]
     site.refused(NOT_CALIBRATED, runs, "not calibrated: no majority of the 2 drives (run0, run1)")
-    ground = passages()[2].ground
+    ground = passages()[0].ground
     moved = site.lay(2, replace(passages()[2], ground=replace(ground, height_m=ground.height_m - 0.3)))
     site.refused(NOT_CALIBRATED, [runs[0], moved], "the sensor was moved between the drives: in run2", "-0.300 m")
     site.refused(UNUSABLE, [runs[0], "run0/evidence.npz"], "run0/evidence.npz: is the same drive as run0")
