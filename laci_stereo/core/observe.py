@@ -148,9 +148,9 @@ def on_the_road(
             break
         survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
         ground = road_ground(survey, first.axes, first.ground, way, settings.ground)
-        log.info("ground: by the road, %.3f m below the sensor", ground.height_m)
+        log.info("ground: with what is seen of the road, %.3f m below the sensor", ground.height_m)
         T_road_first = ground.T_level_sensor(first.axes) @ invert(first.T_level_sensor)
-        if np.abs(transform(T_road_first, np.column_stack([way, np.zeros(len(way))]))[:, 2]).max() < SAME_M:
+        if np.abs(way @ T_road_first[2, :2] + T_road_first[2, 3]).max() < SAME_M:
             return _laid(first, ground, T_road_first)
         seen, before = observe(source, settings, ground), way
     return seen

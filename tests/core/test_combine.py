@@ -79,9 +79,9 @@ def test_two_drives_that_contradict_each_other_are_refused() -> None:
 
 def test_a_sensor_that_was_moved_between_the_drives_is_refused() -> None:
     drives = passages()
-    ground = drives[1].ground
+    ground = drives[0].ground
     higher = replace(drives[1], ground=replace(ground, height_m=ground.height_m + 0.2))
-    with pytest.raises(CombineError, match=r"moved between the drives: in run 1 .*\+0\.(19|20)\d m"):
+    with pytest.raises(CombineError, match=r"moved between the drives: in run 1 .*\+0\.2"):
         combine([drives[0], higher, drives[2]])
     c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
     tilted = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ ground.normal
