@@ -6,7 +6,6 @@ the road and falls away from it, to a ditch or to the land, and nothing but that
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,60 +15,61 @@ from laci_stereo.core.frames import FloatArray
 ON_WAY_M = 0.75
 """What is so near the way the vehicle was on itself: most are 1.5 m wide at least."""
 
-_FARTHEST_M = 7.0
+LANES_M = 7.0
 """Edges are looked for within two lanes of the way, as crowns are: roads are no narrower than one."""
 
 _TOWARDS_RAD = np.pi / 8 * np.arange(16)
 TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
-"""An edge is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both."""
-
-_STEP_M = 3.0
-"""A kerb is as high as what is behind it rises in so much: up to 9 cm, as that rises by 3 % at most."""
-
-_STEEPER = 4.0
-"""A verge falls by so much more than a road does, which is 3 % at most: by up to 12 % (RAL 2012)."""
+_AWAY_M = np.arange(0.0, LANES_M + 0.1, 0.5)
+_BESIDE_M = ON_WAY_M + np.append(_AWAY_M, np.inf)
+_PLACES = len(_TOWARDS_RAD) * len(_AWAY_M) + len(_BESIDE_M) ** 2 - 1
+"""An edge is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both. Each
+of these places is as likely."""
 
 _VERGE_M = 2.0
-"""Verges are 1.5 to 2.5 m wide; behind one the land is taken to be as level as the road. What falls on and on, and by
-less than is noticed, is taken for the other side of a crown: nothing tells one from the other."""
+"""Verges are 1.5 to 2.5 m wide."""
+
+_LIKELY = (0.1, 0.3)
+"""Of kerbs and of verges. Most kerbs are noticed: one road in ten has one that is not. Verges are not noticed as such:
+as many roads are taken to have one."""
 
 
 @dataclass(frozen=True)
-class Kind:
-    """A kind of edges.
+class Edges:
+    """What is known of edges beforehand.
 
     Attributes
     ----------
-    likely : float
-        Probability that some of what passed for road is behind such a one.
-    apart_m : float
-        From one place of an edge to the next.
-    rise : callable
-        By how much what is so far behind it is raised, of shape (n, k), if a road falls by 1.
+    likely : ndarray, shape (edges,)
+        Probability of each.
+    mean, sigma : ndarray, shape (edges, 2)
+        How much what is behind it is raised in each of two ways, see `behind_edges`, and its standard deviation.
     """
 
-    likely: float
-    apart_m: float
-    rise: Callable[[FloatArray], FloatArray]
+    likely: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.likely)
 
 
-def _kerb(behind_m: FloatArray) -> FloatArray:
-    raised: FloatArray = np.where(behind_m > 0.0, _STEP_M + behind_m, 0.0)
-    return raised
+NO_EDGE = Edges(np.ones(1), np.zeros((1, 2)), np.ones((1, 2)))
+
+EDGES = Edges(
+    np.repeat([1.0 - sum(_LIKELY), *np.divide(_LIKELY, _PLACES)], (1, _PLACES, _PLACES)),
+    np.repeat([(0.0, 0.0), (0.08, 0.02), (-0.06, 0.0)], (1, _PLACES, _PLACES), axis=0),
+    np.repeat([(1.0, 1.0), (0.04, 0.02), (0.02, 0.03)], (1, _PLACES, _PLACES), axis=0),
+)
+"""None, and a kerb and a verge at each place. Kerbs are 3 to 15 cm high, and pavements rise from them by up to 3 % to
+drain to the road. Verges fall by 6 to 12 % (RAL 2012), away from roads that do so by up to 2.5 % or rise: by 2 to 10 %
+more. The land behind them rises or falls."""
 
 
-def _verge(behind_m: FloatArray) -> FloatArray:
-    fallen: FloatArray = -_STEEPER * behind_m.clip(0.0, _VERGE_M)
-    return fallen
+def behind_edges(left_m: FloatArray, beyond_m: FloatArray) -> FloatArray:
+    """Return by how much places are raised behind each of `EDGES`, in two ways, of shape (n, edges, 2).
 
-
-KINDS = (Kind(0.1, 1.0, _kerb), Kind(0.3, 0.5, _verge))
-"""Most kerbs are noticed: one road in ten has one that is not. Verges are not noticed as such, and as many roads are
-taken to have them as to have a crown along the way, or one that it crosses."""
-
-
-def behind_edges(left_m: FloatArray, beyond_m: FloatArray) -> list[FloatArray]:
-    """Return by how much places are raised for each edge of each kind, if roads fall by 1, each of shape (n, edges).
+    Behind a kerb these are its height and how far behind it they are, behind a verge how far they are on it and beyond.
 
     Parameters
     ----------
@@ -78,12 +78,13 @@ def behind_edges(left_m: FloatArray, beyond_m: FloatArray) -> list[FloatArray]:
     beyond_m : ndarray, shape (n, 16)
         How far beyond it in each direction of `TOWARDS`.
     """
-    found = []
-    for kind in KINDS:
-        away_m = np.arange(0.0, _FARTHEST_M + 0.1, kind.apart_m)
-        straight = kind.rise((beyond_m[:, :, None] - away_m).reshape(len(left_m), -1))
-        beside_m = ON_WAY_M + np.append(away_m, np.inf)
-        left, right = kind.rise(left_m[:, None] - beside_m), kind.rise(-left_m[:, None] - beside_m)
-        along = (left[:, :, None] + right[:, None, :]).reshape(len(left_m), -1)
-        found.append(np.column_stack([straight, along[:, :-1]]))  # the last has neither
-    return found
+    straight = (beyond_m[:, :, None] - _AWAY_M).reshape(len(left_m), -1)
+    left, right = left_m[:, None, None] - _BESIDE_M[:, None], -left_m[:, None, None] - _BESIDE_M
+    along = np.maximum(left, right).reshape(len(left_m), -1)[:, :-1]  # the last is on neither side
+    behind_m = np.column_stack([straight, along]).clip(0.0)
+    raised = np.zeros((len(left_m), 1 + 2 * _PLACES, 2))
+    kerbs, verges = np.split(raised[:, 1:], 2, axis=1)
+    kerbs[:, :, 0], kerbs[:, :, 1] = behind_m > 0.0, behind_m
+    verges[:, :, 0] = behind_m.clip(max=_VERGE_M)
+    verges[:, :, 1] = behind_m - verges[:, :, 0]
+    return raised

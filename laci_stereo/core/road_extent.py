@@ -12,7 +12,8 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
-from laci_stereo.core.road_surface import LASER_RAD, OTHER, Cells, Surface, height_of
+from laci_stereo.core.road_cells import LASER_RAD, Cells
+from laci_stereo.core.road_surface import OTHER, Surface, height_of
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
@@ -63,6 +64,9 @@ MOST_LIKELY = 3.0
 """Logarithm of the odds: no cell tells by more than twenty to one whether it is road."""
 
 GATE = 3.0
+
+MOST_EDGES = 4
+"""A crossing has as many corners."""
 
 FIRST_CELLS, LEAST_CELLS = 6, 36
 """So many below the way tell a plane and that they are on it; fewer than so many in all are no road: 4 m of a lane."""
@@ -141,7 +145,18 @@ def road_along(
         cells = _at_height(on_plane, height, way, T_level_sensor[2, 3])
     if on_road.sum() < LEAST_CELLS:
         return None
-    return Surface(cells[on_road], settings.shared_noise_share, before, edges=True)
+    return _within_edges(cells[on_road], settings.shared_noise_share, before)
+
+
+def _within_edges(cells: Cells, shared_noise_share: float, before: FloatArray) -> Surface:
+    """Return the surface of a road, without what is rather behind an edge than not: it may have another edge then."""
+    for _ in range(MOST_EDGES):
+        surface = Surface(cells, shared_noise_share, before, edges=True)
+        within = surface.behind < 0.5
+        if within.all() or within.sum() < LEAST_CELLS:
+            break
+        cells = cells[within]
+    return surface
 
 
 def _cells(

@@ -185,12 +185,16 @@ def both_sides(ray: FloatArray, fall: float) -> list[FloatArray]:
 
 
 def crowned(fall: float, *, far_side: bool) -> PointCloud:
-    """Return rays to a road that falls from its crown to both sides; a hedge on the crown may hide the farther one."""
+    """Return rays to a road that falls from its crown to both sides; a hedge on the crown may hide the farther one.
+
+    Then a lane and its shoulder are seen: of what is wider, few roads have as much on one side of a crown.
+    """
     rng = np.random.default_rng(0)
     ray = rays(np.arange(30.0, 150.0, 0.5), np.arange(6.0, 45.0, 0.4), rng)
     near, far = both_sides(ray, fall)
     beyond = np.where((far * ray[:, 1] < ROAD_Y_M + 4.0) & far_side, far, np.inf)
-    return measured(ray, np.where(near * ray[:, 1] < ROAD_Y_M, near, beyond), rng)
+    lane = np.where((near * ray[:, 1] > ROAD_Y_M - 5.0) | far_side, near, np.inf)
+    return measured(ray, np.where(near * ray[:, 1] < ROAD_Y_M, lane, beyond), rng)
 
 
 @pytest.mark.slow

@@ -5,7 +5,8 @@ import pytest
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
-from laci_stereo.core.road_surface import FALL, LASER_RAD, Cells, Surface
+from laci_stereo.core.road_cells import LASER_RAD, Cells
+from laci_stereo.core.road_surface import FALL, Surface
 
 SIGMA_M = 0.01
 LANE_M = 3.5

@@ -1,0 +1,131 @@
+"""What is seen of a road, in squares of the ground plan, and its means over patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from laci_stereo.core.columns import Columns
+from laci_stereo.core.frames import FloatArray, IntArray
+
+LASER_RAD = float(np.radians(0.2))
+"""What is seen in the same elevation was measured by one laser of a scanner: few have layers closer to one another."""
+
+_PATCHES = 100
+"""So many means of cells tell as much as all cells: a road is as high where it is uneven over several metres."""
+
+
+@dataclass(frozen=True)
+class Cells(Columns):
+    """What is seen in squares of the ground plan along a way.
+
+    Attributes
+    ----------
+    xy : ndarray, shape (n, 2)
+        Level frame, metres.
+    z, variance : ndarray, shape (n,)
+        Height, and its variance through noise that no other cell has.
+    sigma_m : ndarray, shape (n,)
+        Standard deviation of one point's height through its noise.
+    left_m : ndarray, shape (n,)
+        How far to the left of the way.
+    piece : ndarray of int, shape (n,)
+        Piece of the way, one number for each of its sides.
+    sight : ndarray, shape (n, 2)
+        Azimuth and elevation in which the sensor sees it, in windows of its matcher: what is in one has all noise in
+        common. A scanner's windows are too narrow for two.
+    layer : ndarray, shape (n,)
+        Elevation in the sensor frame in which a scanner sees it, in `LASER_RAD`; NaN for a camera.
+    """
+
+    xy: FloatArray
+    z: FloatArray
+    variance: FloatArray
+    sigma_m: FloatArray
+    left_m: FloatArray
+    piece: IntArray
+    sight: FloatArray
+    layer: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Means over patches of cells, by their precision.
+
+    Attributes
+    ----------
+    xy : ndarray, shape (m, 2)
+    z, variance : ndarray, shape (m,)
+        Height, and its variance through noise that no other patch has.
+    sigma_m : ndarray, shape (m,)
+        Standard deviation of one point's height through its noise.
+    sight : ndarray, shape (m, 2)
+    lasers : ndarray, shape (m, k)
+        How much of each laser there is: of a patch between two elevations, half of the variance of both.
+    share : scipy.sparse.csr_array, shape (m, n)
+        Of each cell in each patch: with it, means of anything else over patches are made.
+    """
+
+    xy: FloatArray
+    z: FloatArray
+    variance: FloatArray
+    sigma_m: FloatArray
+    sight: FloatArray
+    lasers: FloatArray
+    share: csr_array
+
+    @staticmethod
+    def of(cells: Cells) -> Patches:
+        """Merge cells in squares, of which there are no more than tell as much as all cells."""
+        patch = _patch(cells.xy)
+        window = np.floor(cells.sight).astype(np.int64)
+        _, alike, count = np.unique(np.column_stack([patch, window]), axis=0, return_inverse=True, return_counts=True)
+        weight = 1.0 / cells.variance
+        number = np.arange(len(cells))
+        share = csr_array((weight / np.bincount(patch, weight)[patch], (patch, number)))
+        told = np.bincount(patch, weight / count[alike.reshape(-1)])
+        columns = np.column_stack([cells.xy, cells.z, cells.sigma_m, cells.sight, _lasers(cells.layer)])
+        xy, z, sigma_m, sight, lasers = np.split(share @ columns, [2, 3, 4, 6], axis=1)
+        return Patches(xy, z[:, 0], 1.0 / told, sigma_m[:, 0], sight, lasers, share)
+
+    def noise(self, shared_noise_share: float) -> FloatArray:
+        """Return the covariance, shape (m, m), of the heights through noise.
+
+        Parameters
+        ----------
+        shared_noise_share : float
+            Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
+        """
+        overlap = np.maximum(0.0, 1.0 - np.abs(self.sight[:, None] - self.sight)).prod(axis=2)
+        shared = shared_noise_share**2 * np.outer(self.sigma_m, self.sigma_m)
+        alone = np.sqrt(np.outer(self.variance, self.variance)) * overlap
+        noise: FloatArray = alone + shared * (1.0 + self.lasers @ self.lasers.T)
+        return noise
+
+
+def _patch(xy: FloatArray) -> IntArray:
+    """Return the number of the patch of each place, shape (n,)."""
+    side_m = 1.0
+    while True:
+        square = np.floor(xy / side_m).astype(np.int64)
+        square -= square.min(axis=0)
+        patch: IntArray = np.unique(square @ [square[:, 1].max() + 1, 1], return_inverse=True)[1].reshape(-1)
+        if patch.max() < _PATCHES:
+            return patch
+        side_m *= 1.2
+
+
+def _lasers(layer: FloatArray) -> FloatArray:
+    """Return to which lasers cells belong, shape (n, k): between two elevations to both, half of the variance each."""
+    if np.isnan(layer).any():
+        return np.zeros((len(layer), 0))
+    low = np.floor(layer)
+    number, upper, row = (low - low.min()).astype(np.int64), layer - low, np.arange(len(layer))
+    belongs = np.zeros((len(layer), number.max() + 2))
+    belongs[row, number], belongs[row, number + 1] = np.sqrt(1.0 - upper), np.sqrt(upper)
+    return belongs
