@@ -129,7 +129,7 @@ def test_rectified_images_are_not_rectified_again(calibrated: Calibrated, tmp_pa
     text = calibrated.site.stereo.read_text()
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     entries = {name: storage.getNode(name).mat() for name in ("K1", "D1", "K2", "D2", "R", "T")}
-    entries["D1"] = np.array([[-0.3, 0.1, 0.0, 0.0, 0.0]])
+    entries["D1"] = np.array([[-0.6, 0.3, 0.0, 0.0, 0.0]])
     size = [int(storage.getNode(name).real()) for name in ("image_width", "image_height")]
     out = cv2.FileStorage(str(tmp_path / "bent.yaml"), cv2.FILE_STORAGE_WRITE)
     for name, matrix in entries.items():
