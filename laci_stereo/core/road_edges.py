@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import FloatArray, IntArray
 
 ON_WAY_M = 0.75
 """What is so near the way the vehicle was on itself: most are 1.5 m wide at least."""
@@ -52,6 +52,15 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.likely)
+
+    def only(self, there: IntArray) -> Edges:
+        """Return none and some of the others: with nothing behind it, an edge is as good as none."""
+        likely = self.likely[there]
+        return Edges(
+            np.append(1.0 - likely.sum(), likely),
+            np.concatenate([self.mean[:1], self.mean[there]]),
+            np.concatenate([self.sigma[:1], self.sigma[there]]),
+        )
 
 
 NO_EDGE = Edges(np.ones(1), np.zeros((1, 2)), np.ones((1, 2)))

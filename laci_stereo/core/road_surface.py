@@ -83,18 +83,23 @@ class Surface:
         if edges:
             away_m = np.abs(cells.left_m)
             way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ TOWARDS).max(axis=0)
-            raised, kinds = behind_edges(cells.left_m, off @ TOWARDS - way_m), EDGES
+            raised = behind_edges(cells.left_m, off @ TOWARDS - way_m)
+            there = np.flatnonzero(raised.any(axis=(0, 2)))
+            raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
         else:
             raised, kinds = np.zeros((len(cells), 1, 2)), NO_EDGE
         patches = Patches.of(cells)
         z = patches.z - height_of(before, patches.xy)
-        own, crowns = (patches.share @ shape for shape in self._shapes(cells))
+        in_cells = self._shapes(cells)
+        self._in_middle = in_cells.mean(axis=0)
+        shapes = patches.share @ in_cells
+        own = shapes[:, :_PLANE]
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
         noise = patches.noise(shared_noise_share) + (own * _PRIOR) @ own.T
         alike = np.exp(-np.linalg.norm(patches.xy[:, None] - patches.xy, axis=2) / REACH_M)
         crown_likely = self._crown_likely()
         given = [
-            _given(noise + (2.0**uneven * CLASS_B_M) ** 2 * alike, z, own, crowns, crown_likely, behind, kinds)
+            _given(noise + (2.0**uneven * CLASS_B_M) ** 2 * alike, z, shapes, crown_likely, behind, kinds)
             for uneven in _CLASSES
         ]
         log_likely = np.array([each.log_likely for each in given]) - 0.5 * _CLASSES**2
@@ -102,15 +107,14 @@ class Surface:
         self._mean = likely @ np.array([each.mean for each in given])
         products = np.tensordot(likely, [each.products for each in given], 1)
         self._between = products - np.outer(self._mean, self._mean)
-        self._within = np.tensordot(likely, [each.within for each in given], 1)
+        self._covariance = self._between.copy()
+        self._covariance[:_PLANE, :_PLANE] += np.tensordot(likely, [each.within for each in given], 1)
         self.behind: FloatArray = (raised != 0.0).any(axis=2) @ (likely @ np.array([each.of_edge for each in given]))
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Return the height of the even surface at some cells, and its variance, each of shape (n,)."""
-        shapes = np.column_stack(self._shapes(cells))
-        covariance = self._between.copy()
-        covariance[:_PLANE, :_PLANE] += self._within
-        variance = ((shapes @ covariance) * shapes).sum(axis=1)
+        shapes = self._shapes(cells)
+        variance = ((shapes @ self._covariance) * shapes).sum(axis=1)
         return height_of(self.before, cells.xy) + shapes @ self._mean, np.maximum(variance, 0.0)
 
     def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -127,11 +131,11 @@ class Surface:
             The part of it that is due to the crown, of which nobody knows who does not see both of its sides.
         """
         to_plane = np.eye(3, len(self._mean))
-        to_plane[0] = np.column_stack(self._shapes(self.cells)).mean(axis=0)
+        to_plane[0] = self._in_middle
         by_crown = to_plane @ self._between @ to_plane.T
-        covariance = by_crown + to_plane[:, :_PLANE] @ self._within @ to_plane[:, :_PLANE].T
+        covariance = to_plane @ self._covariance @ to_plane.T
         bends = slice(3, _PLANE)
-        bent = self._between[bends, bends] + np.outer(self._mean[bends], self._mean[bends]) + self._within[bends, bends]
+        bent = self._covariance[bends, bends] + np.outer(self._mean[bends], self._mean[bends])
         (xx, xy), (_, yy) = np.cov(self.cells.xy.T, bias=True)
         # Over (dx, dy) the slopes change by (bent_xx dx + bent_xy dy, bent_xy dx + bent_yy dy).
         covariance[1, 1] += bent[0, 0] * xx + 2.0 * bent[0, 1] * xy + bent[1, 1] * yy
@@ -142,18 +146,15 @@ class Surface:
         offset = np.append(height_of(self.before, self.middle), self.before[1:])
         return offset + to_plane @ self._mean, covariance, by_crown
 
-    def _shapes(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
-        """Return what a plane and its bends are made of, and by how much each crown raises places if roads fall by 1.
+    def _shapes(self, cells: Cells) -> FloatArray:
+        """Return what a road is made of at some places, shape (n, 6 + crowns).
 
-        Returns
-        -------
-        own : ndarray, shape (n, 6)
-        crowns : ndarray, shape (n, crowns)
+        That are a plane, its bends, and by how much each crown raises them if roads fall by 1.
         """
         x, y = off = (cells.xy - self.middle).T
         crossed = ((off.T @ self._across)[:, None] - self._crossed_m).reshape(len(cells), -1)
         crowns = -np.abs(np.column_stack([cells.left_m[:, None] - _CROWNS_M, crossed]))
-        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2]), crowns
+        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2, crowns])
 
     def _crown_likely(self) -> FloatArray:
         """Return the probability of each crown, shape (crowns,)."""
@@ -188,8 +189,7 @@ class _Given:
 def _given(
     covariance: FloatArray,
     z: FloatArray,
-    own: FloatArray,
-    crowns: FloatArray,
+    shapes: FloatArray,
     crown_likely: FloatArray,
     behind: FloatArray,
     edges: Edges,
@@ -201,13 +201,12 @@ def _given(
     covariance : ndarray, shape (n, n)
         Of the heights, with neither a crown nor an edge.
     z : ndarray, shape (n,)
-    own : ndarray, shape (n, 6)
-    crowns : ndarray, shape (n, crowns)
+    shapes : ndarray, shape (n, 6 + crowns)
     crown_likely : ndarray, shape (crowns,)
     behind : ndarray, shape (n, edges, 2)
     edges : Edges
     """
-    count, shapes = len(edges), np.column_stack([own, crowns])
+    count, own, crowns = len(edges), shapes[:, :_PLANE], shapes[:, _PLANE:]
     factor, flat_behind = cho_factor(covariance, lower=True), behind.reshape(len(z), -1)
     by_z, by_shapes, by_behind = np.split(
         cho_solve(factor, np.column_stack([z, shapes, flat_behind])), [1, 1 + shapes.shape[1]], axis=1
