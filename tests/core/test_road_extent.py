@@ -61,6 +61,22 @@ def test_a_low_kerb_with_a_pavement_behind_it_ends_a_road_with_a_crown() -> None
     assert np.degrees(abs(value[2])) < 0.2
 
 
+@pytest.mark.parametrize("fall", [0.03, 0.05])
+def test_verges_in_different_directions_are_both_left_out(fall: float) -> None:
+    """One is beside the way, one across a corner: no single edge is in front of both, and land follows on either."""
+    xy = plan(0.25)
+    beside_m = WAY_Y_M - 4.0 - xy[:, 1]
+    corner_m = (xy[:, 0] + xy[:, 1] - WAY_Y_M) / np.sqrt(2.0) - 11.6
+    height = -fall * np.maximum(beside_m, corner_m).clip(0.0, 2.0)
+    surface = road_along(way(), [cloud(height, xy, 0.1)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert surface is not None
+    x, y = surface.cells.xy.T
+    assert y.min() > WAY_Y_M - 4.5
+    assert ((x + y - WAY_Y_M) / np.sqrt(2.0)).max() < 11.6 + 0.5
+    value, covariance, _ = surface.plane()
+    assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 9.0
+
+
 def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
     xy = plan(0.2, 22.0)
     surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())

@@ -246,3 +246,28 @@ def test_kerbs_along_both_sides_of_a_bend_that_noise_hides_do_not_tilt_the_road(
         value, covariance, _ = Surface(bent, 0.0, LEVEL, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert np.mean(squares) < 2.8
+
+
+def test_a_verge_behind_one_side_of_a_crown_does_not_tilt_the_road() -> None:
+    rng = np.random.default_rng(8)
+    squares, off_deg = [], []
+    for _ in range(60):
+        fall, crown_m, edge_m = rng.uniform(0.0, 0.025), rng.uniform(-1.0, 1.0), rng.uniform(3.5, 5.0)
+        along, left = rng.uniform(-12.0, 12.0, 400), rng.uniform(-5.0, 7.0, 400)
+        z = -fall * np.abs(np.minimum(left, edge_m) - crown_m) + rng.normal(0.0, 0.02, 400)
+        z -= rng.uniform(0.06, 0.12) * np.clip(left - edge_m, 0.0, 2.0)
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, edges=True).plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+        off_deg.append(np.degrees(np.linalg.norm(value[1:])))
+    assert np.mean(squares) < 2.8
+    assert np.median(off_deg) < 0.3
+
+
+def test_what_is_behind_an_edge_is_told_from_the_road() -> None:
+    rng = np.random.default_rng(9)
+    along, left = rng.uniform(-12.0, 12.0, 600), rng.uniform(-5.0, 7.0, 600)
+    z = -0.1 * np.clip(left - 4.0, 0.0, 2.0) + rng.normal(0.0, 0.01, 600)
+    behind = Surface(cells(left, along, z), 0.0, LEVEL, edges=True).behind
+    assert behind[left > 4.5].min() > 0.9
+    assert behind[left < 3.5].max() < 0.1
+    assert (Surface(cells(left, along, z), 0.0, LEVEL).behind == 0.0).all()
