@@ -194,6 +194,7 @@ def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_it
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
 
 
+@pytest.mark.slow
 def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
     rng = np.random.default_rng(4)
     squares, off_deg = [], []
@@ -224,6 +225,7 @@ def test_a_verge_that_is_flush_with_the_road_does_not_tilt_it() -> None:
     assert np.median(off_deg) < 0.3
 
 
+@pytest.mark.slow
 def test_kerbs_along_both_sides_of_a_bend_that_noise_hides_do_not_tilt_the_road() -> None:
     # 30 m away a camera with 0.2 m between its lenses knows the heights of single cells to a kerb's height.
     rng = np.random.default_rng(7)
@@ -248,6 +250,7 @@ def test_kerbs_along_both_sides_of_a_bend_that_noise_hides_do_not_tilt_the_road(
     assert np.mean(squares) < 2.8
 
 
+@pytest.mark.slow
 def test_a_verge_behind_one_side_of_a_crown_does_not_tilt_the_road() -> None:
     rng = np.random.default_rng(8)
     squares, off_deg = [], []
