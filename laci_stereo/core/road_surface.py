@@ -42,6 +42,13 @@ _CROSSED = (0.0, 0.15, 0.325, 0.5, 0.675, 0.85, 1.0)
 seen of it, and which shares of what is seen are on one side of it. Of what is no wider than two lanes that may be all.
 As often as not the crown is such a one; all of each kind are as likely."""
 
+WAVES_M = 1.0 / (2.0 * np.pi * 0.011)
+"""Over how much of a road its unevenness is alike: ISO 8608 gives the spectrum of waves of up to 1 / 0.011 m, of which
+those that are longer than what is seen of it pass for its slope. That it falls to its gutters is the crown's here."""
+
+UNEVEN_M = CLASS_B_M * float(np.sqrt(WAVES_M / REACH_M))
+"""Standard deviation of a road's height above its even surface, if it is of class B."""
+
 _PRIOR = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
 _PLANE = len(_PRIOR)
 """A plane and how it is bent: roads that cross are so in both directions."""
@@ -96,10 +103,10 @@ class Surface:
         own = shapes[:, :_PLANE]
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
         noise = patches.noise(shared_noise_share) + (own * _PRIOR) @ own.T
-        alike = np.exp(-np.linalg.norm(patches.xy[:, None] - patches.xy, axis=2) / REACH_M)
+        alike = np.exp(-np.linalg.norm(patches.xy[:, None] - patches.xy, axis=2) / WAVES_M)
         crown_likely = self._crown_likely()
         given = [
-            _given(noise + (2.0**uneven * CLASS_B_M) ** 2 * alike, z, shapes, crown_likely, behind, kinds)
+            _given(noise + (2.0**uneven * UNEVEN_M) ** 2 * alike, z, shapes, crown_likely, behind, kinds)
             for uneven in _CLASSES
         ]
         log_likely = np.array([each.log_likely for each in given]) - 0.5 * _CLASSES**2

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
 from laci_stereo.core.road_cells import LASER_RAD, Cells
-from laci_stereo.core.road_surface import FALL, Surface
+from laci_stereo.core.road_surface import FALL, UNEVEN_M, WAVES_M, Surface
 
 SIGMA_M = 0.01
 LANE_M = 3.5
@@ -36,7 +35,7 @@ def road(
     """Return noisy cells of a road that is as uneven as ISO 8608's class B, from the one to the other side of a way."""
     along, left = rng.uniform(-15.0, 15.0, 400), rng.uniform(*beside_m, 400)
     away = np.hypot(along - along[:, None], left - left[:, None])
-    uneven = np.linalg.cholesky(CLASS_B_M**2 * np.exp(-away / REACH_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
+    uneven = np.linalg.cholesky(UNEVEN_M**2 * np.exp(-away / WAVES_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
     z = slopes @ [along, left] - fall * np.abs(left - crown_m) + uneven + rng.normal(0.0, SIGMA_M, 400)
     return cells(left, along, z)
 
@@ -91,7 +90,7 @@ def crossed(rng: np.random.Generator, slopes: FloatArray, fall: float, towards_r
     left = rng.uniform(-4.0, 4.0, 400)
     xy = np.column_stack([(radius_m - left) * np.sin(angle), radius_m - (radius_m - left) * np.cos(angle)])
     away = np.linalg.norm(xy[:, None] - xy, axis=2)
-    uneven = np.linalg.cholesky(CLASS_B_M**2 * np.exp(-away / REACH_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
+    uneven = np.linalg.cholesky(UNEVEN_M**2 * np.exp(-away / WAVES_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
     from_crown = xy @ [np.cos(towards_rad), np.sin(towards_rad)]
     noise = np.full(400, SIGMA_M)
     z = xy @ slopes - fall * np.abs(from_crown) + uneven + rng.normal(0.0, SIGMA_M, 400)
@@ -137,7 +136,7 @@ def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_wi
     alike = np.maximum(0.0, 1.0 - np.abs(sight[:, None] - sight)).prod(axis=2)
     noise = 0.05 * (x / 25.0) ** 2
     away = np.hypot(x[:, None] - x, y[:, None] - y)
-    both = noise[:, None] * noise * alike + CLASS_B_M**2 * np.exp(-away / REACH_M)
+    both = noise[:, None] * noise * alike + UNEVEN_M**2 * np.exp(-away / WAVES_M)
     root = np.linalg.cholesky(both + 1e-8 * np.eye(len(x)))
     squares = []
     for _ in range(60):
@@ -162,7 +161,7 @@ def test_a_surface_is_known_where_it_was_seen_and_less_beyond() -> None:
     beside = np.array([0.0, 2.0, 4.0, 8.0])
     height, variance = Surface(seen, 0.0, LEVEL).heights(cells(beside, np.zeros(4), np.zeros(4)))
     assert (np.diff(variance) > 0.0).all()
-    assert (np.abs(height) < 3.0 * np.sqrt(variance + CLASS_B_M**2)).all()
+    assert (np.abs(height) < 3.0 * np.sqrt(variance + UNEVEN_M**2)).all()
 
 
 def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_its_own_way() -> None:
@@ -173,7 +172,7 @@ def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_it
     n, elevation_deg = len(spots), -np.degrees(np.arctan2(height_m, np.linalg.norm(spots, axis=1)))
     laser = np.round(elevation_deg / 0.8).astype(np.int64)
     away = np.linalg.norm(spots[:, None] - spots, axis=2)
-    root = np.linalg.cholesky(CLASS_B_M**2 * np.exp(-away / REACH_M) + 1e-10 * np.eye(n))
+    root = np.linalg.cholesky(UNEVEN_M**2 * np.exp(-away / WAVES_M) + 1e-10 * np.eye(n))
     squares = []
     for _ in range(60):
         z = root @ rng.normal(size=n) + 0.1 * sigma_m * rng.normal(size=n)
