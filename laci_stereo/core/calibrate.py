@@ -21,6 +21,7 @@ from laci_stereo.core.quality import Placement, covariance_of, judge
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.threads import in_one_thread
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
@@ -70,6 +71,7 @@ def calibrate(
     return locate(seen, vehicles, world, settings)
 
 
+@in_one_thread
 def locate(
     seen: Observation, vehicles: Mapping[int, VehicleTrack], world: World, settings: Settings | None = None
 ) -> Calibration:

@@ -20,6 +20,7 @@ from laci_stereo.core.placement import place, place_by_paper
 from laci_stereo.core.quality import covariance_of, judge
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.threads import in_one_thread
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class Combined:
     left_out: tuple[LeftOut, ...]
 
 
+@in_one_thread
 def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Combined:
     """Estimate where a sensor is from several drives, of one vehicle or several.
 

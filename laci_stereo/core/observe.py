@@ -29,6 +29,7 @@ from laci_stereo.core.road_extent import places
 from laci_stereo.core.road_surface import OTHER
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import find_vehicles
+from laci_stereo.core.threads import in_one_thread
 from laci_stereo.core.tracking import Track, link_tracks
 
 log = logging.getLogger(__name__)
@@ -75,6 +76,7 @@ class Observation:
         return self.ground.T_level_sensor(self.axes)
 
 
+@in_one_thread
 def observe(
     source: PointCloudSource, settings: Settings | None = None, ground: GroundPlane | None = None
 ) -> Observation:
@@ -118,6 +120,7 @@ def observe(
     return Observation(source.axes, ground, background, tracks, tuple(thinned))
 
 
+@in_one_thread
 def on_the_road(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings | None = None
 ) -> Observation:

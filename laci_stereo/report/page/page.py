@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined, Template
-from threadpoolctl import threadpool_limits
 
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.threads import in_one_thread
 from laci_stereo.io.calibration_file import Document, Provenance
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.report.page import facts
@@ -125,14 +125,14 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
     )
 
 
+@in_one_thread
 def _fitted(calibration: Calibration, config: Mapping[str, Any]) -> list[DrivePage]:
     known = {**config.get("joint", {}), "clock_sigma_s": calibration.clock_sigma_s}
     several = bool(calibration.others)
-    with threadpool_limits(1):  # matrices so small that threads only wait for each other
-        return [
-            _drive_page(calibration, passage, JointSettings(**known), f"Drive {number}" if several else "")
-            for number, passage in enumerate(calibration.passages, start=1)
-        ]
+    return [
+        _drive_page(calibration, passage, JointSettings(**known), f"Drive {number}" if several else "")
+        for number, passage in enumerate(calibration.passages, start=1)
+    ]
 
 
 def _drive_page(calibration: Calibration, passage: Passage, settings: JointSettings, name: str) -> DrivePage:
