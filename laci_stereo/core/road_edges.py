@@ -26,8 +26,10 @@ _PLACES = len(_TOWARDS_RAD) * len(_AWAY_M) + len(_BESIDE_M) ** 2 - 1
 """An edge is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both. Each
 of these places is as likely."""
 
-_VERGE_M = 2.0
-"""Verges are 1.5 to 2.5 m wide."""
+VERGES_M = (1.5, 2.5)
+"""Verges are as wide, and `EDGES` have the mean."""
+
+_VERGE_M = sum(VERGES_M) / 2
 
 _LIKELY = (0.1, 0.3)
 """Of kerbs and of verges. Most kerbs are noticed: one road in ten has one that is not. Verges are not noticed as such:

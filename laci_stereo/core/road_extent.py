@@ -9,10 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, transform, turned
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
 from laci_stereo.core.road_cells import LASER_RAD, Cells
+from laci_stereo.core.road_edges import VERGES_M
 from laci_stereo.core.road_surface import OTHER, Surface, height_of
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.sighting import sigma_z
@@ -62,6 +63,10 @@ KNOWN_M = KERB_M / 3
 
 MOST_LIKELY = 3.0
 """Logarithm of the odds: no cell tells by more than twenty to one whether it is road."""
+
+VERGE_FALL = 0.01
+"""Where a road ends that falls by so much more than farther in, that may be on a verge: a verge falls by twice as much
+more at least (see `laci_stereo.core.road_edges.EDGES`), but half of what is looked at may not be on it."""
 
 GATE = 3.0
 
@@ -145,6 +150,8 @@ def road_along(
         cells = _at_height(on_plane, height, way, T_level_sensor[2, 3])
     if on_road.sum() < LEAST_CELLS:
         return None
+    land = off_m**2 < GATE**2 * (variance + NO_ROAD_M**2)
+    on_road |= land & _beyond_verges(cells, height, limit_m, on_road)
     return _within_edges(cells[on_road], settings.shared_noise_share, before)
 
 
@@ -157,6 +164,40 @@ def _within_edges(cells: Cells, shared_noise_share: float, before: FloatArray) -
             break
         cells = cells[within]
     return surface
+
+
+def _beyond_verges(cells: Cells, height: FloatArray, limit_m: FloatArray, on_road: BoolArray) -> BoolArray:
+    """Tell which cells, shape (n,), are up to twice a verge beyond where a road may have ended on one.
+
+    What falls there may be the other side of a crown as well. But behind a verge there is land, which rises from it:
+    that looked like a kerb, and tells.
+
+    Parameters
+    ----------
+    cells : Cells
+    height : ndarray, shape (n,)
+        Of the road's surface.
+    limit_m : ndarray, shape (k,)
+        How far to its side each piece of the road goes on.
+    on_road : ndarray of bool, shape (n,)
+    """
+    narrow_m, wide_m = VERGES_M
+    found = np.zeros(len(cells), dtype=bool)
+    for piece, end_m in enumerate(limit_m.tolist()):
+        out_m = (cells.left_m if piece % 2 else -cells.left_m) - end_m
+        near = on_road & (np.abs(cells.piece // 2 - piece // 2) <= 1)
+        outer, inner = (near & (out_m > -far) & (out_m < -to) for far, to in ((narrow_m, 0.0), (2 * wide_m, wide_m)))
+        if min(outer.sum(), inner.sum()) < FIRST_CELLS:
+            continue
+        if _slope(out_m[inner], height[inner]) - _slope(out_m[outer], height[outer]) > VERGE_FALL:
+            found |= (cells.piece == piece) & (out_m >= 0.0) & (out_m < 2 * wide_m)
+    return found
+
+
+def _slope(x: FloatArray, z: FloatArray) -> float:
+    """Return by how much z rises along x, least squares."""
+    off = x - x.mean()
+    return float(off @ z / max(off @ off, 1e-9))
 
 
 def _cells(

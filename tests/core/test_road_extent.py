@@ -61,14 +61,29 @@ def test_a_low_kerb_with_a_pavement_behind_it_ends_a_road_with_a_crown() -> None
     assert np.degrees(abs(value[2])) < 0.2
 
 
-@pytest.mark.parametrize("fall", [0.03, 0.05])
-def test_verges_in_different_directions_are_both_left_out(fall: float) -> None:
+@pytest.mark.parametrize(("fall", "sigma_m"), [(0.04, 0.02), (0.06, 0.05), (0.05, 0.1)])
+@pytest.mark.parametrize("half_m", [4.0, 4.25])
+def test_a_verge_with_level_land_behind_it_is_no_other_side_of_a_crown(
+    half_m: float, fall: float, sigma_m: float
+) -> None:
+    xy = plan(0.25)
+    height = -fall * (WAY_Y_M - half_m - xy[:, 1]).clip(0.0, 2.0)
+    surface = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert surface is not None
+    assert -surface.cells.left_m.min() < half_m + 0.5
+    value, covariance, _ = surface.plane()
+    assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 9.0
+    assert np.degrees(np.linalg.norm(value[1:])) < 0.2
+
+
+@pytest.mark.parametrize(("fall", "sigma_m"), [(0.03, 0.1), (0.05, 0.1), (0.04, 0.02), (0.06, 0.05)])
+def test_verges_in_different_directions_are_both_left_out(fall: float, sigma_m: float) -> None:
     """One is beside the way, one across a corner: no single edge is in front of both, and land follows on either."""
     xy = plan(0.25)
     beside_m = WAY_Y_M - 4.0 - xy[:, 1]
     corner_m = (xy[:, 0] + xy[:, 1] - WAY_Y_M) / np.sqrt(2.0) - 11.6
     height = -fall * np.maximum(beside_m, corner_m).clip(0.0, 2.0)
-    surface = road_along(way(), [cloud(height, xy, 0.1)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    surface = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
     assert surface is not None
     x, y = surface.cells.xy.T
     assert y.min() > WAY_Y_M - 4.5
