@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from laci_stereo.core.box import Box, fit_box
-from laci_stereo.core.cluster import ONE_COLUMN, cells_of, cluster
+from laci_stereo.core.cluster import cells_of, cluster, widened
 from laci_stereo.core.errors import BackgroundError, BoxError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.free_space import places_of, seen_through
@@ -152,8 +152,7 @@ def _in_at_least(count: int, frames: Sequence[IntArray]) -> IntArray:
 
 def _widened(cells: IntArray) -> IntArray:
     """Return cells and the eight around each, in order."""
-    step = np.array([-1, 0, 1])
-    return np.unique(np.unique(cells)[:, None] + (ONE_COLUMN * step[:, None] + step).ravel())
+    return np.unique(widened(np.unique(cells)))
 
 
 def _near(cells: IntArray, points: FloatArray, settings: BackgroundSettings) -> BoolArray:

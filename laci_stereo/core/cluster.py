@@ -20,6 +20,13 @@ def cells_of(xy: FloatArray, cell_m: float) -> IntArray:
     return numbers
 
 
+def widened(cells: IntArray) -> IntArray:
+    """Return the cells at and around each, shape (n, 9)."""
+    step = np.array([-1, 0, 1])
+    around: IntArray = cells.reshape(-1, 1) + (ONE_COLUMN * step[:, None] + step).ravel()
+    return around
+
+
 def cluster(xy: FloatArray, settings: ClusterSettings) -> list[IntArray]:
     """Group points by density (DBSCAN; Ester et al., KDD 1996).
 

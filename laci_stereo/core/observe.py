@@ -23,6 +23,7 @@ from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground_
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
+from laci_stereo.core.land import learn_land
 from laci_stereo.core.laying import laid_background, laid_track, laid_xy
 from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places
@@ -101,19 +102,15 @@ def observe(
     ground = ground or _ground(thinned, source.axes, settings)
     log.info("ground: %.3f m below the sensor", ground.height_m)
     T_level_sensor = ground.T_level_sensor(source.axes)
-    background = learn_background(
-        [transform(T_level_sensor, cloud.points) for cloud in survey],
-        ground.height_m,
-        settings.background,
-        settings.cluster,
-        settings.box,
-    )
-    del survey  # whole clouds are large
+    whole_frames = [transform(T_level_sensor, cloud.points) for cloud in survey]
+    background = learn_background(whole_frames, ground.height_m, settings.background, settings.cluster, settings.box)
+    land = learn_land(whole_frames, settings)
+    del survey, whole_frames  # whole clouds are large
     log.info("background: %d boxes from %d quiet frames", len(background.boxes), background.quiet_frames)
 
     epoch_ns = source.span_ns[0]
     sightings = (
-        find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings)
+        find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings, land)
         for cloud in source
     )
     tracks = tuple(deskewed(track, settings) for track in link_tracks(sightings, settings.track))

@@ -149,11 +149,20 @@ def _move_as_one(pairs: Pairs, first: Track, second: Track) -> bool:
     """Tell whether two tracks stay close together while they move by more than their common length."""
     if len(pairs) < max(LEAST_FRAMES, min(len(first.sightings), len(second.sightings)) / 2):
         return False
-    moved_m = min(np.linalg.norm(np.ptp([one.middle for one in each], axis=0)) for each in zip(*pairs, strict=True))
-    if moved_m < np.quantile(_extents_m(pairs).max(axis=1), MOSTLY):
+    if min(_moved_m(each) for each in zip(*pairs, strict=True)) < np.quantile(_extents_m(pairs).max(axis=1), MOSTLY):
         return False
     gap_m = [np.min(KDTree(a.points[:, :2]).query(b.points[:, :2])[0]) for a, b in pairs]
     return bool(np.median(gap_m) <= LARGEST_GAP_M)
+
+
+def _moved_m(piece: Sequence[Sighting]) -> float:
+    """Return the farthest way of any border of a piece, in any direction.
+
+    What comes into view bit by bit has a middle that lags behind; what stands has borders that move by no more than its
+    length.
+    """
+    along = [one.points[:, :2] @ _ACROSS for one in piece]
+    return float(np.ptp([(at.min(axis=0), at.max(axis=0)) for at in along], axis=0).max())
 
 
 def _fit_one(pairs: Pairs, sizes: Sequence[tuple[float, float]]) -> bool:

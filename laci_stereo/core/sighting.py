@@ -16,6 +16,7 @@ from laci_stereo.core.cluster import cluster
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import BoxError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, transform, turned
+from laci_stereo.core.land import FLAT, Land
 from laci_stereo.core.settings import Settings, VehicleSettings
 
 Flaw = Literal["cut", "far", "thin"]
@@ -111,7 +112,12 @@ class Sighting:
 
 
 def find_vehicles(
-    cloud: PointCloud, frame_s: float, T_level_sensor: FloatArray, background: Background, settings: Settings
+    cloud: PointCloud,
+    frame_s: float,
+    T_level_sensor: FloatArray,
+    background: Background,
+    settings: Settings,
+    land: Land = FLAT,
 ) -> list[Sighting]:
     """Find what may be a vehicle in a frame (paper section III-C).
 
@@ -123,6 +129,7 @@ def find_vehicles(
     T_level_sensor : ndarray, shape (4, 4)
     background : Background
     settings : Settings
+    land : Land
 
     Returns
     -------
@@ -139,7 +146,7 @@ def find_vehicles(
     noise_m = limits.ground_sigmas * sigma_z(
         points[near] - T_level_sensor[:3, 3], cloud.sigma_along_m[near], cloud.sigma_across_m[near]
     )
-    standing = (z > limits.min_height_m) & (z > noise_m)
+    standing = (z > limits.min_height_m) & (z > noise_m) & (z > land.top_at(points[near, :2]))
     open_ = ~standing & (noise_m > limits.min_height_m) & (z + noise_m > limits.min_height_m)
     upright = near[standing]
     hidden = background.covers(points[upright, :2])

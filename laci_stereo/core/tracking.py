@@ -7,12 +7,12 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.fixtures import stands
+from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.sighting import Sighting
 
@@ -21,13 +21,6 @@ UNLINKED = 1.5
 
 GATE = 3.0
 """Standard deviations at which a gate closes."""
-
-PLACE_M = 0.5
-"""What stands still is seen again within this distance or the next such cell: its middle wanders with what is hit."""
-
-PARTS = 3
-"""What stands is seen in each such part of a recording; a vehicle that waits leaves before the end, or came after the
-beginning."""
 
 FILTERED = 10
 """So many sightings at the beginning of a track tell its velocity there."""
@@ -162,25 +155,9 @@ def _that_move(frames: Sequence[Sequence[Sighting]], settings: TrackSettings) ->
     if not clusters:
         return [list(frame) for frame in frames]
     number = np.array([number for number, _ in clusters])
-    stands = _stand(number, np.array([one.middle for _, one in clusters]), len(frames), settings.fixture_share)
-    fixtures = {id(one) for (_, one), fixed in zip(clusters, stands, strict=True) if fixed}
+    fixed = stands(number, np.array([one.middle for _, one in clusters]), len(frames), settings.fixture_share)
+    fixtures = {id(one) for (_, one), its in zip(clusters, fixed, strict=True) if its}
     return [[one for one in frame if id(one) not in fixtures] for frame in frames]
-
-
-def _stand(number: IntArray, xy: FloatArray, count: int, share: float) -> BoolArray:
-    """Tell around which places, shape (n, 2), something is seen in this share of the frames of each part."""
-    cells = np.floor((xy - xy.min(axis=0)) / PLACE_M).astype(np.int64) + 1
-    columns = int(cells[:, 1].max()) + 2
-    around = np.array([i * columns + j for i, j in product((-1, 0, 1), repeat=2)])
-    place = cells @ np.array([columns, 1])
-    # A frame counts once for a place, whatever it shows there.
-    seen = np.unique((place[:, None] + around) * count + number[:, None])
-    places, index = np.unique(seen // count, return_inverse=True)
-    frames_in = np.bincount(np.arange(count) * PARTS // count, minlength=PARTS)
-    times = np.bincount(index * PARTS + seen % count * PARTS // count, minlength=len(places) * PARTS)
-    often: BoolArray = (times.reshape(-1, PARTS) >= np.maximum(share * frames_in, 2)).all(axis=1)
-    standing: BoolArray = often[np.searchsorted(places, place)]
-    return standing
 
 
 def blind_s(settings: TrackSettings) -> float:

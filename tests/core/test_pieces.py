@@ -173,6 +173,18 @@ def test_what_hardly_moves_is_not_joined() -> None:
     assert len(joined([driving(REAR, 6.5), driving(FRONT, 6.5)])) == 1
 
 
+def test_what_comes_into_view_bit_by_bit_is_joined() -> None:
+    whole_rear = driving(REAR, 6.5)
+    begins = np.linspace(-0.6, -6.0, len(FRAMES_S))
+    emerging = [
+        replace(one, points=part_of, middle=np.median(part_of[:, :2], axis=0))
+        for one, begin in zip(whole_rear.sightings, begins, strict=True)
+        for part_of in [one.points[one.points[:, 0] > 6.5 * one.frame_s + begin]]
+    ]
+    assert np.ptp([one.middle[0] for one in emerging]) < 12.0 < np.ptp([one.middle[0] for one in whole_rear.sightings])
+    assert len(joined([Track(tuple(emerging)), driving(FRONT, 6.5)])) == 1
+
+
 def test_two_pieces_count_as_their_points_do() -> None:
     (big, *_), (small, *_) = driving(body(-6.0, 0.0)).sightings, driving(body(1.0, 2.0)).sightings
     one = together(small, replace(big, count=50 * len(small.points)), Settings())
