@@ -144,8 +144,7 @@ class VehicleTrack:
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
 
-        Positions follow a modified Akima spline, which does not overshoot where the motion changes abruptly; yaw
-        goes the short way round.
+        Both follow a modified Akima spline, which does not overshoot where the motion changes abruptly.
 
         Returns
         -------
@@ -159,8 +158,7 @@ class VehicleTrack:
         known = (first <= stamps_s) & (stamps_s <= last) & (first < last)
         xy = np.full((len(stamps_s), 2), np.nan)
         yaw = np.full(len(stamps_s), np.nan)
-        xy[known] = self._position(stamps_s[known])
-        yaw[known] = np.interp(stamps_s[known], self.stamps_s, self.yaw_rad)
+        xy[known], yaw[known] = self._pose(stamps_s[known])
         return xy, yaw, known
 
     def stretch(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -192,35 +190,36 @@ class VehicleTrack:
         """By how much the body is turned against the headings, for any lever."""
         return body_yaw(self.stamps_s, self.xy, self.yaw_rad)
 
-    def _position(self, stamps_s: FloatArray) -> FloatArray:
+    def _pose(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         first = self.stretch(stamps_s)[0]
-        xy = np.zeros((len(stamps_s), 2))
+        pose = np.zeros((len(stamps_s), 3))
         for begin in np.unique(first):
-            xy[first == begin] = self._ways[float(begin)](stamps_s[first == begin])
-        return xy
+            pose[first == begin] = self._ways[float(begin)](stamps_s[first == begin])
+        return pose[:, :2], pose[:, 2]
 
     @cached_property
     def _ways(self) -> dict[float, Callable[[FloatArray], FloatArray]]:
-        """The curve of each stretch that is known, by its begin: what is beyond a gap says nothing of its bends."""
+        """The poses of each stretch that is known, by its begin: what is beyond a gap says nothing of its bends."""
         ways = {}
         for begin, end in zip(*(np.unique(ends) for ends in self._stretches), strict=True):
             part = (begin <= self.stamps_s) & (self.stamps_s <= end)
             if np.count_nonzero(part) == 2:
                 ways[float(begin)] = _arc(self.stamps_s[part], self.xy[part], self.yaw_rad[part])
             elif part.sum() > 2:
-                ways[float(begin)] = Akima1DInterpolator(self.stamps_s[part], self.xy[part], method="makima")
+                poses = np.column_stack([self.xy, self.yaw_rad])[part]
+                ways[float(begin)] = Akima1DInterpolator(self.stamps_s[part], poses, method="makima")
         return ways
 
 
 def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return the way between two messages, at one speed, of a vehicle that turns evenly: a parabola."""
+    """Return the poses between two messages, at one speed, of a vehicle that turns evenly: a parabola."""
     chord, turn = xy[1] - xy[0], float(wrap(yaw_rad[1] - yaw_rad[0]))
     aside = np.array([-chord[1], chord[0]])
 
     def at(times_s: FloatArray) -> FloatArray:
         share = ((times_s - stamps_s[0]) / (stamps_s[1] - stamps_s[0]))[:, None]
-        way: FloatArray = xy[0] + share * chord - turn / 2 * share * (1.0 - share) * aside
-        return way
+        way = xy[0] + share * chord - turn / 2 * share * (1.0 - share) * aside
+        return np.hstack([way, yaw_rad[0] + share * turn])
 
     return at
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 
 from laci_stereo.core.frames import FloatArray
 
@@ -19,6 +20,14 @@ STEP_S = 0.02
 
 LEVERS_M = np.arange(0.0, 16.51, 0.5)
 """From the rear axle itself to the front of a lorry with its trailer, the longest by Directive 96/53/EC."""
+
+
+FIRST_M = 3.0
+"""Over so much of its way a vehicle whose messages begin in a bend tells how it bends: a car's wheelbase, within which
+that may change; over less, the noise of two headings would."""
+
+MOST_LAG = 0.8
+"""Sine of the largest angle between body and motion: beyond 53 deg a vehicle is turned on the spot, or folded."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,8 @@ def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyY
     stamps = np.linspace(first, last, max(2, int(np.ceil((last - first) / STEP_S)) + 1))
     path = np.column_stack([np.interp(stamps, stamps_s, xy[:, axis]) for axis in (0, 1)])
     theta = np.interp(stamps, stamps_s, yaw_rad)
+    if len(stamps_s) > 2:  # as `VehicleTrack.at` has it
+        theta = Akima1DInterpolator(stamps_s, yaw_rad, method="makima")(stamps)
     ahead = np.column_stack([np.cos(theta), np.sin(theta)])
     step = (np.diff(path, axis=0) * ahead[1:]).sum(axis=1)
     backwards = step.sum() < 0.0
@@ -72,7 +83,7 @@ def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyY
         theta, step = theta[::-1], step[::-1]
     step = np.abs(step)
     psi = np.empty((len(LEVERS_M), len(stamps)))
-    psi[:, 0] = theta[0]
+    psi[:, 0] = theta[0] - np.arcsin(np.clip(LEVERS_M * _bend(theta, step), -MOST_LAG, MOST_LAG))
     rate = np.concatenate([[0.0], 1.0 / LEVERS_M[1:]])  # without a lever the body is the heading, which is set below
     middle = (theta[1:] + theta[:-1]) / 2.0
     for i, ds in enumerate(step):
@@ -82,3 +93,10 @@ def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyY
     psi[0] = theta
     turned = psi - theta
     return BodyYaw(stamps, turned[:, ::-1] if backwards else turned)
+
+
+def _bend(theta: FloatArray, step: FloatArray) -> float:
+    """Return the curvature at the beginning of a way, 1/m, in which the body is taken to have settled."""
+    count = int(np.searchsorted(np.cumsum(step), FIRST_M)) + 1
+    passed_m = float(step[:count].sum())
+    return float(theta[min(count, len(step))] - theta[0]) / max(passed_m, FIRST_M)
