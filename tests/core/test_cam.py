@@ -181,6 +181,20 @@ def test_a_circle(radius_m: float, speed_mps: float, rate_hz: float, most_m: flo
     assert np.linalg.norm(xy - circle(radius_m, speed_mps, times), axis=1).max() < most_m
 
 
+@pytest.mark.parametrize("rate_hz", [5.0, 2.0, 1.0])
+def test_a_vehicle_that_leaves_a_bend(rate_hz: float) -> None:
+    """It unwinds its steering wheel from 25 deg/s in 2 s; a straight line between messages is off by a t^2 / 8."""
+    stamps, times = np.arange(-3.0, 5.0, 1.0 / rate_hz), np.linspace(-2.0, 4.0, 601)
+
+    def yaw_deg(at: FloatArray) -> FloatArray:
+        unwound = at.clip(0.0, 2.0)
+        return 25.0 * (np.minimum(at, 0.0) + unwound - unwound**2 / 4.0)
+
+    track = VehicleTrack(stamps, 0, np.zeros((len(stamps), 2)), np.radians(yaw_deg(stamps)), 4.5, 1.8)
+    off_deg = np.abs(np.degrees(track.at(times)[1]) - yaw_deg(times))
+    assert off_deg.max() < 12.5 / rate_hz**2 / 8 / 2
+
+
 @pytest.mark.parametrize("messages", [2, 5])
 def test_what_is_beyond_a_gap_does_not_bend_the_way(messages: int) -> None:
     """A vehicle turns right around a corner, and left around the next one while its messages are lost."""

@@ -60,3 +60,18 @@ def test_the_derivative_is_that_of_the_turn(lever_m: float) -> None:
     more, less = body.at(stamps, lever_m + 1e-4)[0], body.at(stamps, lever_m - 1e-4)[0]
     assert by_lever == pytest.approx((more - less) / 2e-4, abs=1e-6)
     assert lever_m < LEVERS_M[-1]
+
+
+@pytest.mark.parametrize("backwards", [False, True], ids=["forwards", "reversing"])
+@pytest.mark.parametrize("rate_hz", [10.0, 2.0])
+@pytest.mark.parametrize(("lever_m", "radius_m"), [(2.7, 8.0), (3.7, 12.0), (6.0, 12.0)])
+def test_messages_that_begin_in_a_bend_begin_with_a_body_that_is_turned(
+    lever_m: float, radius_m: float, rate_hz: float, backwards: bool
+) -> None:
+    """In a circle the body is always turned by asin(lever / radius of the point's way)."""
+    stamps = np.arange(0.0, 4.0, 1.0 / rate_hz)
+    around = 5.0 * stamps / radius_m * (-1.0 if backwards else 1.0)
+    point = radius_m * np.column_stack([np.sin(around), -np.cos(around)])
+    track = VehicleTrack(stamps, 0, point, around, 4.6, 1.8)
+    turned, _ = track.body.at(stamps, lever_m)
+    assert np.degrees(np.abs(turned + np.arcsin(lever_m / radius_m))).max() < 1.0

@@ -217,7 +217,8 @@ def draw_road(
     behind ``verges``.
 
     Cross falls are 2.5 % in straights (RASt 06 and RAA), less within crossings; waves of up to 1 cm are what an
-    international roughness index of 2 to 4 m/km means. Verges fall by up to 12 % (RAL 2012).
+    international roughness index of 2 to 4 m/km means, and longer ones are as much higher as on roads of ISO 8608's
+    classes B to C: standard deviations of 6 to 13 mm from 25 to 90 m. Verges fall by up to 12 % (RAL 2012).
     """
     half = float(rng.choice([3.25, 3.5, 5.0, 6.5, 7.0]))
     ring = float(rng.uniform(13.0, 18.0)) if kind == "roundabout" else 0.0
@@ -238,7 +239,8 @@ def draw_road(
         bumps=_waves(rng, (6.0, 20.0), land * 0.03),
         verge=float(rng.uniform(0.0, 0.12)) if verges else None,
     )
-    return road.levelled()
+    longer = _waves(rng, (25.0, 90.0), uneven * float(rng.uniform(0.008, 0.016)))
+    return replace(road, waves=(*waves, *longer)).levelled()
 
 
 def _waves(rng: np.random.Generator, lengths_m: tuple[float, float], highest_m: float) -> tuple[Wave, ...]:
