@@ -25,8 +25,8 @@ _STEPS = np.arange(-5, 6)
 _PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
 """Weights of the least-squares parabola's middle through eleven places (Savitzky and Golay, 1964)."""
 
-MOST_OWN, LEAST_TOLD = 0.8, 10
-"""Messages that count for less than this in their own parabola, and so many of them, tell the noise of all."""
+LEAST_TOLD = 10
+"""So many messages tell the noise of all."""
 
 _Track: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
 
@@ -111,30 +111,19 @@ def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArra
 def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     """Return by how much each message's heading is off by itself, one standard deviation, rad.
 
-    That is what is left of the headings beside a parabola through them: a share 1 - w of their variance, where w is the
-    weight of each in its own parabola. It is counted by its median, for where a bend begins a parabola is wrong. Of few
-    messages, or such as come seldom, a parabola leaves nothing; then it is not known.
+    That is what is left of the headings beside cubics through the two before and the two after, whose errors are in it
+    as well. It is counted by its median, for where a bend begins a cubic is wrong. Of few messages, or such as come
+    seldom, it is not known.
     """
-    stamps = vehicle.stamps_s
-    smoothed, known = smooth(vehicle, stamps)[1:]
-    weight = own_weight(vehicle)
-    told = known & (weight < MOST_OWN)
-    if told.sum() < LEAST_TOLD:
+    five = np.arange(5) + np.arange(max(0, len(vehicle.stamps_s) - 4))[:, None]
+    five = five[np.ptp(vehicle.stamps_s[five], axis=1) <= 4 * SMOOTH_S]
+    if len(five) < LEAST_TOLD:
         return otherwise_rad
-    left = np.abs(wrap(vehicle.yaw_rad[told] - smoothed[told])) / np.sqrt(1.0 - weight[told])
-    return float(1.4826 * np.median(left))
-
-
-def own_weight(vehicle: VehicleTrack) -> FloatArray:
-    """Return how much each message, shape (n,), counts in the smoothed track at its own time."""
-    stamps_s = vehicle.stamps_s
-    first, last = vehicle.stretch(stamps_s)
-    before, after = np.diff(stamps_s, prepend=stamps_s[0]), np.diff(stamps_s, append=stamps_s[-1])
-    reach_s = np.minimum(stamps_s - first, last - stamps_s).clip(0.0, SMOOTH_S)
-    away = reach_s[:, None] * _STEPS / _STEPS[-1]
-    gap = np.where(away < 0.0, before[:, None], after[:, None])
-    weight: FloatArray = np.maximum(1.0 - np.abs(away) / np.maximum(gap, 1e-9), 0.0) @ _PARABOLA
-    return weight
+    away = vehicle.stamps_s[five[:, [0, 1, 3, 4]]] - vehicle.stamps_s[five[:, 2:3]]
+    apart = away[:, None] - away[:, :, None] + np.eye(4)
+    weight = np.where(np.eye(4, dtype=bool), 1.0, away[:, None] / apart).prod(axis=2)  # Lagrange's
+    left = vehicle.yaw_rad[five[:, 2]] - (weight * vehicle.yaw_rad[five[:, [0, 1, 3, 4]]]).sum(axis=1)
+    return float(1.4826 * np.median(np.abs(wrap(left)) / np.sqrt(1.0 + (weight**2).sum(axis=1))))
 
 
 def _rates(
