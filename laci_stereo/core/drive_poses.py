@@ -111,9 +111,9 @@ def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArra
 def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     """Return by how much each message's heading is off by itself, one standard deviation, rad.
 
-    That is what is left of the headings beside cubics through the two before and the two after, whose errors are in it
-    as well. It is counted by its median, for where a bend begins a cubic is wrong. Of few messages, or such as come
-    seldom, it is not known.
+    That is what is left of each beside the cubic through the two before and the two after, less what these err by. It
+    is counted by its median, for where a bend begins a cubic is wrong. Of few messages, or such as come seldom, it is
+    not known.
     """
     five = np.arange(5) + np.arange(max(0, len(vehicle.stamps_s) - 4))[:, None]
     five = five[np.ptp(vehicle.stamps_s[five], axis=1) <= 4 * SMOOTH_S]
