@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.cam_repair import WIDEST_M
+from laci_stereo.core.cam_repair import MIRRORS_M, MIRRORS_SIGMA_M, WIDEST_M
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
@@ -166,12 +166,12 @@ def _moved_m(piece: Sequence[Sighting]) -> float:
 
 
 def _fit_one(pairs: Pairs, sizes: Sequence[tuple[float, float]]) -> bool:
-    """Tell whether both together are no larger than one of some vehicles."""
+    """Tell whether both together are no larger than one of some vehicles, whose mirrors stand out."""
     extents_m = _extents_m(pairs)
     across_m, along_m = extents_m.min(axis=1), extents_m.max(axis=1)
-    over_m = _over_m(pairs)
+    over_m, widest_m = _over_m(pairs), MIRRORS_M + 2 * MIRRORS_SIGMA_M
     return any(
-        np.mean((along_m < np.hypot(length_m, width_m) + over_m) & (across_m < width_m + over_m)) >= MOSTLY
+        np.mean((along_m < np.hypot(length_m, width_m) + over_m) & (across_m < width_m + widest_m + over_m)) >= MOSTLY
         for length_m, width_m in sizes
     )
 
