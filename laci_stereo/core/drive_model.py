@@ -287,7 +287,8 @@ class DriveModel:
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
-        self.heading_variance = _heading_variance(drive, self.base_sigmas[1])
+        self.frame_s = float(np.median(np.diff(drive.stamps_s))) if len(drive) > 1 else np.inf
+        self.heading_variance = _heading_variance(drive, self.frame_s, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
         by = _corrected(self.own)
         self.sigmas = np.sqrt(np.einsum("ij,jk,ik->i", by, np.linalg.inv(self.prior()[0]), by))
@@ -466,7 +467,8 @@ class DriveModel:
         if len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
             rows = _joined([rows, self._border_rows(x, poses)])
         # A message's error is one for all of a frame: so many have together what one of them would have.
-        by_heading = self.heading_variance * np.bincount(rows.frame, rows.share)[rows.frame]
+        each_frame = self.heading_variance + poses.unsure / self.frame_s
+        by_heading = (each_frame * np.bincount(rows.frame, rows.share, len(each_frame)))[rows.frame]
         return replace(rows, variance=rows.variance + by_heading * rows.jacobian[:, _HEADING] ** 2)
 
     def choose(self, x: FloatArray) -> Chosen:
@@ -679,17 +681,14 @@ def _joined(parts: Sequence[Rows]) -> Rows:
     return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
 
 
-def _heading_variance(drive: Evidence, otherwise_rad: float) -> float:
+def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> float:
     """Return the variance that each frame has through the noise of the messages' headings, rad^2.
 
     One message's error is common to all frames until the next. For these to tell no more than it does, each has as many
     times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
     """
-    frames = 1.0
-    if len(drive) > 1:
-        frame_s, message_s = (float(np.median(np.diff(each))) for each in (drive.stamps_s, drive.vehicle.stamps_s))
-        frames = max(1.0, message_s / max(frame_s, 1e-9))
-    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * frames
+    message_s = float(np.median(np.diff(drive.vehicle.stamps_s)))
+    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * max(1.0, message_s / max(frame_s, 1e-9))
 
 
 def _worth(drive: Evidence, alike_m: float) -> FloatArray:

@@ -53,6 +53,8 @@ class Poses:
         Derivative of the body's yaw by the heading lever.
     rates, now : Rates
         Over `RATE_S`, and at the moment itself.
+    unsure : ndarray, shape (m,)
+        Variance of the heading because of its course between two messages, times how long these are apart, rad^2 s.
     known : ndarray of bool, shape (m,)
         The messages tell it.
     """
@@ -63,6 +65,7 @@ class Poses:
     by_lever: FloatArray
     rates: Rates
     now: Rates
+    unsure: FloatArray
     known: BoolArray
 
 
@@ -93,6 +96,7 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
         by_lever=by_lever,
         rates=_rates(vehicle.at, at, heading, body, lever, RATE_S, vehicle.stretch(at)),
         now=_rates(smoothed, at, heading, body, lever, NOW_S, vehicle.stretch(at)),
+        unsure=_unsure(vehicle, at),
         known=known,
     )
 
@@ -124,6 +128,23 @@ def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     weight = np.where(np.eye(4, dtype=bool), 1.0, away[:, None] / apart).prod(axis=2)  # Lagrange's
     left = vehicle.yaw_rad[five[:, 2]] - (weight * vehicle.yaw_rad[five[:, [0, 1, 3, 4]]]).sum(axis=1)
     return float(1.4826 * np.median(np.abs(wrap(left)) / np.sqrt(1.0 + (weight**2).sum(axis=1))))
+
+
+def _unsure(vehicle: VehicleTrack, at: FloatArray) -> FloatArray:
+    """Return how unsure the heading is between messages, shape (m,), rad^2 s.
+
+    A straight line is off by c t (h - t) / (2 h) where its slope changes by c from one interval to the next and this
+    one lasts for h. A curve is better where the heading changes smoothly, by as much as is not known.
+    """
+    stamps_s = vehicle.stamps_s
+    gap_s = np.maximum(np.diff(stamps_s), 1e-9)
+    change = np.abs(np.diff(np.diff(vehicle.yaw_rad) / gap_s, prepend=np.nan, append=np.nan))
+    change = np.fmax(change[:-1], change[1:])
+    index = np.searchsorted(stamps_s, at, side="right").clip(1, len(gap_s)) - 1
+    passed_s = (at - stamps_s[index]).clip(0.0, gap_s[index])
+    straight_rad = np.nan_to_num(change[index]) * passed_s * (gap_s[index] - passed_s) / (2.0 * gap_s[index])
+    unsure: FloatArray = straight_rad**2 * gap_s[index]
+    return unsure
 
 
 def _rates(

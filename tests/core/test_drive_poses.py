@@ -7,6 +7,7 @@ import pytest
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_poses import heading_noise, poses_at, smooth
+from laci_stereo.core.frames import FloatArray
 from tests.core.outlines import ROUNDABOUT, told, without_messages
 
 
@@ -87,3 +88,26 @@ def test_messages_at_any_times_tell_it(sigma_deg: float) -> None:
     yaw_deg = 3e-6 * (stamps - 400.0) ** 3 + sigma_deg * rng.normal(size=len(stamps))
     vehicle = VehicleTrack(stamps, 0, np.zeros((len(stamps), 2)), np.radians(yaw_deg), 4.6, 1.8)
     assert np.degrees(heading_noise(vehicle, 1.0)) == pytest.approx(sigma_deg, rel=0.1, abs=1e-9)
+
+
+def swerving(stamps_s: FloatArray) -> FloatArray:
+    """Return the heading, rad, of a front that swings from one side to the other within two seconds."""
+    return np.radians(35.0) * np.sin(np.pi * np.clip(stamps_s - 5.0, -1.0, 1.0) / 2.0)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("interval_s", [0.5, 0.8, 1.0])
+def test_between_messages_headings_are_as_unsure_as_they_may_be_off(interval_s: float, phase: float) -> None:
+    stamps = np.arange(-phase * interval_s, 11.0, interval_s)
+    vehicle = VehicleTrack(stamps, 0, np.column_stack([8.0 * stamps, 0.0 * stamps]), swerving(stamps), 4.6, 1.8)
+    at = np.linspace(1.0, 9.0, 161)
+    off = vehicle.at(at)[1] - swerving(at)
+    sigma = np.sqrt(poses_at(at, vehicle, 0.0, 0.0).unsure / interval_s)
+    assert (np.abs(off) < 3.0 * sigma + np.radians(0.5)).all()
+    assert np.sqrt(np.mean(off**2)) < np.sqrt(np.mean(sigma**2))
+
+
+def test_headings_that_change_evenly_are_sure_however_seldom_they_are_told() -> None:
+    stamps = np.array([0.0, 0.4, 1.3, 2.3, 2.5, 3.5])
+    vehicle = VehicleTrack(stamps, 0, np.column_stack([8.0 * stamps, 0.0 * stamps]), 0.4 * stamps, 4.6, 1.8)
+    assert poses_at(np.linspace(0.0, 3.5, 71), vehicle, 0.0, 0.0).unsure.max() < 1e-20

@@ -169,18 +169,20 @@ def _sent(mover: Mover, flaws: CamFlaws, span_s: tuple[float, float], rng: np.ra
     period = 0.1 if flaws.rate_hz == 0.0 else 1.0 / flaws.rate_hz
     times = np.arange(span_s[0] + rng.uniform(0.0, period), span_s[1], period)
     if flaws.rate_hz == 0.0:
-        times = times[_triggered(mover, times)]
+        times = times[_triggered(mover, flaws, times)]
     return times[rng.random(len(times)) >= flaws.loss]
 
 
-def _triggered(mover: Mover, times_s: FloatArray) -> list[int]:
+def _triggered(mover: Mover, flaws: CamFlaws, times_s: FloatArray) -> list[int]:
+    """Return which messages are sent: where what would be told has changed since the last one."""
     xy, yaw = mover.track(times_s)
+    heading = _direction(mover, flaws, times_s, yaw)
     speed = mover.drive.speed(times_s)
     sent = [0]
     for index in range(1, len(times_s)):
         last = sent[-1]
         changed = (
-            abs(float(wrap(yaw[index] - yaw[last]))) > np.radians(4.0)
+            abs(float(wrap(heading[index] - heading[last]))) > np.radians(4.0)
             or float(np.hypot(*(xy[index] - xy[last]))) > 4.0
             or abs(speed[index] - speed[last]) > 0.5
         )
