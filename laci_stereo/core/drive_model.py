@@ -17,11 +17,11 @@ from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
 """Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own: clock offset, heading
-error, heading lever, the shape, how partial a detector's boxes are, by how much borders grow, and the knots of the GNSS
-bias."""
+error, heading lever, how the body stood when the messages began, the shape, how partial a detector's boxes are, by how
+much borders grow, and the knots of the GNSS bias."""
 
 BIAS, SWEEP = 3, 4
-_CLOCK, _HEADING, _LEVER, _SHAPE = 5, 6, 7, 8
+_CLOCK, _HEADING, _LEVER, _BEGIN, _SHAPE = 5, 6, 7, 8, 9
 _PARTIAL = _SHAPE + len(outline.SHAPE)
 _GROWTH = _PARTIAL + 1
 _KNOTS = _GROWTH + 2
@@ -53,6 +53,9 @@ FINEST_M = 0.01
 HEADING_LEVER = 0.4
 """The point whose direction of motion is told, ahead of the rear axle, over the vehicle's length, with a standard
 deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the front moves."""
+
+BEGIN_SIGMA = 1.0
+"""Where messages begin in a bend a vehicle may have been in it for long (-1), or just entered it (1), or left one."""
 
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 """A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
@@ -219,7 +222,7 @@ class Rows(Columns):
     distance, variance : ndarray, shape (n,)
     cos : ndarray, shape (n,)
         By which ranges are longer than distances; 0 where there is no range.
-    jacobian : ndarray, shape (n, 21)
+    jacobian : ndarray, shape (n, 22)
         Of the range, times the cosine: what is measured is the range, while the line of sight is known.
     by_time : ndarray, shape (n,)
         The same by the time of the messages, at that moment.
@@ -311,6 +314,7 @@ class DriveModel:
         covariance = np.zeros((self.own, self.own))
         covariance[0, 0], covariance[1, 1] = variances[0], variances[1]
         covariance[2, 2] = (HEADING_LEVER * self.size[0]) ** 2
+        covariance[3, 3] = BEGIN_SIGMA**2
         shape = slice(_SHAPE - FIRST_OWN, _PARTIAL - FIRST_OWN)
         # An error of the length moves the side that the position does not refer to.
         fixed = np.clip(0.5 + vehicle.reference[0] / vehicle.length_m, 0.0, 1.0)
@@ -524,7 +528,7 @@ class DriveModel:
 
     def _poses(self, x: FloatArray) -> Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
-        return poses_at(at, self.drive.vehicle, x[_HEADING], x[_LEVER])
+        return poses_at(at, self.drive.vehicle, x[_HEADING], x[_LEVER], x[_BEGIN])
 
     def _into_vehicle(
         self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray
@@ -664,7 +668,7 @@ class DriveModel:
         yaw: FloatArray,
         normal: FloatArray,
     ) -> FloatArray:
-        """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and heading lever."""
+        """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and lever, begin."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
         jacobian[:, 0] = dot_xy(normal_world, turned(rotate_xy(x[0], arm)))
@@ -674,6 +678,7 @@ class DriveModel:
         about = -dot_xy(normal, turned(xy - np.asarray(self.drive.vehicle.reference)))
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
+        jacobian[:, _BEGIN] = about * poses.by_begin[frame]
         return jacobian
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, turned, wrap
-from laci_stereo.core.tractrix import BodyYaw
 
 RATE_S = 1.0
 """How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
@@ -49,8 +48,8 @@ class Poses:
         World frame.
     heading, yaw : ndarray, shape (m,)
         Of its motion, and of its body.
-    by_lever : ndarray, shape (m,)
-        Derivative of the body's yaw by the heading lever.
+    by_lever, by_begin : ndarray, shape (m,)
+        Derivatives of the body's yaw by the heading lever, and by how it stood when the messages began.
     rates, now : Rates
         Over `RATE_S`, and at the moment itself.
     unsure : ndarray, shape (m,)
@@ -63,13 +62,14 @@ class Poses:
     heading: FloatArray
     yaw: FloatArray
     by_lever: FloatArray
+    by_begin: FloatArray
     rates: Rates
     now: Rates
     unsure: FloatArray
     known: BoolArray
 
 
-def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever: float) -> Poses:
+def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever: float, begin: float = 0.0) -> Poses:
     """Return a vehicle's poses.
 
     Parameters
@@ -81,21 +81,30 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
         To be added to what is told.
     lever : float
         How far ahead of the rear axle the point is whose direction of motion is told, metres.
+    begin : float
+        How the body stood when the messages began: 1 as that point moved, -1 as in a bend in which it has settled.
     """
 
     def smoothed(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         return smooth(vehicle, stamps_s)
 
+    def bent(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        (turned, by_lever), (begun, begun_by_lever) = (
+            each(stamps_s, lever) for each in (vehicle.body.at, vehicle.body.begun_at)
+        )
+        return turned + begin * begun, by_lever + begin * begun_by_lever, begun
+
     xy, heading, known = smoothed(at)
-    body = vehicle.body
-    bent, by_lever = body.at(at, lever)
+    turned, by_lever, by_begin = bent(at)
+    stretch_s = vehicle.stretch(at)
     return Poses(
         xy=xy,
         heading=heading,
-        yaw=heading + heading_error + bent,
+        yaw=heading + heading_error + turned,
         by_lever=by_lever,
-        rates=_rates(vehicle.at, at, heading, body, lever, RATE_S, vehicle.stretch(at)),
-        now=_rates(smoothed, at, heading, body, lever, NOW_S, vehicle.stretch(at)),
+        by_begin=by_begin,
+        rates=_rates(vehicle.at, at, heading, lambda ends_s: bent(ends_s)[0], RATE_S, stretch_s),
+        now=_rates(smoothed, at, heading, lambda ends_s: bent(ends_s)[0], NOW_S, stretch_s),
         unsure=_unsure(vehicle, at),
         known=known,
     )
@@ -151,8 +160,7 @@ def _rates(
     track: _Track,
     at: FloatArray,
     heading: FloatArray,
-    body: BodyYaw,
-    lever: float,
+    bent: Callable[[FloatArray], FloatArray],
     within_s: float,
     stretch_s: tuple[FloatArray, FloatArray],
 ) -> Rates:
@@ -170,7 +178,7 @@ def _rates(
     half = (headings[end] - headings[begin]) / 2.0
     arc = (xy[end] - xy[begin]) / np.sinc(half / np.pi)[:, None]
     velocity = rotate_xy(heading - headings[begin] - half, arc) / passed[:, None]
-    yaws = headings + body.at(ends, lever)[0]
+    yaws = headings + bent(ends)
     yaw = yaws[end] - yaws[begin]
     return Rates(np.where(both[:, None], velocity, 0.0), np.where(both, yaw, 0.0) / passed)
 

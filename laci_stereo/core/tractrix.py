@@ -39,21 +39,36 @@ class BodyYaw:
     stamps_s : ndarray, shape (n,)
     turned : ndarray, shape (levers, n)
         For each of `LEVERS_M`, rad.
+    begun : ndarray, shape (levers, n)
+        By how much more it is turned, rad, if the body stood as the point moved when the messages began; by as much
+        less if it had settled in a bend.
     """
 
     stamps_s: FloatArray
     turned: FloatArray
+    begun: FloatArray
 
     def at(self, stamps_s: FloatArray, lever_m: float) -> tuple[FloatArray, FloatArray]:
         """Return the turn at some times, shape (m,), and its derivative by the lever [rad/m].
 
         Beyond the shortest and the longest lever the turn goes on as it began.
         """
-        spacing = LEVERS_M[1]
-        index = int(np.clip(lever_m // spacing, 0, len(LEVERS_M) - 2))
-        low, high = (np.interp(stamps_s, self.stamps_s, self.turned[i]) for i in (index, index + 1))
-        slope = (high - low) / spacing
-        return low + slope * (lever_m - LEVERS_M[index]), slope
+        return _between(self.stamps_s, self.turned, stamps_s, lever_m)
+
+    def begun_at(self, stamps_s: FloatArray, lever_m: float) -> tuple[FloatArray, FloatArray]:
+        """Return by how much it may be turned more or less at some times, and the derivative of that by the lever."""
+        return _between(self.stamps_s, self.begun, stamps_s, lever_m)
+
+
+def _between(
+    known_s: FloatArray, values: FloatArray, stamps_s: FloatArray, lever_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return values of all levers, shape (levers, n), at some times and for one lever, and their derivative by it."""
+    spacing = LEVERS_M[1]
+    index = int(np.clip(lever_m // spacing, 0, len(LEVERS_M) - 2))
+    low, high = (np.interp(stamps_s, known_s, values[i]) for i in (index, index + 1))
+    slope = (high - low) / spacing
+    return low + slope * (lever_m - LEVERS_M[index]), slope
 
 
 def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyYaw:
@@ -83,7 +98,9 @@ def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyY
         theta, step = theta[::-1], step[::-1]
     step = np.abs(step)
     psi = np.empty((len(LEVERS_M), len(stamps)))
-    psi[:, 0] = theta[0] - np.arcsin(np.clip(LEVERS_M * _bend(theta, step), -MOST_LAG, MOST_LAG))
+    # At a bend's begin the body stands as the point moves, later it has settled; which of both it is nothing tells.
+    half = np.arcsin(np.clip(LEVERS_M * _bend(theta, step), -MOST_LAG, MOST_LAG)) / 2.0
+    psi[:, 0] = theta[0] - half
     rate = np.concatenate([[0.0], 1.0 / LEVERS_M[1:]])  # without a lever the body is the heading, which is set below
     middle = (theta[1:] + theta[:-1]) / 2.0
     for i, ds in enumerate(step):
@@ -92,11 +109,12 @@ def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyY
         psi[:, i + 1] = middle[i] - lag
     psi[0] = theta
     turned = psi - theta
-    return BodyYaw(stamps, turned[:, ::-1] if backwards else turned)
+    begun = half[:, None] * np.exp(-rate[:, None] * np.append(0.0, np.cumsum(step)))
+    return BodyYaw(stamps, *(each[:, ::-1] if backwards else each for each in (turned, begun)))
 
 
 def _bend(theta: FloatArray, step: FloatArray) -> float:
-    """Return the curvature at the beginning of a way, 1/m, in which the body is taken to have settled."""
+    """Return the curvature at the beginning of a way, 1/m."""
     count = int(np.searchsorted(np.cumsum(step), FIRST_M)) + 1
     passed_m = float(step[:count].sum())
     return float(theta[min(count, len(step))] - theta[0]) / max(passed_m, FIRST_M)

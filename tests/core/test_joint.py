@@ -207,16 +207,18 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.mark.parametrize("index", range(FIRST_OWN + 12))
+@pytest.mark.parametrize("index", range(FIRST_OWN + 14))
 def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
-    drive = evidence(sigma_m=0.05, offset_s=0.01)
-    drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)), turn_s=0.1)
+    way = CIRCLE if index == FIRST_OWN + 3 else TURN  # messages begin in a bend, or on a straight
+    drive = evidence(way, sigma_m=0.05, offset_s=0.01)
+    drive = replace(drive, vehicle=told(way, 6.0, reference=(2.3, 0.1)), turn_s=0.1)
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings(), turns=True)
     x = np.zeros(FIRST_OWN + model.own)
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
     x[BIAS], x[SWEEP] = 0.01, 0.7
-    x[FIRST_OWN : FIRST_OWN + 12] = np.random.default_rng(2).normal(0.0, 0.01, 12)
-    x[FIRST_OWN + 10 : FIRST_OWN + 12] += 0.2
+    x[FIRST_OWN : FIRST_OWN + 14] = np.random.default_rng(2).normal(0.0, 0.01, 14)
+    x[FIRST_OWN + 2 : FIRST_OWN + 4] += 2.0, 0.3  # lever, begin
+    x[FIRST_OWN + 12 : FIRST_OWN + 14] += 0.2
     step = 1e-6 * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
     assert len(rows.distance) == len(more.distance) == len(less.distance)
@@ -225,10 +227,11 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     slope = (more.distance / late - less.distance / early) / 2e-6
     # The sides' bends make normals lean by what this leaves; corners change sides.
     off = np.abs(slope * now - rows.jacobian[:, index])
+    assert np.abs(slope).max() > 0.0
     assert np.median(off) < 0.01 * max(1.0, float(np.abs(slope).max()))
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 20)])
+@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 21)])
 def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = with_borders(evidence(sigma_m=0.05, per_frame=10), sigma=0.1)
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
@@ -274,7 +277,7 @@ def test_by_how_much_borders_grow_hardly_moves_the_result(growth: tuple[float, f
 @pytest.mark.parametrize("growth", [(0.4, 0.4), (-0.4, -0.4), (0.3, -0.3)])
 def test_where_the_vehicle_is_known_so_is_by_how_much_each_border_has_grown(growth: tuple[float, float]) -> None:
     model, x = at_the_truth(with_borders(evidence(), growth=growth))
-    free = slice(FIRST_OWN + 4 + len(SHAPE), FIRST_OWN + 6 + len(SHAPE))  # behind clock, heading, lever, shape, partial
+    free = slice(FIRST_OWN + 5 + len(SHAPE), FIRST_OWN + 7 + len(SHAPE))  # behind clock, heading, lever, begin, shape
     precision = model.prior()[0][free.start - FIRST_OWN : free.stop - FIRST_OWN, free.start - FIRST_OWN :][:, :2]
     shares = model.shares()
     for _ in range(5):
@@ -325,7 +328,7 @@ def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
     x = np.zeros(FIRST_OWN + model.own)
     x[0], x[1:3] = TRUTH.yaw_rad, TRUTH(model.centre[None])[0]
-    radii = FIRST_OWN + 3 + SHAPE.index("front_radius")
+    radii = FIRST_OWN + 4 + SHAPE.index("front_radius")
     x[radii : radii + 2] = -1.0  # the sharpest corners
     return model, x
 

@@ -65,13 +65,24 @@ def test_the_derivative_is_that_of_the_turn(lever_m: float) -> None:
 @pytest.mark.parametrize("backwards", [False, True], ids=["forwards", "reversing"])
 @pytest.mark.parametrize("rate_hz", [10.0, 2.0])
 @pytest.mark.parametrize(("lever_m", "radius_m"), [(2.7, 8.0), (3.7, 12.0), (6.0, 12.0)])
-def test_messages_that_begin_in_a_bend_begin_with_a_body_that_is_turned(
+def test_messages_that_begin_in_a_bend_leave_open_how_the_body_stands_in_it(
     lever_m: float, radius_m: float, rate_hz: float, backwards: bool
 ) -> None:
-    """In a circle the body is always turned by asin(lever / radius of the point's way)."""
-    stamps = np.arange(0.0, 4.0, 1.0 / rate_hz)
+    """In a circle the body is turned by asin(lever / radius of the point's way), or will be after a while."""
+    stamps = np.arange(0.0, 8.0, 1.0 / rate_hz)
     around = 5.0 * stamps / radius_m * (-1.0 if backwards else 1.0)
     point = radius_m * np.column_stack([np.sin(around), -np.cos(around)])
     track = VehicleTrack(stamps, 0, point, around, 4.6, 1.8)
-    turned, _ = track.body.at(stamps, lever_m)
-    assert np.degrees(np.abs(turned + np.arcsin(lever_m / radius_m))).max() < 1.0
+    (turned, _), (begun, _) = track.body.at(stamps, lever_m), track.body.begun_at(stamps, lever_m)
+    settled = np.arcsin(lever_m / radius_m)
+    first, last = (-1, 0) if backwards else (0, -1)
+    assert np.degrees(turned[first] + begun[first]) == pytest.approx(0.0, abs=0.1)
+    assert np.degrees(np.abs(turned - begun + settled)).max() < 1.0
+    assert np.degrees(np.abs([turned[last] + settled, begun[last]])).max() < 0.1 * np.degrees(settled)
+
+
+@pytest.mark.parametrize("lever_m", [1.3, 3.7, 7.9])
+def test_the_derivative_is_that_of_what_the_begin_leaves_open(lever_m: float) -> None:
+    body, stamps = driven(3.0)[0].body, np.linspace(0.0, 4.0, 41)
+    more, less = body.begun_at(stamps, lever_m + 1e-4)[0], body.begun_at(stamps, lever_m - 1e-4)[0]
+    assert body.begun_at(stamps, lever_m)[1] == pytest.approx((more - less) / 2e-4, abs=1e-6)
