@@ -102,6 +102,24 @@ def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple
     rear_m, front_m : float
         What all but a tenth of the frames lack of it; 0 if its side was seen in less than `LEAST_FRAMES`.
     """
+    ends = _ends_m(drive, match, time_offset_s)
+    if len(ends) < LEAST_FRAMES:
+        return 0.0, 0.0
+    rear_m, front_m = np.quantile(ends * (1.0, -1.0) + drive.vehicle.length_m / 2, 1.0 - MOSTLY, axis=0)
+    return max(float(rear_m), 0.0), max(float(front_m), 0.0)
+
+
+def seen_share(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> float:
+    """Return what share of a vehicle's length is seen at a time, while its side is: the median; 1 if it never is.
+
+    Parameters are those of `unseen_m`.
+    """
+    ends = _ends_m(drive, match, time_offset_s)
+    return float(np.median(np.ptp(ends, axis=1))) / drive.vehicle.length_m if len(ends) >= LEAST_FRAMES else 1.0
+
+
+def _ends_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> FloatArray:
+    """Return from where to where along the vehicle something is seen in the frames in which its side is, (n, 2)."""
     vehicle = drive.vehicle
     half = np.array([vehicle.length_m, vehicle.width_m]) / 2
     xy, yaw, known = vehicle.at(drive.stamps_s + time_offset_s)
@@ -109,11 +127,8 @@ def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple
     side = known & (np.arctan2(sensor[:, 1] - half[1], sensor[:, 0] + half[0]) > SIDE_SEEN_RAD)
     along = rotate_xy(-yaw[drive.frame], match(drive.points[:, :2]) - xy[drive.frame])[:, 0]
     each = np.split(along, np.searchsorted(drive.frame, np.arange(1, len(drive))))
-    ends = np.array([np.quantile(one, (0.02, 0.98)) for one, seen in zip(each, side, strict=True) if seen and len(one)])
-    if len(ends) < LEAST_FRAMES:
-        return 0.0, 0.0
-    rear_m, front_m = np.quantile(half[0] + ends * (1.0, -1.0), 1.0 - MOSTLY, axis=0)
-    return max(float(rear_m), 0.0), max(float(front_m), 0.0)
+    ends = [np.quantile(one, (0.02, 0.98)) for one, seen in zip(each, side, strict=True) if seen and len(one)]
+    return np.array(ends).reshape(-1, 2)
 
 
 def _often_close(tracks: Sequence[Track], length_m: float) -> list[tuple[int, int]]:

@@ -15,6 +15,7 @@ from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
 from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.pieces import seen_share
 from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.track_likelihood import MANOEUVRES, OTHER_TIME_S, SPEED_SPREAD, USUAL_MPS2
 from laci_stereo.core.track_motion import rigid_motion
@@ -26,6 +27,10 @@ is what a camera's distances err by together, so they tell nothing."""
 
 MISTAKEN = 0.02
 """One sender in fifty tells something wrong, by as much as strangers differ."""
+
+MOSTLY_SEEN, HIDDEN, STRANGER_SMALL = 0.5, 0.05, 0.5
+"""Of one vehicle in twenty less than half is seen at a time though its side is: something hides it or it is dark. Every
+second stranger is as small against a long vehicle: a cyclist has room for any way of its own along a bus."""
 
 FREE_M = 2.0
 """Standard deviation of where a stranger is about the way of the sender that it was brought together with."""
@@ -101,7 +106,10 @@ def resemblance(
     except MatchError:
         return Resemblance()
     (length,) = (correction for correction in fit.corrections if correction.what == "length")
-    return Resemblance(_odds(length, STRANGER_LENGTH_M), way, strayed_s, fit.match)
+    body = _odds(length, STRANGER_LENGTH_M)
+    if seen_share(evidence_of(alone, vehicle, height_m), fit.match, time_offset_s) < MOSTLY_SEEN:
+        body += math.log(HIDDEN / STRANGER_SMALL)
+    return Resemblance(body, way, strayed_s, fit.match)
 
 
 def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: JointSettings) -> tuple[float, Times]:

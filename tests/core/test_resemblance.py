@@ -56,6 +56,27 @@ def test_a_body_of_another_length_speaks_against_it(off_m: float) -> None:
     assert odds(SIZE[0] + off_m) < -2.0
 
 
+@pytest.mark.parametrize("part", ["slides", "rear", "front"])
+def test_what_is_small_against_a_vehicle_speaks_against_it(part: str) -> None:
+    """A metre of the side, as of a cyclist who overtakes it, or a piece of it."""
+    kept = []
+    for share, one in zip(np.linspace(-1.0, 1.0, len(DRIVE.stamps_s)), seen().sightings, strict=True):
+        (xy,), (yaw,), _ = DRIVE.vehicle.at(np.array([one.stamp_s]))
+        along = rotate_xy(-yaw, TRUTH(one.points[:, :2]) - xy)[:, 0]
+        middle = {"slides": share, "rear": -1.0, "front": 1.0}[part] * (SIZE[0] / 2 - 0.5)
+        near = np.abs(along - middle) < 0.5
+        kept.append(
+            replace(
+                one,
+                points=one.points[near],
+                sigma_along_m=one.sigma_along_m[near],
+                sigma_across_m=one.sigma_across_m[near],
+            )
+        )
+    small = resemblance(Track(tuple(kept)), DRIVE.vehicle, TRUTH, 0.0, HEIGHT_M)
+    assert small.body < odds(SIZE[0]) - np.log(9.0)
+
+
 def test_the_start_need_not_be_exact() -> None:
     middle = DRIVE.middles.mean(axis=0)
     yaw = TRUTH.yaw_rad + np.radians(3.0)
