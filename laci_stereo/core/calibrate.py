@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association import Resemblance, choose_track
+from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
-from laci_stereo.core.errors import CamError, MatchError, TrackError
-from laci_stereo.core.frames import planar
+from laci_stereo.core.errors import CalibrationError, CamError, MatchError, TrackError
+from laci_stereo.core.frames import FloatArray, planar
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.pieces import companion, whole
@@ -95,9 +95,7 @@ def locate(
     def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
         return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
 
-    tracks = whole(seen.tracks, vehicles.values(), settings)
-    choice = choose_track(tracks, vehicles, settings.match, likeness)
-    choice = replace(choice, beside=companion(choice.track, tracks))
+    choice = _that_drives_ahead(whole(seen.tracks, vehicles.values(), settings), vehicles, settings, likeness)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     for remark in vehicle.remarks:
@@ -132,6 +130,32 @@ def locate(
         turn=placement.turn,
         found=placement.remarks,
     )
+
+
+def _that_drives_ahead(
+    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: Settings, likeness: Likeness
+) -> Choice:
+    """Return which track is which sender's; of two that move as one it is the one ahead, for what is towed follows."""
+    choice = choose_track(tracks, vehicles, settings.match, likeness)
+    beside, ahead_m = _companion(choice, tracks, vehicles)
+    others = list(tracks)
+    while ahead_m > 0.0:
+        others = [track for track in others if not choice.track.shares(track)]
+        try:
+            choice = choose_track(others, vehicles, settings.match, likeness)
+        except CalibrationError:
+            break  # what is ahead does not fit: it will be said that it is there
+        beside, ahead_m = _companion(choice, tracks, vehicles)
+    return replace(choice, beside=beside)
+
+
+def _companion(choice: Choice, tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack]) -> tuple[int, float]:
+    """Return what `companion` does of the track that was chosen."""
+
+    def yaw_at(stamps_s: FloatArray) -> FloatArray:
+        return vehicles[choice.station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
+
+    return companion(choice.track, tracks, yaw_at)
 
 
 def _paper(track: Track, vehicle: VehicleTrack, settings: Settings) -> Placement | None:

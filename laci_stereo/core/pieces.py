@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -72,18 +72,36 @@ def whole(tracks: Sequence[Track], vehicles: Collection[VehicleTrack], settings:
     return sorted(left, key=lambda track: len(track.sightings), reverse=True)
 
 
-def companion(track: Track, tracks: Sequence[Track]) -> int:
-    """Return in how many frames something else is seen that moves as one with a vehicle, in line; 0 if nothing is.
+def companion(track: Track, tracks: Sequence[Track], yaw_at: Callable[[FloatArray], FloatArray]) -> tuple[int, float]:
+    """Return in how many frames something else moves as one with a vehicle, in line, and by how much it is ahead.
 
     What is too thin for a box, such as matches that bleed from the vehicle, does not count.
+
+    Parameters
+    ----------
+    track : Track
+        Of the vehicle.
+    tracks : sequence of Track
+    yaw_at : callable
+        The yaw of the vehicle's body at some of the track's stamps, level frame.
+
+    Returns
+    -------
+    frames : int
+        0 if nothing is.
+    ahead_m : float
+        How far its middle is ahead of the vehicle's, the median; negative behind it.
     """
-    vehicle, most = Track(track.usable), 0
+    vehicle, found = Track(track.usable), (0, 0.0)
     for other in (Track(one.usable) for one in tracks if not track.shares(one)):
         pairs = _at_once(vehicle, other)
         if _move_as_one(pairs, vehicle, other):
             in_line = _extents_m(pairs).min(axis=1) < WIDEST_M + _over_m(pairs)
-            most = max(most, len(pairs) if in_line.mean() > 0.5 else 0)
-    return most
+            if in_line.mean() > 0.5 and len(pairs) > found[0]:
+                yaw = yaw_at(np.array([a.stamp_s for a, _ in pairs]))
+                ahead_m = rotate_xy(-yaw, np.array([b.middle - a.middle for a, b in pairs]))[np.isfinite(yaw), 0]
+                found = len(pairs), float(np.median(ahead_m)) if len(ahead_m) else 0.0
+    return found
 
 
 def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple[float, float]:
