@@ -207,10 +207,13 @@ class Chosen:
         Which of the drive's.
     share : ndarray, shape (n,)
         How much each weighs, since it shares its noise with others.
+    unsure : ndarray, shape (m,)
+        See `Poses`, of each frame: it must not change on the way, as weights must not.
     """
 
     points: IntArray
     share: FloatArray
+    unsure: FloatArray
 
 
 @dataclass(frozen=True)
@@ -471,7 +474,7 @@ class DriveModel:
         if len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
             rows = _joined([rows, self._border_rows(x, poses)])
         # A message's error is one for all of a frame: so many have together what one of them would have.
-        each_frame = self.heading_variance + poses.unsure / self.frame_s
+        each_frame = self.heading_variance + (poses if chosen is None else chosen).unsure / self.frame_s
         by_heading = (each_frame * np.bincount(rows.frame, rows.share, len(each_frame)))[rows.frame]
         return replace(rows, variance=rows.variance + by_heading * rows.jacobian[:, _HEADING] ** 2)
 
@@ -482,8 +485,9 @@ class DriveModel:
         that many weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the
         side that most are of.
         """
-        met = self.wall(x)
-        return Chosen(met.points, self._shares(met))
+        poses = self._poses(x)
+        met = self._wall(x, poses)
+        return Chosen(met.points, self._shares(met), poses.unsure)
 
     def wall(self, x: FloatArray) -> Met:
         """Return what meets the outline where it is upright, while the messages tell the vehicle's place."""

@@ -27,6 +27,9 @@ _PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
 LEAST_TOLD = 10
 """So many messages tell the noise of all."""
 
+FINEST_RAD = float(np.radians(0.1)) / 12**0.5
+"""No heading is better than that: its last digit in the message is a tenth of a degree."""
+
 _Track: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
 
 
@@ -136,7 +139,8 @@ def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     apart = away[:, None] - away[:, :, None] + np.eye(4)
     weight = np.where(np.eye(4, dtype=bool), 1.0, away[:, None] / apart).prod(axis=2)  # Lagrange's
     left = vehicle.yaw_rad[five[:, 2]] - (weight * vehicle.yaw_rad[five[:, [0, 1, 3, 4]]]).sum(axis=1)
-    return float(1.4826 * np.median(np.abs(wrap(left)) / np.sqrt(1.0 + (weight**2).sum(axis=1))))
+    noise = float(1.4826 * np.median(np.abs(wrap(left)) / np.sqrt(1.0 + (weight**2).sum(axis=1))))
+    return max(noise, FINEST_RAD)
 
 
 def _unsure(vehicle: VehicleTrack, at: FloatArray) -> FloatArray:

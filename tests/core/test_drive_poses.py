@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_poses import heading_noise, poses_at, smooth
+from laci_stereo.core.drive_poses import FINEST_RAD, heading_noise, poses_at, smooth
 from laci_stereo.core.frames import FloatArray
 from tests.core.outlines import ROUNDABOUT, told, without_messages
 
@@ -87,7 +87,7 @@ def test_messages_at_any_times_tell_it(sigma_deg: float) -> None:
     stamps = np.cumsum(rng.uniform(0.05, 0.5, 3000))
     yaw_deg = 3e-6 * (stamps - 400.0) ** 3 + sigma_deg * rng.normal(size=len(stamps))
     vehicle = VehicleTrack(stamps, 0, np.zeros((len(stamps), 2)), np.radians(yaw_deg), 4.6, 1.8)
-    assert np.degrees(heading_noise(vehicle, 1.0)) == pytest.approx(sigma_deg, rel=0.1, abs=1e-9)
+    assert np.degrees(heading_noise(vehicle, 1.0)) == pytest.approx(max(sigma_deg, np.degrees(FINEST_RAD)), rel=0.1)
 
 
 def swerving(stamps_s: FloatArray) -> FloatArray:

@@ -56,7 +56,9 @@ def test_a_body_of_another_length_speaks_against_it(off_m: float) -> None:
     assert odds(SIZE[0] + off_m) < -2.0
 
 
-@pytest.mark.parametrize("part", ["slides", "rear", "front"])
+@pytest.mark.parametrize(
+    "part", ["slides", pytest.param("rear", marks=pytest.mark.slow), pytest.param("front", marks=pytest.mark.slow)]
+)
 def test_what_is_small_against_a_vehicle_speaks_against_it(part: str) -> None:
     """A metre of the side, as of a cyclist who overtakes it, or a piece of it."""
     kept = []
