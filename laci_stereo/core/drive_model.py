@@ -293,7 +293,7 @@ class DriveModel:
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
-        self.frame_s = float(np.median(np.diff(drive.stamps_s))) if len(drive) > 1 else np.inf
+        self.frame_s = max(float(np.median(np.diff(drive.stamps_s))), 1e-9) if len(drive) > 1 else np.inf
         self.heading_variance = _heading_variance(drive, self.frame_s, self.base_sigmas[1])
         self.sigmas: FloatArray = self.base_sigmas
         by = _corrected(self.own)
@@ -697,7 +697,7 @@ def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> 
     times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
     """
     message_s = float(np.median(np.diff(drive.vehicle.stamps_s)))
-    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * max(1.0, message_s / max(frame_s, 1e-9))
+    return heading_noise(drive.vehicle, otherwise_rad) ** 2 * max(1.0, message_s / frame_s)
 
 
 def _worth(drive: Evidence, alike_m: float) -> FloatArray:

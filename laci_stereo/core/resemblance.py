@@ -102,12 +102,13 @@ def resemblance(
         alone = track.without(strayed_s)
         if 2 * len(alone.sightings) < len(track.sightings):  # then what is left is no more likely the vehicle
             alone, strayed_s = track, ()
-        fit = fit_roughly(evidence_of(alone, stranger, height_m), start, time_offset_s, settings)
+        drive = evidence_of(alone, stranger, height_m)
+        fit = fit_roughly(drive, start, time_offset_s, settings)
     except MatchError:
         return Resemblance()
     (length,) = (correction for correction in fit.corrections if correction.what == "length")
     body = _odds(length, STRANGER_LENGTH_M)
-    if seen_share(evidence_of(alone, vehicle, height_m), fit.match, time_offset_s) < MOSTLY_SEEN:
+    if seen_share(drive, fit.match, time_offset_s) < MOSTLY_SEEN:
         body += math.log(HIDDEN / STRANGER_SMALL)
     return Resemblance(body, way, strayed_s, fit.match)
 

@@ -66,11 +66,13 @@ def test_the_truth_is_found_to_centimetres(sigma_m: float, behind: float) -> Non
 def test_a_poor_start_ends_in_the_same_place(yaw_deg: float, x: float, y: float, sigma_m: float) -> None:
     drive = evidence(sigma_m=sigma_m, behind=0.2)
     good, poor = (fit_jointly([drive], start) for start in (TRUTH, off_by(yaw_deg, x, y, drive)))
-    # Where noise hides which side a point is on, there are several likeliest places, all within the doubt.
-    within = 0.02 if sigma_m == 0.05 else 0.5
-    assert (np.abs(error(poor) - error(good)) < within * np.sqrt(np.diag(good.covariance))).all()
+    apart, doubt = np.abs(error(poor) - error(good)), np.sqrt(np.diag(good.covariance))
+    assert (apart < 0.5 * doubt).all()
+    if sigma_m == 0.5 and not (apart < 0.02 * doubt).all():
+        pytest.xfail("where noise hides which side a point is on, the descent ends in one of several places")
+    assert (apart < 0.02 * doubt).all()
+    assert apart[0] < 1e-4
     if sigma_m == 0.05:
-        assert abs(error(poor) - error(good))[0] < 1e-4
         assert poor.match(poor.centre_level[None]) == pytest.approx(good.match(good.centre_level[None]), abs=5e-3)
 
 
