@@ -19,7 +19,6 @@ LANES_M = 7.0
 """Edges are looked for within two lanes of the way, as crowns are: roads are no narrower than one."""
 
 _TOWARDS_RAD = np.pi / 8 * np.arange(16)
-TOWARDS = np.stack([np.cos(_TOWARDS_RAD), np.sin(_TOWARDS_RAD)])
 _AWAY_M = np.arange(0.0, LANES_M + 0.1, 0.5)
 _BESIDE_M = ON_WAY_M + np.append(_AWAY_M, np.inf)
 _PLACES = len(_TOWARDS_RAD) * len(_AWAY_M) + len(_BESIDE_M) ** 2 - 1
@@ -77,6 +76,15 @@ drain to the road. Verges fall by 6 to 12 % (RAL 2012), away from roads that do 
 more. The land behind them rises or falls."""
 
 
+def towards(along_rad: float) -> FloatArray:
+    """Return the directions in which straight edges are looked for, shape (2, 16), given one along the way.
+
+    Roads cross one another at right angles more often than not, so that edges are along the way or across it.
+    """
+    angle = along_rad + _TOWARDS_RAD
+    return np.stack([np.cos(angle), np.sin(angle)])
+
+
 def behind_edges(left_m: FloatArray, beyond_m: FloatArray) -> FloatArray:
     """Return by how much places are raised behind each of `EDGES`, in two ways, of shape (n, edges, 2).
 
@@ -87,7 +95,7 @@ def behind_edges(left_m: FloatArray, beyond_m: FloatArray) -> FloatArray:
     left_m : ndarray, shape (n,)
         How far to the left of the way places are.
     beyond_m : ndarray, shape (n, 16)
-        How far beyond it in each direction of `TOWARDS`.
+        How far beyond it in each direction of `towards`.
     """
     straight = (beyond_m[:, :, None] - _AWAY_M).reshape(len(left_m), -1)
     left, right = left_m[:, None, None] - _BESIDE_M[:, None], -left_m[:, None, None] - _BESIDE_M

@@ -133,14 +133,14 @@ def road_along(
     for _ in range(START_LOOKS):
         lane = cells[np.abs(cells.left_m) < HALF_VEHICLE_M]
         cells = _at_height(on_plane, _below(lane, cells.xy, before), way, T_level_sensor[2, 3])
-    away_m = np.abs(cells.left_m)
+    away_m, along_rad = np.abs(cells.left_m), _along_rad(way)
     limit_m = np.full(cells.piece.max() + 1, HALF_VEHICLE_M)
     on_road = away_m < HALF_VEHICLE_M
     on_road &= np.abs(cells.z - _below(cells[on_road], cells.xy, before)) < np.maximum(NEAR_M, np.sqrt(cells.variance))
     for _ in range(round(REACH_M / STEP_M)):
         if on_road.sum() < FIRST_CELLS:
             return None
-        height, variance = Surface(cells[on_road], settings.shared_noise_share, before).heights(cells)
+        height, variance = Surface(cells[on_road], settings.shared_noise_share, before, along_rad).heights(cells)
         off_m = cells.z - height
         alike = (settings.shared_noise_share * cells.sigma_m) ** 2  # what all points err by is no kerb
         known = variance - alike < KNOWN_M**2
@@ -152,13 +152,13 @@ def road_along(
         return None
     land = off_m**2 < GATE**2 * (variance + NO_ROAD_M**2)
     on_road |= land & _beyond_verges(cells, height, limit_m, on_road)
-    return _within_edges(cells[on_road], settings.shared_noise_share, before)
+    return _within_edges(cells[on_road], settings.shared_noise_share, before, along_rad)
 
 
-def _within_edges(cells: Cells, shared_noise_share: float, before: FloatArray) -> Surface:
+def _within_edges(cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float) -> Surface:
     """Return the surface of a road, without what is rather behind an edge than not: it may have another edge then."""
     for _ in range(MOST_EDGES):
-        surface = Surface(cells, shared_noise_share, before, edges=True)
+        surface = Surface(cells, shared_noise_share, before, along_rad, edges=True)
         within = surface.behind < 0.5
         if within.all() or within.sum() < LEAST_CELLS:
             break
@@ -270,6 +270,12 @@ def _directions(way: FloatArray) -> FloatArray:
     along = way[np.minimum(number + reach, len(way) - 1)] - way[np.maximum(number - reach, 0)]
     directions: FloatArray = along / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
     return directions
+
+
+def _along_rad(way: FloatArray) -> float:
+    """Return the direction of a way, but for quarters of a turn: before and behind a turn it is the same."""
+    x, y = _directions(way).T
+    return float(np.angle(((x + 1j * y) ** 4).mean())) / 4
 
 
 def _below(lane: Cells, xy: FloatArray, before: FloatArray) -> FloatArray:

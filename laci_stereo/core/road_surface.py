@@ -18,7 +18,7 @@ from laci_stereo.core.box_ground import BENT_PER_M
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
 from laci_stereo.core.road_cells import Cells, Patches
-from laci_stereo.core.road_edges import EDGES, LANES_M, NO_EDGE, ON_WAY_M, TOWARDS, Edges, behind_edges
+from laci_stereo.core.road_edges import EDGES, LANES_M, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
 
 FALL = 0.025 / np.sqrt(3.0)
 """How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation."""
@@ -35,12 +35,16 @@ to one side, are as likely as another, and so is any fall."""
 _CROWNS_M = np.arange(-LANES_M, LANES_M + 0.1, 0.125)
 """How far to the left of the way a crown along it is, within two lanes: all are as likely."""
 
-_ACROSS_RAD = np.pi / 8 * np.arange(8)
-_ACROSS = np.stack([np.cos(_ACROSS_RAD), np.sin(_ACROSS_RAD)])
+WANDER_M = 0.25
+"""A crown along the way is even where the way is not: within a lane, a vehicle and the boxes on it wander by as much,
+one standard deviation. Over what is seen a crown is straight, or bends evenly."""
+
 _CROSSED = (0.0, 0.15, 0.325, 0.5, 0.675, 0.85, 1.0)
-"""Crowns that the way crosses are straight: directions in which the road falls from one, against that in which most is
-seen of it, and which shares of what is seen are on one side of it. Of what is no wider than two lanes that may be all.
-As often as not the crown is such a one; all of each kind are as likely."""
+"""Crowns that the way crosses are straight: which shares of what is seen are on one side of one. Of what is no wider
+than two lanes that may be all; for each lane more that is half as likely, as the road is so wide, or another one's
+mouth is seen as well. As often as not the crown is a straight one; all of each kind are as likely."""
+
+_LANE_M = LANES_M / 2
 
 WAVES_M = 1.0 / (2.0 * np.pi * 0.011)
 """Over how much of a road its unevenness is alike: ISO 8608 gives the spectrum of waves of up to 1 / 0.011 m, of which
@@ -71,6 +75,8 @@ class Surface:
         Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
     before : ndarray, shape (3,)
         Height at the origin, and slopes, of the ground near which the road is beforehand, by `OTHER`.
+    along_rad : float
+        Direction of the way: crowns and edges that are straight are looked for along it, across, and in between.
     edges : bool
         Some of the cells may be behind an edge of the road.
 
@@ -80,17 +86,20 @@ class Surface:
         How likely each cell is behind an edge.
     """
 
-    def __init__(self, cells: Cells, shared_noise_share: float, before: FloatArray, *, edges: bool = False) -> None:
+    def __init__(
+        self, cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float, *, edges: bool = False
+    ) -> None:
         self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
         off = cells.xy - self.middle
-        most = np.linalg.eigh(off.T @ off)[1][:, 1]
-        self._across = np.array([[most[0], -most[1]], [most[1], most[0]]]) @ _ACROSS
+        self._even = self._even_way()
+        beyond = towards(along_rad)
+        self._across = beyond[:, : beyond.shape[1] // 2]
         self._crossed_m = np.quantile(off @ self._across, _CROSSED, axis=0)
         if edges:
             away_m = np.abs(cells.left_m)
-            way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ TOWARDS).max(axis=0)
-            raised = behind_edges(cells.left_m, off @ TOWARDS - way_m)
+            way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ beyond).max(axis=0)
+            raised = behind_edges(cells.left_m, off @ beyond - way_m)
             there = np.flatnonzero(raised.any(axis=(0, 2)))
             raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
         else:
@@ -158,15 +167,27 @@ class Surface:
 
         That are a plane, its bends, and by how much each crown raises them if roads fall by 1.
         """
-        x, y = off = (cells.xy - self.middle).T
-        crossed = ((off.T @ self._across)[:, None] - self._crossed_m).reshape(len(cells), -1)
-        crowns = -np.abs(np.column_stack([cells.left_m[:, None] - _CROWNS_M, crossed]))
-        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2, crowns])
+        off, own = cells.xy - self.middle, self._plane_and_bends(cells)
+        left_m = cells.left_m if self._even is None else own @ self._even
+        crossed = ((off @ self._across)[:, None] - self._crossed_m).reshape(len(cells), -1)
+        return np.column_stack([own, -np.abs(np.column_stack([left_m[:, None] - _CROWNS_M, crossed]))])
+
+    def _plane_and_bends(self, cells: Cells) -> FloatArray:
+        x, y = (cells.xy - self.middle).T
+        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
+
+    def _even_way(self) -> FloatArray | None:
+        """Return how far to the left of an even way places are, in planes and bends; None if the way is no such one."""
+        shapes = self._plane_and_bends(self.cells)
+        found = np.asarray(np.linalg.lstsq(shapes, self.cells.left_m, rcond=None)[0], dtype=np.float64)
+        off_m = self.cells.left_m - shapes @ found
+        return found if off_m @ off_m < WANDER_M**2 * len(off_m) else None
 
     def _crown_likely(self) -> FloatArray:
         """Return the probability of each crown, shape (crowns,)."""
         crossed = np.ones_like(self._crossed_m)
-        crossed[[0, -1]] = self._crossed_m[-1] - self._crossed_m[0] < LANES_M
+        wider_m = self._crossed_m[-1] - self._crossed_m[0] - LANES_M
+        crossed[[0, -1]] = 0.5 ** (wider_m.clip(0.0) / _LANE_M)
         return 0.5 * np.append(np.full(len(_CROWNS_M), 1.0 / len(_CROWNS_M)), crossed.ravel() / crossed.sum())
 
 

@@ -92,6 +92,26 @@ def test_verges_in_different_directions_are_both_left_out(fall: float, sigma_m: 
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 9.0
 
 
+@pytest.mark.parametrize("turned_rad", np.pi / 16 * np.arange(4))
+def test_a_verge_of_a_road_that_the_way_turns_into_does_not_tilt_it(turned_rad: float) -> None:
+    """It is straight, and the way is not; which direction that is in the sensor's frame does not matter."""
+    turn = np.array([[np.cos(turned_rad), -np.sin(turned_rad)], [np.sin(turned_rad), np.cos(turned_rad)]])
+    at_rad = np.arange(0.0, np.pi / 2, 0.08)
+    turning = [-4.0, 11.0] + 5.75 * np.column_stack([np.cos(at_rad), np.sin(at_rad)])
+    before = np.column_stack([np.full(10, 1.75), np.arange(6.0, 11.0, 0.5)])
+    behind = np.column_stack([np.arange(-4.5, -9.0, -0.5), np.full(9, 16.75)])
+    x, y = np.meshgrid(np.arange(-9.0, 18.0, 0.2), np.arange(6.0, 22.0, 0.2))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    xy = xy[(xy[:, 1] > 12.5) | (np.abs(xy[:, 0]) < 3.5)]
+    verge = -0.045 * np.clip(xy[:, 1] - 18.5, 0.0, 2.0)
+    turned = np.concatenate([before, turning, behind]) @ turn.T
+    surface = road_along(turned, [cloud(verge, xy @ turn.T)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert surface is not None
+    value, covariance, _ = surface.plane()
+    assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
+    assert np.degrees(np.linalg.norm(value[1:])) < 0.15
+
+
 def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
     xy = plan(0.2, 22.0)
     surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,7 +47,7 @@ def road(
 def test_the_crown_is_told_from_the_plane_where_both_sides_are_seen(fall: float, crown_m: float) -> None:
     slopes = np.array([0.01, -0.02])
     seen = road(np.random.default_rng(0), (crown_m - LANE_M, crown_m + LANE_M), slopes, fall, crown_m)
-    value, covariance, by_crown = Surface(seen, 0.0, LEVEL).plane()
+    value, covariance, by_crown = Surface(seen, 0.0, LEVEL, 0.0).plane()
     off = value[1:] - slopes
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
     assert np.degrees(np.sqrt(covariance[2, 2])) < 0.3
@@ -55,7 +57,7 @@ def test_the_crown_is_told_from_the_plane_where_both_sides_are_seen(fall: float,
 def test_one_side_of_a_crown_does_not_tell_the_plane() -> None:
     slopes, fall = np.zeros(2), 0.02
     seen = road(np.random.default_rng(0), (-5.0, 0.0), slopes, fall, 1.0)
-    value, covariance, by_crown = Surface(seen, 0.0, LEVEL).plane()
+    value, covariance, by_crown = Surface(seen, 0.0, LEVEL, 0.0).plane()
     assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
     assert np.sqrt(by_crown[2, 2]) > FALL / 4
     # Along the way there is nothing to confuse it with.
@@ -64,7 +66,7 @@ def test_one_side_of_a_crown_does_not_tell_the_plane() -> None:
 
 def test_a_flat_road_may_be_one_side_of_a_crown_that_is_not_seen() -> None:
     value, covariance, by_crown = Surface(
-        road(np.random.default_rng(0), (-3.0, 3.0), np.zeros(2), 0.0, 0.0), 0.0, LEVEL
+        road(np.random.default_rng(0), (-3.0, 3.0), np.zeros(2), 0.0, 0.0), 0.0, LEVEL, 0.0
     ).plane()
     assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
     assert np.sqrt(by_crown[2, 2]) > FALL / 4
@@ -76,12 +78,45 @@ def test_the_doubt_is_that_of_the_error_over_random_roads() -> None:
     for _ in range(60):
         crown_m, fall = rng.uniform(-4.0, 4.0), rng.uniform(0.0, 0.025)
         slopes, left_m, width_m = rng.normal(0.0, 0.015, 2), rng.uniform(-5.0, -1.0), rng.uniform(3.0, 9.0)
-        value, covariance, _ = Surface(road(rng, (left_m, left_m + width_m), slopes, fall, crown_m), 0.0, LEVEL).plane()
+        value, covariance, _ = Surface(
+            road(rng, (left_m, left_m + width_m), slopes, fall, crown_m), 0.0, LEVEL, 0.0
+        ).plane()
         off = value[1:] - slopes
         squares.append(off @ np.linalg.solve(covariance[1:, 1:], off))
     # Chi-square of two degrees of freedom: mean 2. The road might be bent, and is not, so that it is less.
     assert 0.2 < np.mean(squares) < 2.0
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
+
+
+def wandering(along_m: FloatArray) -> FloatArray:
+    """Return how far beside its lane a vehicle, or the boxes on it, are: a quarter of a metre."""
+    return 0.35 * np.sin(along_m / 5.0)
+
+
+def test_a_way_that_wanders_leaves_what_a_crown_beyond_view_does_as_open_as_a_straight_one() -> None:
+    rng = np.random.default_rng(11)
+    along, beside = rng.uniform(-20.0, 20.0, 600), rng.uniform(-2.0, 2.5, 600)
+    z, sigma_m = rng.normal(0.0, 0.002, 600), 0.002
+    even, wanders = (
+        Surface(replace(cells(beside, along, z, sigma_m), left_m=left_m), 0.0, LEVEL, 0.0).plane()[2]
+        for left_m in (beside, beside - wandering(along))
+    )
+    assert np.sqrt(even[2, 2]) > FALL / 2
+    assert np.sqrt(wanders[2, 2]) > 0.8 * np.sqrt(even[2, 2])
+
+
+def test_the_wider_the_less_likely_is_one_side_of_a_crown_all_that_is_seen() -> None:
+    """The way turns, so that only a crown that is straight may be beyond view; of two lanes to a side more is seen."""
+    rng = np.random.default_rng(12)
+    left, along, across = rng.uniform(-4.0, 4.0, 600), rng.uniform(-12.0, 12.0, 600), rng.uniform(0.0, 1.0, 600)
+    flat = cells(left, along, rng.normal(0.0, 0.004, 600), 0.004)
+    doubts = []
+    for width_m in (6.5, 8.5, 10.5, 14.0):
+        seen = replace(flat, xy=np.column_stack([along, width_m * across]))
+        _, _, by_crown = Surface(seen, 0.0, LEVEL, 0.0).plane()
+        doubts.append(np.sqrt(by_crown[2, 2]))
+    assert (np.diff(doubts) < 0.0).all()
+    assert doubts[1] > FALL / 8
 
 
 def crossed(rng: np.random.Generator, slopes: FloatArray, fall: float, towards_rad: float, radius_m: float) -> Cells:
@@ -103,7 +138,7 @@ def test_a_crown_that_the_way_crosses_is_told_from_the_plane(towards_deg: float,
     # Around a roundabout's island, or in a turn, the way crosses the crowns of others' roads.
     slopes = np.array([0.01, -0.02])
     seen = crossed(np.random.default_rng(0), slopes, 0.02, float(np.radians(towards_deg)), radius_m)
-    value, covariance, _ = Surface(seen, 0.0, LEVEL).plane()
+    value, covariance, _ = Surface(seen, 0.0, LEVEL, 0.0).plane()
     off = value[1:] - slopes
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
     assert np.degrees(np.abs(off)).max() < 0.4
@@ -115,7 +150,7 @@ def test_the_doubt_is_that_of_the_error_where_ways_cross_crowns() -> None:
     for _ in range(60):
         slopes, fall = rng.normal(0.0, 0.015, 2), rng.uniform(0.0, 0.025)
         seen = crossed(rng, slopes, fall, rng.uniform(-np.pi, np.pi), np.exp(rng.uniform(np.log(10.0), np.log(100.0))))
-        value, covariance, _ = Surface(seen, 0.0, LEVEL).plane()
+        value, covariance, _ = Surface(seen, 0.0, LEVEL, 0.0).plane()
         off = value[1:] - slopes
         squares.append(off @ np.linalg.solve(covariance[1:, 1:], off))
     assert 0.2 < np.mean(squares) < 2.0
@@ -124,7 +159,7 @@ def test_the_doubt_is_that_of_the_error_where_ways_cross_crowns() -> None:
 
 def test_what_all_points_share_is_in_the_doubt() -> None:
     seen = road(np.random.default_rng(0), (-LANE_M, LANE_M), np.zeros(2), 0.0, 0.0)
-    alone, together = (Surface(seen, share, LEVEL).plane()[1][0, 0] for share in (0.0, 1.0))
+    alone, together = (Surface(seen, share, LEVEL, 0.0).plane()[1][0, 0] for share in (0.0, 1.0))
     assert together - alone == pytest.approx(SIGMA_M**2, rel=0.1)
 
 
@@ -150,7 +185,7 @@ def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_wi
             sight,
             by_camera(len(x)),
         )
-        value, covariance, _ = Surface(seen, 0.0, LEVEL).plane()
+        value, covariance, _ = Surface(seen, 0.0, LEVEL, 0.0).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert 0.2 < np.mean(squares) < 2.0
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
@@ -159,7 +194,7 @@ def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_wi
 def test_a_surface_is_known_where_it_was_seen_and_less_beyond() -> None:
     seen = road(np.random.default_rng(0), (-2.0, 2.0), np.zeros(2), 0.0, 0.0)
     beside = np.array([0.0, 2.0, 4.0, 8.0])
-    height, variance = Surface(seen, 0.0, LEVEL).heights(cells(beside, np.zeros(4), np.zeros(4)))
+    height, variance = Surface(seen, 0.0, LEVEL, 0.0).heights(cells(beside, np.zeros(4), np.zeros(4)))
     assert (np.diff(variance) > 0.0).all()
     assert (np.abs(height) < 3.0 * np.sqrt(variance + UNEVEN_M**2)).all()
 
@@ -187,7 +222,7 @@ def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_it
             apart(n),
             0.8 * laser / np.degrees(LASER_RAD),
         )
-        value, covariance, _ = Surface(seen, share, LEVEL).plane()
+        value, covariance, _ = Surface(seen, share, LEVEL, 0.0).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert 0.1 < np.mean(squares) < 2.0
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
@@ -202,7 +237,7 @@ def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
         along, left = rng.uniform(-8.0, 8.0, 200), rng.uniform(-2.5, 7.0, 200)
         beyond = np.maximum(left - kerb_m, 0.0)
         z = (beyond > 0.0) * 0.06 + rises * beyond + rng.normal(0.0, 0.02, 200)
-        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, edges=True).plane()
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, 0.0, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
         off_deg.append(np.degrees(np.linalg.norm(value[1:])))
     # The mean of 60 chi-squares of two degrees of freedom: 2.0 +- 0.26.
@@ -217,7 +252,7 @@ def test_a_verge_that_is_flush_with_the_road_does_not_tilt_it() -> None:
         edge_m, falls, wide_m = rng.uniform(1.0, 4.0), rng.uniform(0.03, 0.12), rng.uniform(1.5, 2.5)
         along, left = rng.uniform(-8.0, 8.0, 300), rng.uniform(-4.0, 7.0, 300)
         z = -falls * np.clip(left - edge_m, 0.0, wide_m) + rng.normal(0.0, 0.02, 300)
-        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, edges=True).plane()
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, 0.0, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
         off_deg.append(np.degrees(np.linalg.norm(value[1:])))
     assert np.mean(squares) < 2.8
@@ -244,7 +279,7 @@ def test_kerbs_along_both_sides_of_a_bend_that_noise_hides_do_not_tilt_the_road(
             apart(400),
             by_camera(400),
         )
-        value, covariance, _ = Surface(bent, 0.0, LEVEL, edges=True).plane()
+        value, covariance, _ = Surface(bent, 0.0, LEVEL, 0.0, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
     assert np.mean(squares) < 2.8
 
@@ -258,7 +293,7 @@ def test_a_verge_behind_one_side_of_a_crown_does_not_tilt_the_road() -> None:
         along, left = rng.uniform(-12.0, 12.0, 400), rng.uniform(-5.0, 7.0, 400)
         z = -fall * np.abs(np.minimum(left, edge_m) - crown_m) + rng.normal(0.0, 0.02, 400)
         z -= rng.uniform(0.06, 0.12) * np.clip(left - edge_m, 0.0, 2.0)
-        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, edges=True).plane()
+        value, covariance, _ = Surface(cells(left, along, z, 0.02), 0.0, LEVEL, 0.0, edges=True).plane()
         squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
         off_deg.append(np.degrees(np.linalg.norm(value[1:])))
     assert np.mean(squares) < 2.8
@@ -269,7 +304,7 @@ def test_what_is_behind_an_edge_is_told_from_the_road() -> None:
     rng = np.random.default_rng(9)
     along, left = rng.uniform(-12.0, 12.0, 600), rng.uniform(-5.0, 7.0, 600)
     z = -0.1 * np.clip(left - 4.0, 0.0, 2.0) + rng.normal(0.0, 0.01, 600)
-    behind = Surface(cells(left, along, z), 0.0, LEVEL, edges=True).behind
+    behind = Surface(cells(left, along, z), 0.0, LEVEL, 0.0, edges=True).behind
     assert behind[left > 4.5].min() > 0.9
     assert behind[left < 3.5].max() < 0.1
-    assert (Surface(cells(left, along, z), 0.0, LEVEL).behind == 0.0).all()
+    assert (Surface(cells(left, along, z), 0.0, LEVEL, 0.0).behind == 0.0).all()
