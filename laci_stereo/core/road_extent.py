@@ -43,6 +43,9 @@ PIECE_M = 6.0
 """The road is as wide over so much of its length: half of a crossing's mouth. What is seen of the next pieces on the
 same side tells it too: at the ends of a way little is seen of one."""
 
+WANDER_M = 0.25
+"""Within its lane a vehicle wanders by as much, and so do the boxes on it, one standard deviation."""
+
 HALF_VEHICLE_M = 1.25
 """So far to either side there is road: vehicles are up to 2.55 m wide (EU directive 96/53/EC)."""
 
@@ -152,7 +155,19 @@ def road_along(
         return None
     land = off_m**2 < GATE**2 * (variance + NO_ROAD_M**2)
     on_road |= land & _beyond_verges(cells, height, limit_m, on_road)
-    return _within_edges(cells[on_road], settings.shared_noise_share, before, along_rad)
+    return _within_edges(evened(cells[on_road]), settings.shared_noise_share, before, along_rad)
+
+
+def evened(cells: Cells) -> Cells:
+    """Return cells beside an even way, if theirs wanders about one: crowns and edges along it do not wander.
+
+    Over what is seen such a way is straight, or bends evenly.
+    """
+    x, y = (cells.xy - cells.xy.mean(axis=0)).T
+    shapes = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    even_m = shapes @ np.linalg.lstsq(shapes, cells.left_m, rcond=None)[0]
+    wanders = np.sqrt(np.mean((cells.left_m - even_m) ** 2)) < WANDER_M
+    return replace(cells, left_m=even_m) if wanders else cells
 
 
 def _within_edges(cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float) -> Surface:

@@ -35,10 +35,6 @@ to one side, are as likely as another, and so is any fall."""
 _CROWNS_M = np.arange(-LANES_M, LANES_M + 0.1, 0.125)
 """How far to the left of the way a crown along it is, within two lanes: all are as likely."""
 
-WANDER_M = 0.25
-"""A crown along the way is even where the way is not: within a lane, a vehicle and the boxes on it wander by as much,
-one standard deviation. Over what is seen a crown is straight, or bends evenly."""
-
 _CROSSED = (0.0, 0.15, 0.325, 0.5, 0.675, 0.85, 1.0)
 """Crowns that the way crosses are straight: which shares of what is seen are on one side of one. Of what is no wider
 than two lanes that may be all; for each lane more that is half as likely, as the road is so wide, or another one's
@@ -92,7 +88,6 @@ class Surface:
         self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
         off = cells.xy - self.middle
-        self._even = self._even_way()
         beyond = towards(along_rad)
         self._across = beyond[:, : beyond.shape[1] // 2]
         self._crossed_m = np.quantile(off @ self._across, _CROSSED, axis=0)
@@ -167,21 +162,10 @@ class Surface:
 
         That are a plane, its bends, and by how much each crown raises them if roads fall by 1.
         """
-        off, own = cells.xy - self.middle, self._plane_and_bends(cells)
-        left_m = cells.left_m if self._even is None else own @ self._even
-        crossed = ((off @ self._across)[:, None] - self._crossed_m).reshape(len(cells), -1)
-        return np.column_stack([own, -np.abs(np.column_stack([left_m[:, None] - _CROWNS_M, crossed]))])
-
-    def _plane_and_bends(self, cells: Cells) -> FloatArray:
-        x, y = (cells.xy - self.middle).T
-        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
-
-    def _even_way(self) -> FloatArray | None:
-        """Return how far to the left of an even way places are, in planes and bends; None if the way is no such one."""
-        shapes = self._plane_and_bends(self.cells)
-        found = np.asarray(np.linalg.lstsq(shapes, self.cells.left_m, rcond=None)[0], dtype=np.float64)
-        off_m = self.cells.left_m - shapes @ found
-        return found if off_m @ off_m < WANDER_M**2 * len(off_m) else None
+        x, y = off = (cells.xy - self.middle).T
+        crossed = ((off.T @ self._across)[:, None] - self._crossed_m).reshape(len(cells), -1)
+        crowns = -np.abs(np.column_stack([cells.left_m[:, None] - _CROWNS_M, crossed]))
+        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2, crowns])
 
     def _crown_likely(self) -> FloatArray:
         """Return the probability of each crown, shape (crowns,)."""

@@ -7,6 +7,7 @@ import pytest
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.road_cells import LASER_RAD, Cells
+from laci_stereo.core.road_extent import evened
 from laci_stereo.core.road_surface import FALL, UNEVEN_M, WAVES_M, Surface
 
 SIGMA_M = 0.01
@@ -98,7 +99,7 @@ def test_a_way_that_wanders_leaves_what_a_crown_beyond_view_does_as_open_as_a_st
     along, beside = rng.uniform(-20.0, 20.0, 600), rng.uniform(-2.0, 2.5, 600)
     z, sigma_m = rng.normal(0.0, 0.002, 600), 0.002
     even, wanders = (
-        Surface(replace(cells(beside, along, z, sigma_m), left_m=left_m), 0.0, LEVEL, 0.0).plane()[2]
+        Surface(evened(replace(cells(beside, along, z, sigma_m), left_m=left_m)), 0.0, LEVEL, 0.0).plane()[2]
         for left_m in (beside, beside - wandering(along))
     )
     assert np.sqrt(even[2, 2]) > FALL / 2
