@@ -88,13 +88,13 @@ class Surface:
         self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
         off = cells.xy - self.middle
-        beyond = towards(along_rad)
-        self._across = beyond[:, : beyond.shape[1] // 2]
+        directions = towards(along_rad)
+        self._across = directions[:, : directions.shape[1] // 2]
         self._crossed_m = np.quantile(off @ self._across, _CROSSED, axis=0)
         if edges:
             away_m = np.abs(cells.left_m)
-            way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ beyond).max(axis=0)
-            raised = behind_edges(cells.left_m, off @ beyond - way_m)
+            way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ directions).max(axis=0)
+            raised = behind_edges(cells.left_m, off @ directions - way_m)
             there = np.flatnonzero(raised.any(axis=(0, 2)))
             raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
         else:
