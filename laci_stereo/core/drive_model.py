@@ -574,9 +574,11 @@ class DriveModel:
         rows = self._rows_of(x, poses, met, frame, late_s, share)
         sight = rotate_xy(-met.yaw, rotate_xy(x[0], self.sight[points]))
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * dot_xy(sight, met.hits.normal)
-        # Beside the outline is what its borders have grown by.
-        window_m = self._window_m(np.hypot(*drive.points[points, :2].T)) * (met.hits.face == outline.PASSED)
-        return replace(rows, variance=rows.variance + (BORDER_SIGMA * window_m) ** 2)
+        # What is seen within half a window of a border may be the border's: beside the outline all of it, and on a side
+        # that is narrower than that, for it is grazed.
+        window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
+        aside_m = BORDER_SIGMA * window_m * (2.0 * met.hits.within < window_m)
+        return replace(rows, variance=rows.variance + (1.0 - met.hits.cos**2) * aside_m**2)
 
     def _window_m(self, range_m: FloatArray) -> FloatArray:
         """Return how wide a matcher's window is at ranges on the ground plan, shape (n,)."""

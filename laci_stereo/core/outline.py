@@ -101,6 +101,9 @@ class Hits(Columns):
         Distance from the sensor to the side, over the distance to the point.
     cos : ndarray, shape (n,)
         Of the angle between line of sight and normal, by which ranges are longer than distances; 0 where one passes by.
+    within : ndarray, shape (n,)
+        How far from the outline's nearer border, as the sensor sees it, the line of sight meets it, metres; 0 where one
+        passes by.
     """
 
     distance: FloatArray
@@ -110,6 +113,7 @@ class Hits(Columns):
     face: IntArray
     reach: FloatArray
     cos: FloatArray
+    within: FloatArray
 
 
 def meet(
@@ -226,6 +230,7 @@ def meet(
         face=np.where(passes, PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
         reach=np.where(passes, 1.0, enter / far),
         cos=np.where(passes, 0.0, cos),
+        within=np.where(hit, np.minimum(aside.max(axis=0), -aside.min(axis=0)), 0.0).clip(0.0),
     )
 
 
@@ -273,6 +278,7 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
         face=FACES + to_left,
         reach=dot_xy(centres[which] - origin, ray) / far,
         cos=np.zeros(len(far)),
+        within=np.zeros(len(far)),
     )
 
 

@@ -272,6 +272,25 @@ def test_borders_tell_what_a_depth_that_is_wrong_does_not() -> None:
     assert np.mean(bordered) < 0.8 * np.mean(alone)
 
 
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(30), marks=pytest.mark.slow)], ids=["few", "many"])
+def test_a_side_that_is_narrower_than_a_window_tells_no_more_than_its_border(seeds: range) -> None:
+    # A vehicle comes from 70 m away, 4 m beside the sensor: its side is seen within 0.2 m there, the window is 0.7 m
+    # wide, and in each frame all is seen up to half a window beside where it is.
+    begin = TRUTH(np.array([[75.0, 4.0]]))[0]
+    drive = Drive((begin[0], begin[1]), np.degrees(TRUTH.yaw_rad) + 180.0, speeds=((0.0, 7.0),))
+    squared = []
+    for seed in seeds:
+        seen = evidence(drive, seed=seed, sigma_m=0.5, per_frame=20)
+        aside = 0.01 * np.random.default_rng([seed, 7]).uniform(-0.5, 0.5, len(seen))
+        xy = rotate_xy(aside[seen.frame], seen.points[:, :2])
+        seen = replace(seen, points=np.column_stack([xy, seen.points[:, 2]]))
+        fit = fit_jointly([with_borders(seen, drive, sigma=12**-0.5, seed=seed)], TRUTH, close=True)
+        squared.append(error(fit)[0] ** 2 / fit.covariance[0, 0])
+    # Chi-square of one degree of freedom; of six the mean is below 3.8, of thirty below 2, 999 times of 1000.
+    assert np.mean(squared) < (3.8 if len(seeds) == 6 else 2.0)
+    assert np.max(squared) < 4.0**2
+
+
 @pytest.mark.parametrize("growth", [(0.4, 0.4), (-0.4, -0.4), (0.3, -0.3)])
 def test_by_how_much_borders_grow_hardly_moves_the_result(growth: tuple[float, float]) -> None:
     grown, exact = (bordered(each) for each in (growth, (0.0, 0.0)))
