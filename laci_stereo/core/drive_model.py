@@ -225,7 +225,7 @@ class Rows(Columns):
     distance, variance : ndarray, shape (n,)
     cos : ndarray, shape (n,)
         By which ranges are longer than distances; 0 where there is no range.
-    jacobian : ndarray, shape (n, 22)
+    jacobian : ndarray, shape (n, 23)
         Of the range, times the cosine: what is measured is the range, while the line of sight is known.
     by_time : ndarray, shape (n,)
         The same by the time of the messages, at that moment.
@@ -497,7 +497,8 @@ class DriveModel:
         met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
         z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
         blur_m = self.drive.blur_m[met.points]
-        highest_m = outline.highest_of(self.size[1], met.hits.face, self.size[0] / 2 - met.xy[:, 0])
+        matched, behind_m = self.drive.window_rad > 0.0, self.size[0] / 2 - met.xy[:, 0]
+        highest_m = outline.highest_of(self.size[1], met.hits.face, behind_m, matched=matched)
         return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, blur_m, highest_m)]
 
     def _shares(self, met: Met) -> FloatArray:
@@ -565,7 +566,8 @@ class DriveModel:
         moved = late_s[:, None] * rotate_xy(-x[0], poses.rates.velocity)[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm - moved)
         across = self.drive.sigma_across_m[points]
-        hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL])
+        z = self.drive.points[points, 2]
+        hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL], z)
         return Met(points, hits, arm, xy, origin, yaw)
 
     def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:

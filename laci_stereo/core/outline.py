@@ -1,9 +1,9 @@
 """The visible outline of a vehicle on the ground plan: which side each line of sight meets, and how far off a point is.
 
 The outline is the rectangle that the messages tell, with what makes a real body differ from it: ends and sides that may
-stand a few centimetres in or out, bow and taper, corners that are round, and a lorry's cab, which is narrower than what
-it carries. Only the lower part of a body, below the bonnet and the windows, is that wide and that long; `LOWEST_M` and
-`HIGHEST_M` bound it.
+stand a few centimetres in or out, bow and taper, sides that draw in towards the sills, corners that are round, and a
+lorry's cab, which is narrower than what it carries. Only the lower part of a body, below the bonnet and the windows, is
+that wide and that long; `LOWEST_M`, `HIGHEST_M` and `SIDES_HIGHEST_M` bound it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,10 @@ GROUND_SIGMAS = VehicleSettings.ground_sigmas
 HIGHEST_M = 0.65
 """The bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front end leans back."""
 
+SIDES_HIGHEST_M = 0.9
+"""A car's sides are as wide as that up to here, where windows begin to stand back and mirrors to stand out by 0.2 m; but
+a matcher takes into what it sees of the sides what shows through the windows above, metres behind them."""
+
 HEAVY_WIDTH_M = 2.2
 """What is wider is a lorry or a bus (passenger cars end at 2.1 m without mirrors), whose walls are upright..."""
 
@@ -35,7 +39,8 @@ HEAVY_FRONT_HIGHEST_M = 1.2
 """...but in front only up to the windscreen, which stands back and begins at 1.2 m so that drivers see the road, ..."""
 
 MIRRORS_M = 1.0
-"""...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m."""
+"""...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m. A car's wings are round so
+far behind its front."""
 
 BOW_POWER = 2
 TAPER_POWER = 4
@@ -44,21 +49,31 @@ TAPER_POWER = 4
 CAB_M = 2.0
 """A lorry's cab is 1.6 m long without a berth, 2.3 m with one."""
 
-SHAPE = ("front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "cab", "front_radius", "rear_radius")
-"""The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
-left, how far ends and sides stand back where they end, how far the cab's sides do, and the radii of the corners."""
+WAIST_M = 0.65
+"""A car's sides are widest from here upwards, and draw in towards the sills below it."""
 
-SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.0, 0.25, 0.25])
-SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.001, 0.12, 0.12])
+SHAPE = (
+    "front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "cab", "sill", "front_radius", "rear_radius"
+)  # fmt: skip
+"""The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
+left, how far ends and sides stand back where they end, how far the cab's sides do, how far a car's sides do at the
+sills, and the radii of the corners."""
+
+SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.0, 0.04, 0.25, 0.25])
+SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.001, 0.03, 0.12, 0.12])
 """What is known of the shape of any vehicle at this height. Length and width bound the whole body, at its handles,
 wheel arches and bumper's edge; panels and bumpers stand back from that by up to 3 cm, ends and sides curve by as much,
-and the corners' radii are 0.1 m for a van and 0.5 m for a small car."""
+doors draw in by 1 to 8 cm from the waist to the sill, and the corners' radii are 0.1 m for a van and 0.5 m for a small
+car."""
 
 HEAVY_CAB_M = (0.04, 0.05)
 """Mean and standard deviation of how far a cab's sides stand back, of what is as wide as a lorry: cabs are 2.3 to 2.5 m
 wide, what they carry up to 2.55 m, and a bus has none."""
 
-_CAB = SHAPE.index("cab")
+HEAVY_SILL_M = (0.0, 0.01)
+"""The same of the sills of what is as wide as a lorry: its sides are upright."""
+
+_CAB, _SILL = SHAPE.index("cab"), SHAPE.index("sill")
 
 SHARP_M = 0.05
 """Below this a radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
@@ -78,7 +93,7 @@ BORDERS = 2
 SIDES = 4
 """The first four of them."""
 
-_FRONT, PASSED = 1, 4
+_REAR, _FRONT, PASSED = 0, 1, 4
 
 
 @dataclass(frozen=True)
@@ -93,7 +108,7 @@ class Hits(Columns):
         Of the distance: noise of the point, and the outline's own.
     normal : ndarray, shape (n, 2)
         Outward, vehicle frame.
-    by_shape : ndarray, shape (n, 10)
+    by_shape : ndarray, shape (n, 11)
         Derivative of the distance by `SHAPE`.
     face : ndarray of int, shape (n,)
         0 rear, 1 front, 2 right, 3 left, 4 passed by, 5 and 6 touched on its right and left border.
@@ -123,6 +138,7 @@ def meet(
     sigma_across: FloatArray,
     size: tuple[float, float],
     shape: FloatArray,
+    z: FloatArray,
 ) -> Hits:
     """Find what each line of sight meets of an outline.
 
@@ -139,10 +155,12 @@ def meet(
         Noise on the ground plan, along and across the line of sight.
     size : tuple of float
         Length and width that the messages tell.
-    shape : ndarray, shape (10,)
+    shape : ndarray, shape (11,)
         See `SHAPE`.
+    z : ndarray, shape (n,)
+        Height of the points above the ground.
     """
-    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, *radii = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, sill, *radii = shape
     half = np.array([size[0] / 2, size[1] / 2])
     ray = xy - origin
     far = np.hypot(ray[:, 0], ray[:, 1])
@@ -154,6 +172,7 @@ def meet(
     side_y = sign_y * (half[1] + side)
     bow = np.where(ahead, front_bow, rear_bow)
     o_y = origin[:, 1] - lever_y
+    low = np.clip((WAIST_M - z) / (WAIST_M - LOWEST_M), 0.0, 1.0)
 
     t_end = (end_x - origin[:, 0]) / u[:, 0]
     t_side = (side_y - o_y) / u[:, 1]
@@ -162,7 +181,7 @@ def meet(
         t_end = (end_x - sign_x * bow * eta**BOW_POWER - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
         beside_cab = half[0] * (1.0 - xi) < CAB_M
-        t_side = (side_y - sign_y * (taper * xi**TAPER_POWER + cab * beside_cab) - o_y) / u[:, 1]
+        t_side = (side_y - sign_y * (taper * xi**TAPER_POWER + cab * beside_cab + sill * low) - o_y) / u[:, 1]
     t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
     t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
     at_end = t_end >= t_side
@@ -223,6 +242,7 @@ def meet(
                 np.where(of_front, 0.0, out_x * bent),
                 out_y * tapered,
                 out_y * np.where(round_, of_front, beside_cab),
+                out_y * np.where(round_, 0.0, low),
                 np.where(of_front, by_radius, 0.0),
                 np.where(of_front, 0.0, by_radius),
             ]
@@ -273,7 +293,7 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
         variance=np.full(len(far), OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2),
         normal=normal,
         by_shape=np.column_stack(
-            [-by_end, -out_y, -normal[:, 1], by_end, out_y, out_y * front, by_radius[:, None] * ends]
+            [-by_end, -out_y, -normal[:, 1], by_end, out_y, out_y * front, 0.0 * out_y, by_radius[:, None] * ends]
         ),
         face=FACES + to_left,
         reach=dot_xy(centres[which] - origin, ray) / far,
@@ -292,7 +312,7 @@ def _leave(o_x: FloatArray, o_y: FloatArray, u: FloatArray, half: FloatArray) ->
 
 def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
     """Return where the four corners would be without their arcs, and their radii, shape (4, 3)."""
-    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, *radii = shape
+    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, _, *radii = shape
     x = np.array([half[0] + front - front_bow, -half[0] - rear + rear_bow])
     y = half[1] + side - taper - np.array([cab, 0.0])
     radius = np.clip(SHARP_M * np.logaddexp(0.0, np.divide(radii, SHARP_M)), 1e-3, 0.9 * y)
@@ -302,14 +322,15 @@ def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
 
 
 def expected_shape(width_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of the shape of a vehicle of this width, shape (10,) each."""
+    """Return mean and standard deviation of the shape of a vehicle of this width, shape (11,) each."""
     mean, sigma = SHAPE_MEAN.copy(), SHAPE_SIGMA.copy()
     if width_m >= HEAVY_WIDTH_M:
         mean[_CAB], sigma[_CAB] = HEAVY_CAB_M
+        mean[_SILL], sigma[_SILL] = HEAVY_SILL_M
     return mean, sigma
 
 
-def highest_of(width_m: float, face: IntArray, behind_m: FloatArray) -> FloatArray:
+def highest_of(width_m: float, face: IntArray, behind_m: FloatArray, *, matched: bool) -> FloatArray:
     """Return up to what height a vehicle of this width is upright, shape (n,), metres.
 
     Parameters
@@ -319,11 +340,13 @@ def highest_of(width_m: float, face: IntArray, behind_m: FloatArray) -> FloatArr
         Side that is met.
     behind_m : ndarray, shape (n,)
         How far behind the front end.
+    matched : bool
+        Seen by a matcher, and not by a scanner.
     """
-    if width_m < HEAVY_WIDTH_M:
-        return np.full(len(face), HIGHEST_M)
-    low = (face == _FRONT) | (face == PASSED) | (behind_m < MIRRORS_M)
-    return np.where(low, HEAVY_FRONT_HIGHEST_M, HEAVY_HIGHEST_M)
+    ahead = (face == _FRONT) | (face == PASSED) | (behind_m < MIRRORS_M)
+    if width_m >= HEAVY_WIDTH_M:
+        return np.where(ahead, HEAVY_FRONT_HIGHEST_M, HEAVY_HIGHEST_M)
+    return np.where(ahead | (face == _REAR) | matched, HIGHEST_M, SIDES_HIGHEST_M)
 
 
 def lowest_of(sigma_z: FloatArray) -> FloatArray:

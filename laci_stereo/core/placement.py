@@ -206,7 +206,9 @@ def _blurred(drives: Sequence[Evidence]) -> str:
         return ""
     blur_m = float(np.median(blurs_m))
     sides, behind_m = np.arange(outline.SIDES), np.full(outline.SIDES, np.inf)
-    highest_m = max(float(outline.highest_of(drive.vehicle.width_m, sides, behind_m).max()) for drive in drives)
+    highest_m = max(
+        float(outline.highest_of(drive.vehicle.width_m, sides, behind_m, matched=True).max()) for drive in drives
+    )
     if outline.LOWEST_M + blur_m < highest_m:
         return ""
     return (

@@ -17,6 +17,7 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import BoxError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, transform, turned
 from laci_stereo.core.land import FLAT, Land
+from laci_stereo.core.outline import SIDES_HIGHEST_M
 from laci_stereo.core.settings import Settings, VehicleSettings
 
 Flaw = Literal["cut", "far", "thin"]
@@ -50,9 +51,6 @@ class Low(Columns):
 
 NOTHING_LOW = Low(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 NO_BORDERS: FloatArray = np.full((2, 3), np.nan)
-
-BORDERS_M = 0.9
-"""Up to this height bodies are as wide as they are; above, mirrors stand out by 0.2 m, and windows stand back."""
 
 
 @dataclass(frozen=True)
@@ -329,7 +327,7 @@ def _borders(points: FloatArray, cloud: PointCloud, beside: FloatArray, settings
         What the background covers: within reach of it a border may be covered, too.
     settings : Settings
     """
-    low = np.flatnonzero(points[:, 2] < BORDERS_M)
+    low = np.flatnonzero(points[:, 2] < SIDES_HIGHEST_M)
     if cloud.window_rad == 0.0 or len(low) < settings.cluster.min_points:
         return NO_BORDERS
     middle = np.median(points[:, :2], axis=0)

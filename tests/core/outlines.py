@@ -15,6 +15,9 @@ from tests.simulated import Drive
 SIZE = (4.6, 1.8)
 CORNERS = np.array(SIZE) / 2 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 HEIGHT_M = 6.0
+SEEN_M = 0.6
+"""So high are the points: near the waist, where a car's sides are hardly drawn in."""
+
 TRUTH = PlanarMatch(0.7, np.array([-30.0, 12.0]))
 TURN = Drive((-20.0, 30.0), -60.0, ((22.0, 0.0), (12.0, 80.0)), ((0.0, 8.0), (4.0, 5.0), (8.0, 9.0)))
 CIRCLE, ROUNDABOUT = (Drive((-16.0, 50.0), -60.0, ((200.0, turn_deg),), start_s=-4.0) for turn_deg in (300.0, 600.0))
@@ -62,7 +65,7 @@ def evidence(
         deeper = np.where(rng.random((per_frame, 1)) < behind, rng.exponential(0.8, (per_frame, 1)), 0.0)
         longer = 1.0 + (sigma_m * rng.normal(size=(per_frame, 1)) + deeper) / far
         middles.append(np.median(level * longer, axis=0))
-        points.append(np.hstack([level * longer, HEIGHT_M + (0.5 - HEIGHT_M) * longer]))
+        points.append(np.hstack([level * longer, HEIGHT_M + (SEEN_M - HEIGHT_M) * longer]))
     return Evidence(
         stamps_s=stamps,
         middles=np.array(middles),

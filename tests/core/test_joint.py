@@ -211,7 +211,7 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.mark.parametrize("index", range(FIRST_OWN + 14))
+@pytest.mark.parametrize("index", range(FIRST_OWN + 4 + len(SHAPE)))
 def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     way = CIRCLE if index == FIRST_OWN + 3 else TURN  # messages begin in a bend, or on a straight
     drive = evidence(way, sigma_m=0.05, offset_s=0.01)
@@ -220,9 +220,10 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     x = np.zeros(FIRST_OWN + model.own)
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
     x[BIAS], x[SWEEP] = 0.01, 0.7
-    x[FIRST_OWN : FIRST_OWN + 14] = np.random.default_rng(2).normal(0.0, 0.01, 14)
+    radii = FIRST_OWN + 4 + SHAPE.index("front_radius")
+    x[FIRST_OWN : radii + 2] = np.random.default_rng(2).normal(0.0, 0.01, radii + 2 - FIRST_OWN)
     x[FIRST_OWN + 2 : FIRST_OWN + 4] += 2.0, 0.3  # lever, begin
-    x[FIRST_OWN + 12 : FIRST_OWN + 14] += 0.2
+    x[radii : radii + 2] += 0.2
     step = 1e-6 * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
     assert len(rows.distance) == len(more.distance) == len(less.distance)
@@ -235,7 +236,7 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     assert np.median(off) < 0.01 * max(1.0, float(np.abs(slope).max()))
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 21)])
+@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 11 + len(SHAPE))])
 def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = with_borders(evidence(sigma_m=0.05, per_frame=10), sigma=0.1)
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
@@ -263,13 +264,13 @@ def deeper(drive: Evidence, by: float) -> Evidence:
 def test_borders_tell_what_a_depth_that_is_wrong_does_not() -> None:
     alone, bordered = [], []
     for seed in range(4):
-        plain = replace(deeper(evidence(seed=seed, sigma_m=0.5), 0.5), window_rad=0.01)
+        plain = replace(deeper(evidence(seed=seed, sigma_m=0.5), 1.5), window_rad=0.01)
         for drive, errors in ((plain, alone), (with_borders(plain, sigma=0.2, seed=seed), bordered)):
             fit = fit_jointly([drive], TRUTH, close=True)
             off = error(fit)
             assert off @ np.linalg.solve(fit.covariance, off) < 16.0
             errors.append(np.hypot(*off[1:]))
-    assert np.mean(bordered) < 0.8 * np.mean(alone)
+    assert np.mean(bordered) < 0.4 * np.mean(alone)
 
 
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(30), marks=pytest.mark.slow)], ids=["few", "many"])

@@ -18,6 +18,8 @@ from laci_stereo.core.outline import (
     SHAPE,
     SHAPE_MEAN,
     SHARP_M,
+    SIDES_HIGHEST_M,
+    WAIST_M,
     expected_shape,
     highest_of,
     meet,
@@ -36,9 +38,9 @@ def sensor(distance: float, bearing: float) -> FloatArray:
     return distance * np.array([np.cos(bearing), np.sin(bearing)])
 
 
-def met(xy: FloatArray, origin: FloatArray, shape: FloatArray = FLAT, sigma: float = 0.02):
+def met(xy: FloatArray, origin: FloatArray, shape: FloatArray = FLAT, sigma: float = 0.02, z_m: float = 0.4):
     n = len(xy)
-    return meet(xy, np.tile(origin, (n, 1)), np.full(n, sigma), np.full(n, 0.003), SIZE, shape)
+    return meet(xy, np.tile(origin, (n, 1)), np.full(n, sigma), np.full(n, 0.003), SIZE, shape, np.full(n, z_m))
 
 
 def rounded(radius: float) -> FloatArray:
@@ -180,7 +182,7 @@ def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_
     z = height + (z_met - height) * measured / far
     reach = far / measured
     hits = replace(met(np.array([[0.0, 0.9]]), np.array([0.0, 20.9])), reach=np.array([reach]))
-    highest = highest_of(1.8, hits.face, np.zeros(1))
+    highest = highest_of(1.8, hits.face, np.zeros(1), matched=False)
     chosen = on_the_wall(height, np.array([z]), hits, np.array([sigma_z]), np.array([blur_m / reach]), highest)
     # Where three sigma are more than the wall's lower edge, what is lower is there as well.
     exact = 3 * sigma_z <= LOWEST_M
@@ -193,7 +195,7 @@ def test_what_passes_by_is_surely_higher_than_the_road() -> None:
     hits = met(np.array([[0.0, 2.0], [0.0, 2.0]]), np.array([20.0, 2.0]))
     assert (hits.cos == 0.0).all()
     z, nothing = np.array([0.45, 0.6]), np.zeros(2)
-    chosen = on_the_wall(6.0, z, hits, np.full(2, 0.1), nothing, highest_of(1.8, hits.face, nothing))
+    chosen = on_the_wall(6.0, z, hits, np.full(2, 0.1), nothing, highest_of(1.8, hits.face, nothing, matched=False))
     assert chosen.tolist() == [False, True]
 
 
@@ -201,12 +203,13 @@ def test_what_passes_by_is_surely_higher_than_the_road() -> None:
     ("width_m", "origin", "highest_m"),
     [
         (1.8, (12.0, 0.0), HIGHEST_M),
-        (1.8, (0.0, 12.0), HIGHEST_M),
+        (1.8, (-12.0, 0.0), HIGHEST_M),
+        (1.8, (0.0, 12.0), SIDES_HIGHEST_M),
         (2.5, (12.0, 0.0), HEAVY_FRONT_HIGHEST_M),
         (2.5, (-12.0, 0.0), HEAVY_HIGHEST_M),
         (2.5, (0.0, 12.0), HEAVY_HIGHEST_M),
     ],
-    ids=["a car from ahead", "a car from the left", "a bus from ahead", "a bus from behind", "a bus from the left"],
+    ids=["a car from ahead", "a car from behind", "a car from the left", "a bus from ahead", "a bus from behind", "a bus from the left"],
 )
 def test_a_side_is_used_as_far_up_as_it_is_upright(
     width_m: float, origin: tuple[float, float], highest_m: float
@@ -214,17 +217,38 @@ def test_a_side_is_used_as_far_up_as_it_is_upright(
     z = np.array([highest_m - 0.1, highest_m + 0.1])
     on_it = np.sign(origin) * np.array(SIZE) / 2
     hits = met(np.array([on_it, on_it]), np.array(origin))
-    highest = highest_of(width_m, hits.face, SIZE[0] / 2 - np.full(2, on_it[0]))
+    highest = highest_of(width_m, hits.face, SIZE[0] / 2 - np.full(2, on_it[0]), matched=False)
     assert on_the_wall(highest_m, z, hits, np.full(2, 0.02), np.zeros(2), highest).tolist() == [True, False]
 
 
-@pytest.mark.parametrize(("width_m", "highest_m"), [(1.8, HIGHEST_M), (2.5, HEAVY_FRONT_HIGHEST_M)])
-def test_mirrors_are_not_the_sides(width_m: float, highest_m: float) -> None:
-    # They stand out of a lorry's sides at 1.6 to 2.6 m, right behind its front.
+@pytest.mark.parametrize(
+    ("width_m", "ahead_m", "behind_m"),
+    [(1.8, HIGHEST_M, SIDES_HIGHEST_M), (2.5, HEAVY_FRONT_HIGHEST_M, HEAVY_HIGHEST_M)],
+)
+def test_neither_mirrors_nor_wings_are_the_sides(width_m: float, ahead_m: float, behind_m: float) -> None:
+    # Mirrors stand out of a lorry's sides at 1.6 to 2.6 m, right behind its front.
     behind = np.array([0.0, 0.5, MIRRORS_M - 0.01, MIRRORS_M + 0.01])
-    found = highest_of(width_m, np.full(4, 3), behind)
-    assert found[:3].tolist() == [highest_m] * 3
-    assert found[3] == (HIGHEST_M if width_m < 2.0 else HEAVY_HIGHEST_M)
+    found = highest_of(width_m, np.full(4, 3), behind, matched=False)
+    assert found.tolist() == [ahead_m] * 3 + [behind_m]
+
+
+def test_what_shows_through_windows_is_matched_farther_down() -> None:
+    for width_m, same in ((1.8, False), (2.5, True)):
+        scanned, matched = (highest_of(width_m, np.full(1, 2), np.full(1, 2.0), matched=each) for each in (False, True))
+        assert (scanned == matched).all() == same
+        assert (matched <= scanned).all()
+
+
+@given(places)
+def test_how_far_within_its_borders_an_outline_is_met(place: tuple[float, float, int]) -> None:
+    origin = sensor(place[0], place[1])
+    xy = rectangle_points(origin, 40, np.random.default_rng(place[2]))
+    hits = met(xy, origin)
+    ray = (xy - origin) / np.linalg.norm(xy - origin, axis=1, keepdims=True)
+    aside = ray[:, :1] * (CORNERS - origin)[:, 1] - ray[:, 1:] * (CORNERS - origin)[:, 0]
+    nearer = np.minimum(aside.max(axis=1), -aside.min(axis=1))
+    assert hits.within == pytest.approx(np.where(hits.cos > 0.0, nearer, 0.0), abs=1e-9)
+    assert (met(origin + 1.02 * (xy - origin), origin).within == pytest.approx(hits.within, abs=1e-9))
 
 
 def test_the_sides_of_a_cab_stand_back_and_no_others() -> None:
@@ -245,6 +269,24 @@ def test_the_sides_of_a_cab_stand_back_and_no_others() -> None:
 def test_only_what_is_as_wide_as_a_lorry_may_have_a_cab() -> None:
     cab = SHAPE.index("cab")
     assert [expected_shape(width)[1][cab] > 0.01 for width in (1.8, 2.1, 2.3, 2.55)] == [False, False, True, True]
+
+
+def test_the_sides_of_a_car_draw_in_towards_its_sills_and_its_ends_do_not() -> None:
+    origin = np.array([9.0, 12.0])
+    xy = rectangle_points(origin, 300, np.random.default_rng(0))
+    shape = FLAT.copy()
+    shape[SHAPE.index("sill")] = 0.06
+    flat = met(xy, origin)
+    for z_m, in_m in ((LOWEST_M, 0.06), ((LOWEST_M + WAIST_M) / 2, 0.03), (WAIST_M, 0.0), (0.85, 0.0)):
+        hits = met(xy, origin, shape, z_m=z_m)
+        off = hits.distance - flat.distance
+        assert off[flat.face == 3] == pytest.approx(in_m, abs=0.002)
+        assert off[(flat.face == 1) & (hits.face == 1)] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_sides_of_lorries_are_upright() -> None:
+    mean, sigma = (each[SHAPE.index("sill")] for each in expected_shape(2.5))
+    assert abs(mean) + 3.0 * sigma < SHAPE_MEAN[SHAPE.index("sill")]
 
 
 def test_a_turned_vehicle_is_met_alike() -> None:
