@@ -230,17 +230,6 @@ def _car(rng: np.random.Generator, kind: VehicleKind, shape: Shape) -> Vehicle:
     nose, tail = rng.uniform(0.05, 0.20), rng.uniform(0.0, 0.10)
     tumblehome = rng.uniform(0.10, 0.22) if kind != "van" else rng.uniform(0.03, 0.08)
     front, rear = length / 2, -length / 2
-    waist = Ring(0.55 * belt, front, rear, width, radius, bow, taper)
-    lower = body(
-        [
-            replace(waist, z_m=clearance, front_m=front - 0.08, rear_m=rear + 0.08, width_m=width - 0.12),
-            replace(waist, z_m=clearance + 0.12, width_m=width - 0.04),
-            waist,
-            replace(waist, z_m=0.85 * belt, front_m=front - nose / 2, rear_m=rear + tail / 2, width_m=width - 0.01),
-            replace(waist, z_m=belt, front_m=front - nose - 0.05, rear_m=rear + tail + 0.02, width_m=width - 0.06),
-        ],
-        [Skin()] * 4,
-    )
     base = Ring(belt - 0.01, front - bonnet, rear + max(boot, tail + 0.03), width - 0.08, radius, bow, 0.0)
     low, high = shape.windows
     glass = Skin(GLASS, GLASS, GLASS, ((0.0, low), (0.46, 0.52), (high, 1.0)))
@@ -263,6 +252,18 @@ def _car(rng: np.random.Generator, kind: VehicleKind, shape: Shape) -> Vehicle:
     axles = (rear_axle, rear_axle + base_m)
     wheels = [wheel(x, side * (width / 2 - 0.125), tyre, 0.2) for x in axles for side in (-1, 1)]
     reach = rng.uniform(0.10, 0.20)
+    drawn_in = rng.uniform(0.02, 0.14)
+    waist = Ring(rng.uniform(0.55, 0.80) * belt, front, rear, width, radius, bow, taper)
+    lower = body(
+        [
+            replace(waist, z_m=clearance, front_m=front - 0.08, rear_m=rear + 0.08, width_m=width - drawn_in - 0.08),
+            replace(waist, z_m=clearance + 0.12, width_m=width - drawn_in),
+            waist,
+            replace(waist, z_m=0.85 * belt, front_m=front - nose / 2, rear_m=rear + tail / 2, width_m=width - 0.01),
+            replace(waist, z_m=belt, front_m=front - nose - 0.05, rear_m=rear + tail + 0.02, width_m=width - 0.06),
+        ],
+        [Skin()] * 4,
+    )
     mirrors = _mirrors(base.front_m - 0.35 * screen - 0.15, width, belt - 0.02, reach, 0.16)
     mesh = merged([lower, upper, *wheels, *mirrors])
     return Vehicle(kind, length, width, height, width + 2 * reach, rear_axle, base_m, mesh)
