@@ -53,7 +53,7 @@ def error_m(made: Scene, found: Calibration) -> float:
     ("gap_m", "drive"),
     [
         (1.0, TURNS),
-        (1.8, PASSES),
+        pytest.param(1.8, PASSES, marks=pytest.mark.slow),
         pytest.param(1.0, PASSES, marks=pytest.mark.slow),
         pytest.param(1.8, TURNS, marks=pytest.mark.slow),
     ],
@@ -66,7 +66,9 @@ def test_a_bus_whose_middle_is_dark_is_one_vehicle(drive: Drive, gap_m: float) -
     assert np.quantile([one.box.length_m for one in found.track.usable], 0.9) == pytest.approx(12.0, abs=0.3)
 
 
-@pytest.mark.parametrize("piece", [part(-6.0, 1.4), part(-1.0, 6.0)], ids=["rear", "front"])
+@pytest.mark.parametrize(
+    "piece", [pytest.param(part(-6.0, 1.4), id="rear", marks=pytest.mark.slow), pytest.param(part(-1.0, 6.0), id="front")]
+)
 def test_a_piece_of_a_bus_is_no_whole_one(piece: Solid) -> None:
     made = seen_as((piece,), BUS)
     found = calibrated(made)
@@ -81,7 +83,7 @@ def test_of_a_vehicle_that_is_as_long_as_it_tells_nothing_is_missing() -> None:
     assert found.quality.verdict == "pass"
 
 
-@pytest.mark.parametrize("drive", [PASSES, LEFT_TURN])
+@pytest.mark.parametrize("drive", [pytest.param(PASSES, marks=pytest.mark.slow), LEFT_TURN])
 def test_what_a_car_tows_is_warned_of(drive: Drive) -> None:
     made = seen_as(CARAVAN, CAR, drive)
     found = calibrated(made)
@@ -98,12 +100,14 @@ def test_of_two_that_move_as_one_the_sender_is_the_one_ahead() -> None:
     assert error_m(made, found) < 3.0 * found.quality.track_xy_sigma_m
 
 
+@pytest.mark.slow
 def test_where_either_of_two_may_be_the_vehicle_it_is_refused() -> None:
     # The length that is told is neither the car's, nor the caravan's, nor that of both.
     with pytest.raises(MatchError, match=r"moves with the vehicle.*were never seen.*which of them is the vehicle"):
         calibrated(seen_as((part(-0.9, 3.5, 2.1), part(-7.6, -2.2, 2.1)), (7.0, 2.1), LEFT_TURN))
 
 
+@pytest.mark.slow
 def test_beside_another_in_the_next_lane_nothing_is_towed() -> None:
     beside = Solid((1.0, 3.3), 0.0, *CAR, 0.3, 1.5)
     made = seen_as((part(-2.3, 2.3, *CAR[1:], 1.5), beside), CAR, LEFT_TURN)

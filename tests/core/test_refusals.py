@@ -58,7 +58,10 @@ def test_a_steady_drive_does_not_tell_the_clock() -> None:
 
 
 @pytest.mark.parametrize("by_s", [*(pytest.param(by_s, marks=pytest.mark.slow) for by_s in (-0.3, 0.0)), 0.3])
-@pytest.mark.parametrize("made", [BRAKING, SLOWING], ids=["brakes", "slows by a tenth"])
+@pytest.mark.parametrize(
+    "made",
+    [pytest.param(BRAKING, id="brakes"), pytest.param(SLOWING, id="slows by a tenth", marks=pytest.mark.slow)],
+)
 def test_a_change_of_speed_does(made: Scene, by_s: float) -> None:
     found = calibrate(made.recording, late(made.messages, by_s), UNKNOWN_CLOCK)
     covered(made, found)
@@ -74,6 +77,7 @@ def test_one_that_follows_at_the_same_speed_cannot_be_told_apart() -> None:
         calibrate(made.recording, made.messages)
 
 
+@pytest.mark.slow
 def test_unless_it_is_of_another_length() -> None:
     made = follower(4.0)
     found = calibrate(made.recording, made.messages)
@@ -97,6 +101,7 @@ def test_pixels_that_are_too_large_to_tell_the_outline_from_the_road() -> None:
     covered(many, calibrate(many.recording, many.messages))
 
 
+@pytest.mark.slow
 def test_heights_that_noise_hides_in_the_road_tell_nevertheless() -> None:
     short = scene(LEFT_TURN, stereo(baseline_m=0.4, window_px=11), height_m=14.0, down_deg=28.0)
     found = calibrate(short.recording, short.messages)
@@ -112,7 +117,7 @@ def test_from_ahead_bonnet_and_windscreen_are_pieces_of_one_vehicle() -> None:
     covered(towards, calibrate(towards.recording, towards.messages))
 
 
-@pytest.mark.parametrize("last_s", [1.6, 5.0])
+@pytest.mark.parametrize("last_s", [1.6, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_a_stranger_on_the_senders_way_at_nearly_its_speed(last_s: float) -> None:
     stranger = scene(replace(STRAIGHT, speeds=((0.0, 8.4),)), lidar(), last_s=last_s)
     messages = scene(STRAIGHT, lidar(), last_s=last_s).messages
@@ -135,7 +140,7 @@ def test_clocks_that_are_farther_apart_than_was_said() -> None:
     covered(TURNING, found)
 
 
-@pytest.mark.parametrize("off_deg", [-4.0, 4.0])
+@pytest.mark.parametrize("off_deg", [pytest.param(-4.0, marks=pytest.mark.slow), 4.0])
 def test_a_heading_that_is_not_the_bodys(off_deg: float) -> None:
     log = TURNING.messages
     found = calibrate(TURNING.recording, replace(log, heading_deg=(log.heading_deg + off_deg) % 360.0))
@@ -144,7 +149,7 @@ def test_a_heading_that_is_not_the_bodys(off_deg: float) -> None:
     covered(TURNING, found)
 
 
-@pytest.mark.parametrize("off_m", [-0.6, 0.6])
+@pytest.mark.parametrize("off_m", [-0.6, pytest.param(0.6, marks=pytest.mark.slow)])
 def test_a_length_that_is_wrong(off_m: float) -> None:
     told = cam_log(ULM, STEADY.vehicle, 6.0, reference=(0.0, 0.0))
     found = calibrate(STEADY.recording, replace(told, length_m=told.length_m + off_m), reference=CENTRE)
@@ -185,7 +190,10 @@ def test_positions_that_their_sender_hardly_knows() -> None:
     covered(TURNING, found)
 
 
-@pytest.mark.parametrize(("turn_s", "how"), [(-0.1, "turning clockwise"), (0.1, "turning counter-clockwise")])
+@pytest.mark.parametrize(
+    ("turn_s", "how"),
+    [pytest.param(-0.1, "turning clockwise", marks=pytest.mark.slow), (0.1, "turning counter-clockwise")],
+)
 def test_a_scanner_that_turns_and_does_not_tell_the_points_times(turn_s: float, how: str) -> None:
     made = scene(STRAIGHT, replace(lidar(), turn_s=turn_s))
     found = calibrate(made.recording, made.messages)

@@ -246,6 +246,7 @@ def test_a_low_kerb_that_was_not_noticed_does_not_tilt_the_road() -> None:
     assert np.median(off_deg) < 0.3
 
 
+@pytest.mark.slow
 def test_a_verge_that_is_flush_with_the_road_does_not_tilt_it() -> None:
     rng = np.random.default_rng(5)
     squares, off_deg = [], []

@@ -96,6 +96,7 @@ def test_points_within_their_noise_of_the_road_are_removed() -> None:
     assert found(bare, max_sigma_m=1e9, ground_sigmas=0.0) != []
 
 
+@pytest.mark.slow
 def test_where_noise_hides_a_side_in_the_road_its_farther_half_is_kept_as_well() -> None:
     half, whole, sigmas = [], [], []
     for yaw_deg in np.arange(0.0, 360.0, 30.0):

@@ -105,6 +105,7 @@ def test_without_altitudes_nothing_is_known() -> None:
     assert (track.slope, track.altitude_told) == (None, False)
 
 
+@pytest.mark.slow
 def test_a_sensor_above_a_slope() -> None:
     made = scene(LEFT_TURN, lidar())
     world = World.around(made.place.latitude_deg, made.place.longitude_deg)
