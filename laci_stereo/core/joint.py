@@ -273,7 +273,7 @@ class _Problem:
         self.size = int(ends[-1])
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
-        first = [1.0, FREE_M**-2, FREE_M**-2, 1.0 / settings.shared_variance_share, turn.sigma**-2]
+        first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
         self.precision[range(FIRST_OWN), range(FIRST_OWN)] = first
         self.mean = np.zeros(self.size)
         self.mean[:FIRST_OWN] = *begin, turn.mean

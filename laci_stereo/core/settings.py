@@ -263,6 +263,9 @@ class JointSettings:
     shared_variance_share : float
         Of the variance of points, what those on one side in one frame have in common: half of the standard deviation,
         more than on the road (`GroundSettings`), of which more windows of a matcher or more layers tell.
+    bias_noise_share : float
+        Of each point's standard deviation, the part that errs alike all the way: the rectification's or the scanner's,
+        which is the same on the road.
     block_s : float
         What so many seconds of frames say is one statement when the scatter of the residuals is weighed.
     """
@@ -274,6 +277,7 @@ class JointSettings:
     position_sigma_m: float = 0.02
     bias_time_s: float = 10.0
     shared_variance_share: float = 0.25
+    bias_noise_share: float = GroundSettings.shared_noise_share
     block_s: float = 1.0
 
 

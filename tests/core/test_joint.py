@@ -264,7 +264,7 @@ def deeper(drive: Evidence, by: float) -> Evidence:
 def test_borders_tell_what_a_depth_that_is_wrong_does_not() -> None:
     alone, bordered = [], []
     for seed in range(4):
-        plain = replace(deeper(evidence(seed=seed, sigma_m=0.5), 1.5), window_rad=0.01)
+        plain = replace(deeper(evidence(seed=seed, sigma_m=0.5), 0.5), window_rad=0.01)
         for drive, errors in ((plain, alone), (with_borders(plain, sigma=0.2, seed=seed), bordered)):
             fit = fit_jointly([drive], TRUTH, close=True)
             off = error(fit)

@@ -109,7 +109,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
     shares = model.shares()
     free = np.r_[BIAS, FIRST_OWN : FIRST_OWN + model.own]
     precision = np.zeros((model.own + 1, model.own + 1))
-    precision[0, 0] = 1.0 / model.settings.shared_variance_share
+    precision[0, 0] = model.settings.bias_noise_share**-2
     pace, step = 1.0, np.zeros(model.own + 1)
     for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
         fitness = model.weigh(model.rows(x), soft, shares)
