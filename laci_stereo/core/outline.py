@@ -59,12 +59,12 @@ SHAPE = (
 left, how far ends and sides stand back where they end, how far the cab's sides do, how far a car's sides do at the
 sills, and the radii of the corners."""
 
-SHAPE_MEAN = np.array([-0.015, -0.015, -0.01, 0.0, 0.03, 0.03, 0.03, 0.0, 0.04, 0.25, 0.25])
+SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.0, 0.04, 0.25, 0.25])
 SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.001, 0.03, 0.12, 0.12])
 """What is known of the shape of any vehicle at this height. Length and width bound the whole body, at its handles,
-wheel arches and bumper's edge; bumpers stand back from that by up to 3 cm, and sides by up to 2 cm at the waist; ends
-and sides curve by as much, doors draw in by 1 to 8 cm from the waist to the sill, and the corners' radii are 0.1 m for a
-van and 0.5 m for a small car."""
+wheel arches and bumper's edge; panels and bumpers stand back from that by up to 3 cm, ends and sides curve by as much,
+doors draw in by 1 to 8 cm from the waist to the sill, and the corners' radii are 0.1 m for a van and 0.5 m for a small
+car."""
 
 HEAVY_CAB_M = (0.04, 0.05)
 """Mean and standard deviation of how far a cab's sides stand back, of what is as wide as a lorry: cabs are 2.3 to 2.5 m
