@@ -26,8 +26,8 @@ HIGHEST_M = 0.65
 """The bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front end leans back."""
 
 SIDES_HIGHEST_M = 0.9
-"""A car's sides are as wide as that up to here, where windows begin to stand back and mirrors to stand out by 0.2 m; but
-a matcher takes into what it sees of the sides what shows through the windows above, metres behind them."""
+"""A car's sides are as wide as that up to here, where windows begin to stand back and mirrors to stand out by 0.2 m.
+But a matcher takes into what it sees of the sides what shows through the windows above, metres behind them."""
 
 HEAVY_WIDTH_M = 2.2
 """What is wider is a lorry or a bus (passenger cars end at 2.1 m without mirrors), whose walls are upright..."""
@@ -39,8 +39,8 @@ HEAVY_FRONT_HIGHEST_M = 1.2
 """...but in front only up to the windscreen, which stands back and begins at 1.2 m so that drivers see the road, ..."""
 
 MIRRORS_M = 1.0
-"""...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m. A car's wings are round so
-far behind its front."""
+"""...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m. A car's wings are round
+so far behind its front."""
 
 BOW_POWER = 2
 TAPER_POWER = 4

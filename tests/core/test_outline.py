@@ -209,7 +209,14 @@ def test_what_passes_by_is_surely_higher_than_the_road() -> None:
         (2.5, (-12.0, 0.0), HEAVY_HIGHEST_M),
         (2.5, (0.0, 12.0), HEAVY_HIGHEST_M),
     ],
-    ids=["a car from ahead", "a car from behind", "a car from the left", "a bus from ahead", "a bus from behind", "a bus from the left"],
+    ids=[
+        "a car from ahead",
+        "a car from behind",
+        "a car from the left",
+        "a bus from ahead",
+        "a bus from behind",
+        "a bus from the left",
+    ],
 )
 def test_a_side_is_used_as_far_up_as_it_is_upright(
     width_m: float, origin: tuple[float, float], highest_m: float
@@ -248,7 +255,7 @@ def test_how_far_within_its_borders_an_outline_is_met(place: tuple[float, float,
     aside = ray[:, :1] * (CORNERS - origin)[:, 1] - ray[:, 1:] * (CORNERS - origin)[:, 0]
     nearer = np.minimum(aside.max(axis=1), -aside.min(axis=1))
     assert hits.within == pytest.approx(np.where(hits.cos > 0.0, nearer, 0.0), abs=1e-9)
-    assert (met(origin + 1.02 * (xy - origin), origin).within == pytest.approx(hits.within, abs=1e-9))
+    assert met(origin + 1.02 * (xy - origin), origin).within == pytest.approx(hits.within, abs=1e-9)
 
 
 def test_the_sides_of_a_cab_stand_back_and_no_others() -> None:

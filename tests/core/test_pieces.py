@@ -67,7 +67,8 @@ def test_a_bus_whose_middle_is_dark_is_one_vehicle(drive: Drive, gap_m: float) -
 
 
 @pytest.mark.parametrize(
-    "piece", [pytest.param(part(-6.0, 1.4), id="rear", marks=pytest.mark.slow), pytest.param(part(-1.0, 6.0), id="front")]
+    "piece",
+    [pytest.param(part(-6.0, 1.4), id="rear", marks=pytest.mark.slow), pytest.param(part(-1.0, 6.0), id="front")],
 )
 def test_a_piece_of_a_bus_is_no_whole_one(piece: Solid) -> None:
     made = seen_as((piece,), BUS)

@@ -76,7 +76,10 @@ def test_a_verge_with_level_land_behind_it_is_no_other_side_of_a_crown(
     assert np.degrees(np.linalg.norm(value[1:])) < 0.2
 
 
-@pytest.mark.parametrize(("fall", "sigma_m"), [(0.03, 0.1), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.05, 0.1), (0.04, 0.02))), (0.06, 0.05)])
+@pytest.mark.parametrize(
+    ("fall", "sigma_m"),
+    [(0.03, 0.1), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.05, 0.1), (0.04, 0.02))), (0.06, 0.05)],
+)
 def test_verges_in_different_directions_are_both_left_out(fall: float, sigma_m: float) -> None:
     """One is beside the way, one across a corner: no single edge is in front of both, and land follows on either."""
     xy = plan(0.25)
