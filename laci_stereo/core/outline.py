@@ -287,13 +287,13 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
     (out_x, out_y), front = np.abs(normal).T, outward[which, 0] > 0.0
     by_radius = (out_x + out_y - 1.0) / (1.0 + np.exp(-np.where(front, *radii) / SHARP_M))
     ends = np.column_stack([front, ~front])
-    by_end = out_x[:, None] * ends
+    by_end, no_sill = out_x[:, None] * ends, np.zeros(len(far))  # the waist is in view as well, and stands out
     return Hits(
         distance=-beyond.max(axis=1),
         variance=np.full(len(far), OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2),
         normal=normal,
         by_shape=np.column_stack(
-            [-by_end, -out_y, -normal[:, 1], by_end, out_y, out_y * front, 0.0 * out_y, by_radius[:, None] * ends]
+            [-by_end, -out_y, -normal[:, 1], by_end, out_y, out_y * front, no_sill, by_radius[:, None] * ends]
         ),
         face=FACES + to_left,
         reach=dot_xy(centres[which] - origin, ray) / far,

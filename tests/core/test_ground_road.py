@@ -270,17 +270,15 @@ def test_a_recording_is_observed_again_only_where_the_road_is_far_from_the_groun
     for module in ("laci_stereo.core.observe", "tools.scenes.seeing"):
         monkeypatch.setattr(f"{module}.observe", counted)
     scene = draw_scene(seed, sensor)
-    found = see(scene, "simulated").observation
+    watched = see(scene, "simulated")
+    found = watched.observation
     assert len(grounds) == times
     assert (found.ground.normal != grounds[0].normal).any()
     # Whether observed again or laid onto the road, the sender is where it was in that frame.
-    T_scene_level, nearest = scene.T_world_sensor @ invert(found.T_level_sensor), []
-    for track in (each for each in found.tracks if len(each.sightings) > 10):
-        xyz = transform(T_scene_level, track.sightings[0].points)
-        xy, _ = scene.sender.track(np.array([track.sightings[0].stamp_s]) + scene.times_s[0])
-        nearest.append((float(np.abs(xyz[:, :2] - xy).max()), xyz))
-    off_m, at = min(nearest, key=lambda each: each[0])
-    assert off_m < scene.sender.length_m
+    first = watched.locate(Settings()).track.sightings[0]
+    at = transform(scene.T_world_sensor @ invert(found.T_level_sensor), first.points)
+    xy, _ = scene.sender.track(np.array([first.stamp_s]) + scene.times_s[0])
+    assert np.abs(at[:, :2] - xy).max() < scene.sender.length_m
     assert -0.1 < at[:, 2].min() < at[:, 2].max() < scene.vehicle.height_m + 0.1
 
 
