@@ -391,7 +391,7 @@ def cam_log(
     rounded: bool = True,
     seed: int = 0,
 ) -> CamLog:
-    """Return the messages of a vehicle; the headings that it sends while it stands are arbitrary.
+    """Return the messages of a vehicle: headings are of its motion, and arbitrary while it stands.
 
     ``reference`` is in the vehicle frame; None is ETSI's, the centre of the front side.
     """
@@ -400,7 +400,8 @@ def cam_log(
     speed = mover.drive.speed(times)
     offset = np.array([mover.length / 2, 0.0] if reference is None else reference)
     latitude, longitude = place.geodetic(xy + rotate_xy(yaw, np.tile(offset, (len(times), 1))))
-    heading = place.heading_deg(xy, yaw)
+    heading = place.heading_deg(xy, yaw) + np.where(speed < 0.0, 180.0, 0.0)
+    speed = np.abs(speed)
     heading = np.where(speed < 0.3, np.random.default_rng(seed).uniform(0.0, 360.0, len(times)), heading)
     if rounded:
         latitude, longitude, heading, speed = latitude.round(7), longitude.round(7), heading.round(1), speed.round(2)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
@@ -23,7 +24,7 @@ from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import Account, hold_against
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
-from laci_stereo.core.track_scene import Scene, extent, lay_out
+from laci_stereo.core.track_scene import TABLE_S, Scene, extent, lay_out
 from laci_stereo.core.tracking import GATE, Times, Track
 
 log = logging.getLogger(__name__)
@@ -36,6 +37,8 @@ So likely it is, too, that none of the tracks is the sender's."""
 MAX_GOOD_SIGMA = 2.0
 """The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
 
+COVERED_SHARE = 0.9
+"""What is empty in no more than a tenth of the frames is background, see `learn_background`."""
 
 IN_LINE = math.log(10.0)
 """One other vehicle in ten drives in line with the sender's, on its way and at its speed. By how much more exactly a
@@ -182,10 +185,10 @@ def choose_track(
     scene = lay_out(tracks, vehicles, settings)
     seeds = find_seeds(scene)
     if not seeds:
-        raise TrackError(_nothing_found(tracks, settings) + _folding(vehicles))
+        raise TrackError(_nothing_found(tracks, settings) + _folding(vehicles) + _lingering(scene))
     hypotheses = _hypotheses(scene, seeds)
     if not hypotheses:
-        raise MatchError(_no_fit(scene, seeds) + _folding(vehicles))
+        raise MatchError(_no_fit(scene, seeds) + _folding(vehicles) + _lingering(scene))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
     weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
     return _decide(scene, _of_moving(scene, weighed), far)
@@ -253,7 +256,8 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     seen = best.value + SILENT - math.log(objects)
     if seen < scene.settings.least_seen_log_odds:
         chance = _by_chance(scene, best.account, objects, seen)
-        raise MatchError(f"{chance}; needed are {math.exp(scene.settings.least_seen_log_odds):.0f} to 1")
+        needed = f"; needed are {math.exp(scene.settings.least_seen_log_odds):.0f} to 1"
+        raise MatchError(chance + needed + _lingering(scene))
     # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
     even, doubt = seen - SILENT, ""
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
@@ -430,6 +434,25 @@ def _folding(vehicles: Mapping[int, VehicleTrack]) -> str:
         for station, count in counts.items()
         if count
     )
+
+
+def _lingering(scene: Scene) -> str:
+    """Say whose vehicle hardly leaves its own place, where it passes for what always stands there."""
+    seen_s = np.array([sighting.stamp_s for track in scene.tracks for sighting in track.sightings])
+    found = []
+    for station, sender in sorted(scene.senders.items()):
+        poses = sender.at(np.arange(seen_s.min(), seen_s.max(), TABLE_S) if len(seen_s) else seen_s)
+        xy = poses.xy[poses.known]
+        if not len(xy):
+            continue
+        near = cKDTree(xy).query_ball_point(xy, sender.length_m / 2, return_length=True)
+        share = near.max() / len(xy)
+        if share >= COVERED_SHARE:
+            found.append(
+                f"; station {station}'s, {sender.length_m:.1f} m long, covers one place {share:.0%} of the time, "
+                "and so may pass for what stands there: drive on by more than its length"
+            )
+    return "".join(found)
 
 
 def _check_motion(vehicles: Mapping[int, VehicleTrack], settings: MatchSettings) -> None:

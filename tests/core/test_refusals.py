@@ -9,7 +9,7 @@ import pytest
 
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cam import CENTRE, CamLog
-from laci_stereo.core.errors import CamError, MatchError, OpenError
+from laci_stereo.core.errors import CamError, MatchError, OpenError, TrackError
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.core.test_calibrate import errors
@@ -83,6 +83,14 @@ def test_unless_it_is_of_another_length() -> None:
     found = calibrate(made.recording, made.messages)
     covered(made, found)
     assert errors(made, found).track_xy_m < 0.3
+
+
+def test_a_lorry_that_shunts_within_its_own_length() -> None:
+    to_and_fro = Drive((24.0, -3.0), 90.0, speeds=((0.0, 2.0), (2.7, 2.0), (2.8, -2.0), (5.5, -2.0), (5.6, 2.0)))
+    made = scene(LEFT_TURN, lidar())
+    lorry = car(to_and_fro.turned(np.radians(35.0)), 8.5, 2.4)
+    with pytest.raises(TrackError, match=r"8\.5 m long, covers one place (9\d|100)% of the time, .* its length$"):
+        calibrate(replace(made.recording, movers=(lorry,)), cam_log(ULM, lorry, 6.0))
 
 
 def test_a_drive_that_is_seen_from_ahead_only() -> None:
