@@ -24,7 +24,10 @@ GAP_M = ClusterSettings.reach_m
 """A gap in distance that is larger divides what stands behind from the vehicle, as it divides clusters in the core."""
 
 THIN_SHARE = 0.05
-"""A range of distance that holds less than this share of the fullest is what bleeds between two surfaces."""
+"""A range of distance that holds less than this share of the fullest is what bleeds between two surfaces.
+
+That is, if there is a second one. What trails off without leading to one is the vehicle's: a side that it grazes.
+"""
 
 BRIDGED_PX = 3
 """Gaps in a surface that are as wide are pixels that happened not to match."""
@@ -156,6 +159,9 @@ def _layer(moving: Moving, inside: BoolArray) -> BoolArray | None:
         first -= 1
     while last + 1 < len(full) and full[last + 1]:
         last += 1
+    trail = int(np.append(counts[last + 1 :], 0).argmin())  # as far as the next empty one
+    if not full[last + 1 : last + 1 + trail].any():
+        last += trail
     nearest = start + first * width - np.where(inside, 0.0, noise_m)  # what is as low as the road may be nearer
     layer: BoolArray = (distance >= nearest) & (number <= last)
     return layer

@@ -78,6 +78,27 @@ def test_what_stands_behind_within_the_box_goes() -> None:
     np.testing.assert_array_equal(chosen(frame, [larger]).keep, within(frame, CAR))
 
 
+def receding(length_m: float) -> list[Patch]:
+    """Beside the car's end, a side that is all but seen along: 20 thin columns, each further away than the last."""
+    return [(219 + k, 100, 220 + k, 110, CAR[4] + k / 20 * length_m) for k in range(1, 21)]
+
+
+def test_a_side_that_recedes_stays() -> None:
+    frame = moving(CAR, *receding(8.0))
+    larger = replace(box(CAR), box=np.array([90.0, 50.0, 250.0, 170.0]))
+    assert chosen(frame, [larger]).keep.all()
+
+
+def test_what_bleeds_to_what_stands_behind_goes_with_it() -> None:
+    behind = (240, 60, 300, 110, 30.0)
+    frame = moving(CAR, *receding(9.8), behind)
+    larger = replace(box(CAR), box=np.array([90.0, 50.0, 310.0, 170.0]))
+    found = chosen(frame, [larger]).keep
+    assert found[within(frame, CAR)].all()
+    assert not found[within(frame, behind)].any()
+    assert found[within(frame, (220, 100, 240, 110, 0.0))].mean() < 0.2
+
+
 def test_every_vehicle_keeps_its_own_layer() -> None:
     frame = moving(CAR, OTHER_CAR, WALKER)
     found = chosen(frame, [box(CAR), box(OTHER_CAR)])
