@@ -487,7 +487,13 @@ def within_three_sigma(fit: JointFit) -> bool:
 
 @pytest.mark.parametrize(
     ("drive", "turn"),
-    [*((drive, turn) for drive in (TURN, STRAIGHT) for turn in (-1.0, 0.0, 1.0)), (BRAKING, 0.0), (BRAKING, 1.0)],
+    [
+        *((TURN, turn) for turn in (-1.0, 0.0, 1.0)),
+        *(pytest.param(STRAIGHT, turn, marks=pytest.mark.slow) for turn in (-1.0, 1.0)),
+        (STRAIGHT, 0.0),
+        pytest.param(BRAKING, 0.0, marks=pytest.mark.slow),
+        (BRAKING, 1.0),
+    ],
 )
 def test_how_a_scanner_turns_is_found(drive: Drive, turn: float) -> None:
     fit = fit_jointly([swept(drive, turn)], TRUTH)

@@ -183,7 +183,7 @@ def test_positions_that_are_wrong() -> None:
     assert f"of {len(log)} messages of station 42 are left out" in found.remarks[0]
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("side", [pytest.param(-1.0, marks=pytest.mark.slow), 1.0])
 def test_positions_of_another_point_than_was_said(side: float) -> None:
     told = cam_log(ULM, TURNING.vehicle, 6.0, reference=(0.0, 0.7 * side))
     found = calibrate(TURNING.recording, told, reference=CENTRE)
