@@ -16,6 +16,7 @@ from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.track_motion import OUTLIER, Motion, completed, cost, fit_all, path_shares, trust
 from laci_stereo.core.track_scene import KNOT_S, TABLE_S, Knots, Poses, Scene, Sender
+from laci_stereo.core.tracking import GATE
 
 PRECISIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 """How exact positions may be, relative to the settings' sigma: from GNSS alone down to one with carrier phases."""
@@ -95,6 +96,10 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
     possible = np.bincount(knots.track, usable * knots.frames, len(scene.tracks))
     with np.errstate(invalid="ignore", divide="ignore"):
         fitting = np.flatnonzero(explained / possible >= settings.min_explained)
+    more = np.bincount(knots.track, (_too_long(knots, sender) > GATE) * usable * knots.frames, len(scene.tracks))
+    alone = fitting[more[fitting] < 0.5 * possible[fitting]]
+    # What is seen as one with what it tows, or with another, in some frames, is where that other is, too, in those.
+    fitting = alone if len(alone) else fitting
     fitting = fitting[np.argsort(-explained[fitting], kind="stable")]
     missed = _missed(scene, sender, motion, poses.known & (remains <= 2 * sender.reach_m))
     mine = np.flatnonzero(np.isin(knots.track, fitting) & usable)
@@ -123,12 +128,17 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
 
 def _odd(knots: Knots, poses: Poses, motion: Motion, sender: Sender) -> FloatArray:
     """Return what else than the position is wrong with the sightings, squared in sigma: size and speed."""
-    too_long = np.maximum(knots.length_m - 2 * sender.reach_m - 5 * knots.sigma_m, 0.0) / SIZE_SIGMA_M
     sight = knots.xy / np.maximum(np.linalg.norm(knots.xy, axis=1, keepdims=True), 1e-9)
     radial = (rotate_xy(-motion.yaw_rad, poses.velocity) * sight).sum(axis=1)
     off = np.where(np.isfinite(knots.radial_mps), knots.radial_mps - radial, 0.0) / _radial_sigma(radial)
-    odd: FloatArray = too_long**2 + off**2
+    odd: FloatArray = _too_long(knots, sender) ** 2 + off**2
     return odd
+
+
+def _too_long(knots: Knots, sender: Sender) -> FloatArray:
+    """Return by how much boxes are longer than the vehicle, in sigma."""
+    longer_m: FloatArray = np.maximum(knots.length_m - 2 * sender.reach_m - 5 * knots.sigma_m, 0.0)
+    return longer_m / SIZE_SIGMA_M
 
 
 def _radial_sigma(radial_mps: FloatArray) -> FloatArray:

@@ -105,6 +105,18 @@ def test_another_part_of_the_same_vehicle_is_no_rival() -> None:
     assert choice.second == 0.0
 
 
+def test_a_car_that_is_seen_as_one_with_its_trailer_now_and_then() -> None:
+    braking = replace(STEADY, speeds=((0.0, 8.0), (2.0, 8.0), (4.0, 1.0)))
+    as_one = np.random.default_rng(0).random(len(STAMPS)) < 0.45
+    car = seen(braking, STAMPS[~as_one])
+    trailer = seen(shifted(braking, -4.2, 0.0), STAMPS[~as_one], noise_m=0.02, size=(2.0, 1.6))
+    both = seen(shifted(braking, -1.5, 0.0), STAMPS[as_one], size=(7.4, 1.8))
+    # By their ways alone either may be the sender.
+    with pytest.raises(MatchError, match=r"two moving objects, seen in 3\d and 3\d frames"):
+        choose_track([trailer, both, car], {42: vehicle(braking)})
+    assert choose_track([both, car], {42: vehicle(braking)}).track is car
+
+
 def test_two_vehicles_that_drive_alike_are_a_tie() -> None:
     straight = Drive((0.0, 0.0), 0.0, speeds=((0.0, 10.0),))
     tracks = [seen(straight), seen(shifted(straight, -15.0, 0.0))]
