@@ -134,15 +134,15 @@ def _seen_from(
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
     normal, origin = T_level_ground[:3, 2], T_level_ground[:3, 3]
     before = np.append(normal @ origin, -normal[:2]) / normal[2]
-    surface = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
-    if surface is None:
+    road = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
+    if road is None:
         return None
-    plane, covariance, by_crown = surface.plane()
-    off = plane - np.append(height_of(before, surface.middle), before[1:])
+    plane, covariance, by_crown = road.plane()
+    off = plane - np.append(height_of(before, road.middle), before[1:])
     if (np.abs(off) > FARTHEST * np.array(OTHER)).any():
         return None
     chart = Chart.around(found)
-    by_plane = _by_plane(chart, axes, surface.middle)
+    by_plane = _by_plane(chart, axes, road.middle)
     value = chart.values([found])[0] + by_plane @ plane
     return chart.plane(value, by_plane @ covariance @ by_plane.T), chart.plane(value, by_plane @ by_crown @ by_plane.T)
 

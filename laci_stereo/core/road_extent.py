@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -80,6 +80,36 @@ FIRST_CELLS, LEAST_CELLS = 6, 36
 """So many below the way tell a plane and that they are on it; fewer than so many in all are no road: 4 m of a lane."""
 
 
+@dataclass(frozen=True)
+class Road:
+    """What a road may be: its surface, if so many edges are left out as were found one after the other, or fewer.
+
+    What passes for an edge mostly is one, so the last surface tells the plane. But the mouth of another road, where the
+    crown ends, and the other side of a crown, of which little is seen, do so as well. Surfaces through different places
+    cannot be told apart by their evidence, so each counts alike in what is not known.
+    """
+
+    surfaces: tuple[Surface, ...]
+
+    @property
+    def cells(self) -> Cells:
+        """Those that are on all of them."""
+        return self.surfaces[-1].cells
+
+    @property
+    def middle(self) -> FloatArray:
+        """Of those cells, shape (2,)."""
+        middle: FloatArray = self.surfaces[-1].middle
+        return middle
+
+    def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the plane that the road is about, at its middle: see `Surface.plane`."""
+        values, covariances, by_crowns = zip(*(surface.plane(self.middle) for surface in self.surfaces), strict=True)
+        apart = np.array(values) - values[-1]
+        covariance = np.mean(covariances, axis=0) + apart.T @ apart / len(apart)
+        return values[-1], covariance, np.mean(by_crowns, axis=0)
+
+
 def places(track: Track) -> FloatArray:
     """Return the way of a vehicle, level frame, shape (n, 2), every `CELL_M`, however fast it was or long it stood.
 
@@ -112,8 +142,8 @@ def road_along(
     up: tuple[float, float, float],
     before: FloatArray,
     settings: GroundSettings,
-) -> Surface | None:
-    """Return the surface of the road along a way; None where none is seen.
+) -> Road | None:
+    """Return the road along a way; None where none is seen.
 
     Parameters
     ----------
@@ -155,7 +185,7 @@ def road_along(
         return None
     land = off_m**2 < GATE**2 * (variance + NO_ROAD_M**2)
     on_road |= land & _beyond_verges(cells, height, limit_m, on_road)
-    return _within_edges(evened(cells[on_road]), settings.shared_noise_share, before, along_rad)
+    return _without_edges(evened(cells[on_road]), settings.shared_noise_share, before, along_rad)
 
 
 def evened(cells: Cells) -> Cells:
@@ -170,15 +200,16 @@ def evened(cells: Cells) -> Cells:
     return replace(cells, left_m=even_m) if wanders else cells
 
 
-def _within_edges(cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float) -> Surface:
-    """Return the surface of a road, without what is rather behind an edge than not: it may have another edge then."""
-    for _ in range(MOST_EDGES):
-        surface = Surface(cells, shared_noise_share, before, along_rad, edges=True)
-        within = surface.behind < 0.5
+def _without_edges(cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float) -> Road:
+    """Return a road, without what is rather behind an edge than not: it may have another edge then."""
+    surfaces: list[Surface] = []
+    while len(surfaces) < MOST_EDGES:
+        surfaces.append(Surface(cells, shared_noise_share, before, along_rad, edges=True))
+        within = surfaces[-1].behind < 0.5
         if within.all() or within.sum() < LEAST_CELLS:
             break
         cells = cells[within]
-    return surface
+    return Road(tuple(surfaces))
 
 
 def _beyond_verges(cells: Cells, height: FloatArray, limit_m: FloatArray, on_road: BoolArray) -> BoolArray:

@@ -98,6 +98,29 @@ def test_verges_in_different_directions_are_both_left_out(fall: float, sigma_m: 
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 9.0
 
 
+def crossing(rng: np.random.Generator) -> PointCloud:
+    """Two roads with crowns and kerbs that cross: each point is as high as the nearer crown makes it."""
+    fall, crown_m, at_m, sigma_m, half_m = rng.uniform([0.012, 1.2, -12.0, 0.01, 3.5], [0.025, 2.2, 12.0, 0.04, 7.0])
+    xy = plan(0.4) + rng.uniform(-0.2, 0.2, 2)
+    away_m = np.abs(xy - [at_m, WAY_Y_M + crown_m]).min(axis=1)
+    height = np.where(away_m > half_m, 0.08, 0.0) - fall * away_m.clip(0.0, half_m)
+    waves = 0.004 * np.sin(xy @ rng.normal(0.0, 0.3, 2) + rng.uniform(0.0, 2.0 * np.pi))
+    return cloud(height + waves, xy, sigma_m)
+
+
+@pytest.mark.slow
+def test_the_mouth_of_another_road_is_mistaken_but_not_without_doubt() -> None:
+    squares = []
+    for seed in range(16):
+        scan = crossing(np.random.default_rng(seed))
+        road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+        assert road is not None
+        value, covariance, _ = road.plane()
+        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+    # The mean of 16 chi-squares of two degrees of freedom: 2.0 +- 0.5.
+    assert np.mean(squares) < 3.5
+
+
 @pytest.mark.parametrize("turned_rad", np.pi / 16 * np.arange(4))
 def test_a_verge_of_a_road_that_the_way_turns_into_does_not_tilt_it(turned_rad: float) -> None:
     """It is straight, and the way is not; which direction that is in the sensor's frame does not matter."""
