@@ -75,17 +75,19 @@ def road_ground(
         seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
             log.debug("no road is seen along the way")
-            off, doubt = np.zeros(3), chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
+            off, told = np.zeros(3), chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
+            doubt = told
         else:
-            road, by_crown = seen
+            road, by_crown, by_edges = seen
             (of_road,) = chart.values([road])
             alike = chart.covariance(ground) + OPEN * chart.covariance(by_crown)
             cases = [alike + _spread(by_plane, apart) for apart in APART[:-1]]
-            off, doubt = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
+            off, told = _together(of_road - value, chart.covariance(road), cases, _spread(by_plane, OTHER))
+            doubt = told + chart.covariance(by_edges)
         moved, found = off - offs[-1], chart.plane(value + off, doubt)
         offs.append(off)
         doubts.append(doubt)
-        if moved @ np.linalg.solve(doubt, moved) < SETTLED:
+        if moved @ np.linalg.solve(told, moved) < SETTLED:
             return found
     among = np.cov(np.transpose(offs[1:]), bias=True)
     return chart.plane(value + np.mean(offs[1:], axis=0), np.mean(doubts, axis=0) + among)
@@ -124,11 +126,11 @@ def _seen_from(
     axes: Axes,
     way: FloatArray,
     settings: GroundSettings,
-) -> tuple[GroundPlane, GroundPlane] | None:
+) -> tuple[GroundPlane, GroundPlane, GroundPlane] | None:
     """Return the plane of the road along a way on a ground, looked at in the level frame of what was found of it.
 
-    It is there twice: with all of its doubt, and with what the crown leaves open. None if no road is seen near the
-    ground.
+    It is there three times: with its doubt, with what of that the crown leaves open, and with what edges that may be
+    none add to it. None if no road is seen near the ground.
     """
     T_level_sensor, T_ground_sensor = found.T_level_sensor(axes), ground.T_level_sensor(axes)
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
@@ -137,14 +139,18 @@ def _seen_from(
     road = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
     if road is None:
         return None
-    plane, covariance, by_crown = road.plane()
-    off = plane - np.append(height_of(before, road.middle), before[1:])
+    surface = road.found
+    plane, covariance, by_crown = surface.plane()
+    off = plane - np.append(height_of(before, surface.middle), before[1:])
     if (np.abs(off) > FARTHEST * np.array(OTHER)).any():
         return None
     chart = Chart.around(found)
-    by_plane = _by_plane(chart, axes, road.middle)
+    by_plane = _by_plane(chart, axes, surface.middle)
     value = chart.values([found])[0] + by_plane @ plane
-    return chart.plane(value, by_plane @ covariance @ by_plane.T), chart.plane(value, by_plane @ by_crown @ by_plane.T)
+    of_road, of_crown, of_edges = (
+        chart.plane(value, by_plane @ part @ by_plane.T) for part in (covariance, by_crown, road.apart())
+    )
+    return of_road, of_crown, of_edges
 
 
 def _together(

@@ -84,30 +84,24 @@ FIRST_CELLS, LEAST_CELLS = 6, 36
 class Road:
     """What a road may be: its surface, if so many edges are left out as were found one after the other, or fewer.
 
-    What passes for an edge mostly is one, so the last surface tells the plane. But the mouth of another road, where the
+    What passes for an edge mostly is one, so the last surface is the road's. But the mouth of another road, where the
     crown ends, and the other side of a crown, of which little is seen, do so as well. Surfaces through different places
-    cannot be told apart by their evidence, so each counts alike in what is not known.
+    cannot be told apart by their evidence, so each is as likely.
     """
 
     surfaces: tuple[Surface, ...]
 
     @property
-    def cells(self) -> Cells:
-        """Those that are on all of them."""
-        return self.surfaces[-1].cells
+    def found(self) -> Surface:
+        """The last one."""
+        return self.surfaces[-1]
 
-    @property
-    def middle(self) -> FloatArray:
-        """Of those cells, shape (2,)."""
-        middle: FloatArray = self.surfaces[-1].middle
-        return middle
-
-    def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the plane that the road is about, at its middle: see `Surface.plane`."""
-        values, covariances, by_crowns = zip(*(surface.plane(self.middle) for surface in self.surfaces), strict=True)
-        apart = np.array(values) - values[-1]
-        covariance = np.mean(covariances, axis=0) + apart.T @ apart / len(apart)
-        return values[-1], covariance, np.mean(by_crowns, axis=0)
+    def apart(self) -> FloatArray:
+        """Return how far the planes are from the last one's, squared and averaged, shape (3, 3): as `Surface.plane`."""
+        place = self.found.middle
+        off = np.array([surface.plane(place)[0] for surface in self.surfaces]) - self.found.plane(place)[0]
+        squares: FloatArray = off.T @ off / len(off)
+        return squares
 
 
 def places(track: Track) -> FloatArray:

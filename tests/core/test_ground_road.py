@@ -171,9 +171,9 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
     lane = places(Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40))))
     T_level_sensor = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
-    surface = road_along(lane, [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
-    assert surface is not None
-    plane, covariance, _ = surface.plane()
+    found = road_along(lane, [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
+    assert found is not None
+    plane, covariance, _ = found.found.plane()
     off = plane[1:]
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 4.0
     assert np.degrees(np.linalg.norm(off)) < 0.06
@@ -243,9 +243,9 @@ def test_whichever_look_is_right_is_within_the_doubt(
 
     left = iter(looks)
 
-    def look(*_: object) -> tuple[GroundPlane, GroundPlane] | None:
-        deg = next(left)
-        return None if deg is None else (plane(deg), chart.plane(value, 1e-6 * exact))
+    def look(*_: object) -> tuple[GroundPlane, GroundPlane, GroundPlane] | None:
+        deg, surely = next(left), chart.plane(value, 1e-6 * exact)
+        return None if deg is None else (plane(deg), surely, surely)
 
     monkeypatch.setattr("laci_stereo.core.ground_road._seen_from", look)
     road = road_ground([], AXES, ground, way(), GroundSettings())

@@ -41,8 +41,9 @@ def test_a_road_ends_at_its_kerbs(half_m: float, kerb_m: float) -> None:
     beyond = np.abs(xy[:, 1] - WAY_Y_M) - half_m
     # The pavement falls by 2.5 % towards the road.
     height = np.where(beyond > 0.0, kerb_m + 0.025 * beyond, 0.0)
-    surface = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
+    road = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    surface = road.found
     assert half_m - 0.5 < np.abs(surface.cells.left_m).max() < half_m + 0.5
 
 
@@ -53,8 +54,9 @@ def test_a_low_kerb_with_a_pavement_behind_it_ends_a_road_with_a_crown() -> None
     beyond = -left_m - 5.4
     road = -0.018 * np.abs(left_m - 1.5)
     height = np.where(beyond > 0.0, -0.018 * 6.9 + 0.045 + 0.03 * beyond, road)
-    surface = road_along(way(), [cloud(height, xy, 0.05)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
+    road = road_along(way(), [cloud(height, xy, 0.05)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    surface = road.found
     assert 4.0 < -surface.cells.left_m.min() < 5.4
     value, covariance, _ = surface.plane()
     assert abs(value[2]) < 3.0 * np.sqrt(covariance[2, 2])
@@ -71,8 +73,9 @@ def test_a_verge_with_level_land_behind_it_is_no_other_side_of_a_crown(
 ) -> None:
     xy = plan(0.25)
     height = -fall * (WAY_Y_M - half_m - xy[:, 1]).clip(0.0, 2.0)
-    surface = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
+    road = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    surface = road.found
     assert -surface.cells.left_m.min() < half_m + 0.5
     value, covariance, _ = surface.plane()
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 9.0
@@ -89,8 +92,9 @@ def test_verges_in_different_directions_are_both_left_out(fall: float, sigma_m: 
     beside_m = WAY_Y_M - 4.0 - xy[:, 1]
     corner_m = (xy[:, 0] + xy[:, 1] - WAY_Y_M) / np.sqrt(2.0) - 11.6
     height = -fall * np.maximum(beside_m, corner_m).clip(0.0, 2.0)
-    surface = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
+    road = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    surface = road.found
     x, y = surface.cells.xy.T
     assert y.min() > WAY_Y_M - 4.5
     assert ((x + y - WAY_Y_M) / np.sqrt(2.0)).max() < 11.6 + 0.5
@@ -115,8 +119,9 @@ def test_the_mouth_of_another_road_is_mistaken_but_not_without_doubt() -> None:
         scan = crossing(np.random.default_rng(seed))
         road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
         assert road is not None
-        value, covariance, _ = road.plane()
-        squares.append(value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]))
+        value, covariance, _ = road.found.plane()
+        doubt = covariance + road.apart()
+        squares.append(value[1:] @ np.linalg.solve(doubt[1:, 1:], value[1:]))
     # The mean of 16 chi-squares of two degrees of freedom: 2.0 +- 0.5.
     assert np.mean(squares) < 3.5
 
@@ -134,17 +139,18 @@ def test_a_verge_of_a_road_that_the_way_turns_into_does_not_tilt_it(turned_rad: 
     xy = xy[(xy[:, 1] > 12.5) | (np.abs(xy[:, 0]) < 3.5)]
     verge = -0.045 * np.clip(xy[:, 1] - 18.5, 0.0, 2.0)
     turned = np.concatenate([before, turning, behind]) @ turn.T
-    surface = road_along(turned, [cloud(verge, xy @ turn.T)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
-    value, covariance, _ = surface.plane()
+    road = road_along(turned, [cloud(verge, xy @ turn.T)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    value, covariance, _ = road.found.plane()
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
     assert np.degrees(np.linalg.norm(value[1:])) < 0.15
 
 
 def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
     xy = plan(0.2, 22.0)
-    surface = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
+    road = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    surface = road.found
     assert surface.cells.left_m.min() < -0.9 * REACH_M
     assert surface.cells.left_m.max() > 0.9 * REACH_M
 
@@ -152,19 +158,19 @@ def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
 def test_what_all_points_err_by_alike_does_not_hide_the_road() -> None:
     # A quarter of 0.4 m is common to all heights: the road is known to 4 cm by it, but no part of it against another.
     xy = plan(0.05)
-    surface = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.4)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
+    road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.4)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    surface = road.found
     assert surface.cells.left_m.max() - surface.cells.left_m.min() > REACH_M
 
 
 def test_what_stands_on_the_way_is_no_road() -> None:
     xy = plan(0.2)
     on_way = (np.abs(xy[:, 1] - WAY_Y_M) < HALF_VEHICLE_M) & (xy[:, 0] > 2.0)
-    surface = road_along(
-        way(), [cloud(np.where(on_way, 0.5, 0.0), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings()
-    )
-    assert surface is not None
-    assert np.abs(surface.cells.z).max() < 0.1
+    scan = cloud(np.where(on_way, 0.5, 0.0), xy)
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    assert np.abs(road.found.cells.z).max() < 0.1
 
 
 def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
@@ -176,9 +182,9 @@ def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
     points *= 1.0 + rng.normal(0.0, 0.1, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
     noise = np.full(len(points), 0.1)
     scan = PointCloud(0, points, noise, 1e-3 * noise, np.zeros(len(points), dtype=bool))
-    surface = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
-    assert surface is not None
-    value, covariance, _ = surface.plane()
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    value, covariance, _ = road.found.plane()
     assert abs(value[2]) < 0.05  # the rays fall by 0.4
     assert np.sqrt(covariance[2, 2]) > abs(value[2]) / 3
 
