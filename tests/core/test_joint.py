@@ -261,6 +261,7 @@ def deeper(drive: Evidence, by: float) -> Evidence:
     return replace(drive, points=sensor + longer * sight)
 
 
+@pytest.mark.slow
 def test_borders_tell_what_a_depth_that_is_wrong_does_not() -> None:
     alone, bordered = [], []
     for seed in range(4):

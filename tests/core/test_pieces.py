@@ -66,10 +66,8 @@ def test_a_bus_whose_middle_is_dark_is_one_vehicle(drive: Drive, gap_m: float) -
     assert np.quantile([one.box.length_m for one in found.track.usable], 0.9) == pytest.approx(12.0, abs=0.3)
 
 
-@pytest.mark.parametrize(
-    "piece",
-    [pytest.param(part(-6.0, 1.4), id="rear", marks=pytest.mark.slow), pytest.param(part(-1.0, 6.0), id="front")],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("piece", [pytest.param(part(-6.0, 1.4), id="rear"), pytest.param(part(-1.0, 6.0), id="front")])
 def test_a_piece_of_a_bus_is_no_whole_one(piece: Solid) -> None:
     made = seen_as((piece,), BUS)
     found = calibrated(made)
@@ -79,6 +77,7 @@ def test_a_piece_of_a_bus_is_no_whole_one(piece: Solid) -> None:
     assert error_m(made, found) < 12.0 - piece.length + 0.5
 
 
+@pytest.mark.slow
 def test_of_a_vehicle_that_is_as_long_as_it_tells_nothing_is_missing() -> None:
     found = calibrated(seen_as((part(-2.3, 2.3, *CAR[1:]),), CAR, LEFT_TURN))
     assert found.quality.verdict == "pass"
@@ -93,6 +92,7 @@ def test_what_a_car_tows_is_warned_of(drive: Drive) -> None:
     assert error_m(made, found) < 3.0 * found.quality.track_xy_sigma_m
 
 
+@pytest.mark.slow
 def test_of_two_that_move_as_one_the_sender_is_the_one_ahead() -> None:
     """Of the car the rear is not seen, so that its caravan is more like what it tells: 5.3 m off if it is taken."""
     made = seen_as((part(-1.5, 2.3, 1.7, 0.8), part(-7.6, -3.0, 1.8, 2.6)), CAR)

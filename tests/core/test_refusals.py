@@ -69,6 +69,7 @@ def test_a_change_of_speed_does(made: Scene, by_s: float) -> None:
     assert found.time_sigma_s < 0.1
 
 
+@pytest.mark.slow
 def test_one_that_follows_at_the_same_speed_cannot_be_told_apart() -> None:
     made = follower(4.4)
     with pytest.raises(
@@ -99,6 +100,7 @@ def test_a_drive_that_is_seen_from_ahead_only() -> None:
         calibrate(towards.recording, towards.messages)
 
 
+@pytest.mark.slow
 def test_pixels_that_are_too_large_to_tell_the_outline_from_the_road() -> None:
     few, many = (
         scene(LEFT_TURN, stereo(baseline_m=1.0, width_px=width, window_px=11), height_m=14.0, down_deg=28.0)

@@ -138,6 +138,7 @@ def test_braking_elsewhere_speaks_against_it() -> None:
     assert way(seen(), told).way < -2.0
 
 
+@pytest.mark.slow
 def test_a_second_of_something_else_is_found_and_does_not_speak_against_it() -> None:
     track = seen()
     last_s = track.sightings[-1].stamp_s

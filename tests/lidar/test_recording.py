@@ -241,6 +241,7 @@ def test_eight_layers_are_calibrated(plain: FloatArray):
 
 
 @needs_shared
+@pytest.mark.slow
 def test_thirty_two_layers_are_calibrated():
     shift_m, turn_deg = errors(calibrated(LidarRecording(open_scans(CROSSING / "lidar_32"))), "lidar_32")
     assert shift_m < 1.0
