@@ -439,9 +439,10 @@ def _folding(vehicles: Mapping[int, VehicleTrack]) -> str:
 def _lingering(scene: Scene) -> str:
     """Say whose vehicle hardly leaves its own place, where it passes for what always stands there."""
     seen_s = np.array([sighting.stamp_s for track in scene.tracks for sighting in track.sightings])
+    times_s = np.arange(seen_s.min(), seen_s.max(), TABLE_S) if len(seen_s) else seen_s
     found = []
     for station, sender in sorted(scene.senders.items()):
-        poses = sender.at(np.arange(seen_s.min(), seen_s.max(), TABLE_S) if len(seen_s) else seen_s)
+        poses = sender.at(times_s)
         xy = poses.xy[poses.known]
         if not len(xy):
             continue

@@ -98,8 +98,10 @@ class Road:
 
     def apart(self) -> FloatArray:
         """Return how far the planes are from the last one's, squared and averaged, shape (3, 3): as `Surface.plane`."""
-        place = self.found.middle
-        off = np.array([surface.plane(place)[0] for surface in self.surfaces]) - self.found.plane(place)[0]
+        planes = np.array([surface.plane()[0] for surface in self.surfaces])
+        for plane, surface in zip(planes, self.surfaces, strict=True):  # where the last one is told
+            plane[0] = height_of(plane, self.found.middle - surface.middle)
+        off = planes - planes[-1]
         squares: FloatArray = off.T @ off / len(off)
         return squares
 

@@ -128,16 +128,11 @@ class Surface:
         variance = ((shapes @ self._covariance) * shapes).sum(axis=1)
         return height_of(self.before, cells.xy) + shapes @ self._mean, np.maximum(variance, 0.0)
 
-    def plane(self, place: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the plane that the road is about: its height at a place, and its slopes along x and y.
+    def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the plane that the road is about: its height at the middle, and its slopes along x and y.
 
         The slopes are those between both sides of the crown. A bent road has them in its middle, and others where it
         goes on, by as much as it is bent over what is seen of it.
-
-        Parameters
-        ----------
-        place : ndarray, shape (2,)
-            By default, the middle of what is seen.
 
         Returns
         -------
@@ -160,10 +155,7 @@ class Surface:
         covariance[1, 2] += both
         covariance[2, 1] += both
         offset = np.append(height_of(self.before, self.middle), self.before[1:])
-        to_place = np.eye(3)
-        to_place[0, 1:] = 0.0 if place is None else place - self.middle
-        value = to_place @ (offset + to_plane @ self._mean)
-        return value, to_place @ covariance @ to_place.T, to_place @ by_crown @ to_place.T
+        return offset + to_plane @ self._mean, covariance, by_crown
 
     def _shapes(self, cells: Cells) -> FloatArray:
         """Return what a road is made of at some places, shape (n, 6 + crowns).

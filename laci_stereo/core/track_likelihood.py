@@ -98,7 +98,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
         fitting = np.flatnonzero(explained / possible >= settings.min_explained)
     more = np.bincount(knots.track, (_too_long(knots, sender) > GATE) * usable * knots.frames, len(scene.tracks))
     alone = fitting[more[fitting] < 0.5 * possible[fitting]]
-    # What is seen as one with what it tows, or with another, in some frames, is where that other is, too, in those.
+    # A track of the vehicle as one with what it tows counts only where none of the vehicle alone fits.
     fitting = alone if len(alone) else fitting
     fitting = fitting[np.argsort(-explained[fitting], kind="stable")]
     missed = _missed(scene, sender, motion, poses.known & (remains <= 2 * sender.reach_m))

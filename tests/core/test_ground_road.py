@@ -171,9 +171,9 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
     lane = places(Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40))))
     T_level_sensor = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
-    found = road_along(lane, [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
-    assert found is not None
-    plane, covariance, _ = found.found.plane()
+    along = road_along(lane, [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
+    assert along is not None
+    plane, covariance, _ = along.found.plane()
     off = plane[1:]
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 4.0
     assert np.degrees(np.linalg.norm(off)) < 0.06
