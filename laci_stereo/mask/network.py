@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import re
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -169,6 +171,7 @@ def _session(options: MaskOptions) -> Any:
         known = ", ".join(key for key, value in PROVIDERS.items() if value in offered)
         raise MaskError(f"--mask-provider is {options.provider}; this onnxruntime offers {known}")
     check_model(options.model)
+    missed = _load_cuda(onnxruntime) if options.provider == "cuda" else ""
     asked = onnxruntime.SessionOptions()
     asked.log_severity_level = SILENT
     asked.intra_op_num_threads = options.threads
@@ -178,8 +181,21 @@ def _session(options: MaskOptions) -> Any:
     except Exception as problem:  # the runtime's own exceptions have no common class
         raise MaskError(f"{options.model}: cannot be loaded: {_said(problem)}") from problem
     if name not in session.get_providers():  # it falls back on the processor in silence
-        raise MaskError(f"--mask-provider is {options.provider}; onnxruntime cannot start it on this machine")
+        why = f": {missed}" if missed else ""
+        raise MaskError(f"--mask-provider is {options.provider}; onnxruntime cannot start it on this machine{why}")
     return session
+
+
+def _load_cuda(onnxruntime: Any) -> str:
+    """Load CUDA's libraries, also those that came as Python packages, and return the first that is missed, or nothing.
+
+    By itself the runtime looks for them where the system keeps its own.
+    """
+    said = io.StringIO()
+    if hasattr(onnxruntime, "preload_dlls"):  # since 1.21
+        with redirect_stdout(said):
+            onnxruntime.preload_dlls()
+    return said.getvalue().partition("\n")[0]
 
 
 def _ports(session: Any) -> Ports:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 
 from laci_stereo.core.frames import BoolArray
 from laci_stereo.mask.detect import NetworkFinder, Vehicle
-from laci_stereo.mask.network import MaskOptions, Network
+from laci_stereo.mask.network import PROVIDERS, MaskOptions, Network, Provider
 from laci_stereo.mask.picture import Crop
 from tests.mask import graphs
 
@@ -35,10 +36,10 @@ KINDS: dict[str, tuple[Callable[[], onnx.ModelProto], dict[str, Any]]] = {
 }
 
 
-def finder(name: str, folder: Path) -> NetworkFinder:
+def finder(name: str, folder: Path, provider: Provider = "cpu") -> NetworkFinder:
     make, more = KINDS[name]
     contract = {"kind": name.split(",")[0], "vehicle_ids": [1], "input": PLAIN, **more}
-    return NetworkFinder(Network(MaskOptions(graphs.save(make(), folder, contract))))
+    return NetworkFinder(Network(MaskOptions(graphs.save(make(), folder, contract), provider=provider)))
 
 
 def covered(vehicles: tuple[Vehicle, ...], side: int) -> BoolArray:
@@ -67,6 +68,17 @@ def test_what_is_bright_is_found_where_it_is(name: str, tmp_path: Path) -> None:
     assert (mask != expected).sum() <= limit * 4 * (BOX[2] - BOX[0])
     assert all(vehicle.class_id == 1 and vehicle.score > 0.9 for vehicle in found)
     assert network.find([Crop(0, 0, 0, graphs.square(0, 0, 0, 0))]) == [()]
+
+
+@pytest.mark.skipif(
+    PROVIDERS["cuda"] not in onnxruntime.get_available_providers(), reason="this onnxruntime does not offer CUDA"
+)
+def test_cuda_finds_what_the_processor_finds(tmp_path: Path) -> None:
+    crop = Crop(0, 0, 0, graphs.square(*BOX))
+    for name in KINDS:
+        [by_cpu], [by_cuda] = (finder(name, tmp_path, provider).find([crop]) for provider in ("cpu", "cuda"))
+        assert len(by_cpu) == len(by_cuda) > 0
+        assert (covered(by_cpu, graphs.SIDE) == covered(by_cuda, graphs.SIDE)).all()
 
 
 @pytest.mark.parametrize("name", KINDS)
