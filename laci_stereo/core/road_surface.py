@@ -2,14 +2,14 @@
 
 A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
 Here the crown is a part of the model: where both of its sides are seen, it is told from the plane; where only one is,
-how far the road falls stays as open as it was. It runs along the way, or the way crosses it, as in a turn and around a
-roundabout's island. An edge of the road is another part of it: what is behind one is no longer the road. Heights are
-those above a plane that was found before.
+how far the road falls stays as open as it was. An edge of the road is another part of it: what is behind one is no
+longer the road. Heights are those above a plane that was found before.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -18,7 +18,8 @@ from laci_stereo.core.box_ground import BENT_PER_M
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
 from laci_stereo.core.road_cells import Cells, Patches
-from laci_stereo.core.road_edges import EDGES, LANES_M, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
+from laci_stereo.core.road_crowns import Crowns
+from laci_stereo.core.road_edges import EDGES, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
 
 FALL = 0.025 / np.sqrt(3.0)
 """How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation."""
@@ -29,18 +30,7 @@ higher or lower, and falls by twice as much."""
 
 _FALLS = np.arange(0.0, 0.031, 0.0025)
 _FALL_LIKELY = np.append(1.0 / 3.0, np.full(len(_FALLS) - 1, 2.0 / 3.0 / (len(_FALLS) - 1)))
-"""How much a road falls from its crown. One that is along the way, one that the way crosses and none, as the road falls
-to one side, are as likely as another, and so is any fall."""
-
-_CROWNS_M = np.arange(-LANES_M, LANES_M + 0.1, 0.125)
-"""How far to the left of the way a crown along it is, within two lanes: all are as likely."""
-
-_CROSSED = (0.0, 0.15, 0.325, 0.5, 0.675, 0.85, 1.0)
-"""Crowns that the way crosses are straight: which shares of what is seen are on one side of one. Of what is no wider
-than two lanes that may be all; for each lane more that is half as likely, as the road is so wide, or another one's
-mouth is seen as well. As often as not the crown is a straight one; all of each kind are as likely."""
-
-_LANE_M = LANES_M / 2
+"""How much a road falls from its crown. One in three has none, as it falls to one side; any fall is as likely."""
 
 WAVES_M = 1.0 / (2.0 * np.pi * 0.011)
 """Over how much of a road its unevenness is alike: ISO 8608 gives the spectrum of waves of up to 1 / 0.011 m, of which
@@ -88,29 +78,27 @@ class Surface:
         self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
         off = cells.xy - self.middle
-        directions = towards(along_rad)
-        self._across = directions[:, : directions.shape[1] // 2]
-        self._crossed_m = np.quantile(off @ self._across, _CROSSED, axis=0)
+        patches = Patches.of(cells)
+        z = patches.z - height_of(before, patches.xy)
+        own = patches.share @ _bent(off)
+        noise = patches.noise(shared_noise_share) + (own * _PRIOR) @ own.T
+        alike = np.exp(-np.linalg.norm(patches.xy[:, None] - patches.xy, axis=2) / WAVES_M)
+        self._crowns = Crowns.of_road(off, along_rad)
+        raised, kinds = np.zeros((len(cells), 1, 2)), NO_EDGE
         if edges:
-            away_m = np.abs(cells.left_m)
+            directions, away_m = towards(along_rad), np.abs(cells.left_m)
             way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ directions).max(axis=0)
             raised = behind_edges(cells.left_m, off @ directions - way_m)
             there = np.flatnonzero(raised.any(axis=(0, 2)))
             raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
-        else:
-            raised, kinds = np.zeros((len(cells), 1, 2)), NO_EDGE
-        patches = Patches.of(cells)
-        z = patches.z - height_of(before, patches.xy)
+            told = partial(_evidence, noise + UNEVEN_M**2 * alike, z)
+            self._crowns = self._crowns.and_crossings(patches.xy - self.middle, told)
         in_cells = self._shapes(cells)
         self._in_middle = in_cells.mean(axis=0)
         shapes = patches.share @ in_cells
-        own = shapes[:, :_PLANE]
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
-        noise = patches.noise(shared_noise_share) + (own * _PRIOR) @ own.T
-        alike = np.exp(-np.linalg.norm(patches.xy[:, None] - patches.xy, axis=2) / WAVES_M)
-        crown_likely = self._crown_likely()
         given = [
-            _given(noise + (2.0**uneven * UNEVEN_M) ** 2 * alike, z, shapes, crown_likely, behind, kinds)
+            _given(noise + (2.0**uneven * UNEVEN_M) ** 2 * alike, z, shapes, self._crowns.likely, behind, kinds)
             for uneven in _CLASSES
         ]
         log_likely = np.array([each.log_likely for each in given]) - 0.5 * _CLASSES**2
@@ -162,17 +150,8 @@ class Surface:
 
         That are a plane, its bends, and by how much each crown raises them if roads fall by 1.
         """
-        x, y = off = (cells.xy - self.middle).T
-        crossed = ((off.T @ self._across)[:, None] - self._crossed_m).reshape(len(cells), -1)
-        crowns = -np.abs(np.column_stack([cells.left_m[:, None] - _CROWNS_M, crossed]))
-        return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2, crowns])
-
-    def _crown_likely(self) -> FloatArray:
-        """Return the probability of each crown, shape (crowns,)."""
-        crossed = np.ones_like(self._crossed_m)
-        wider_m = self._crossed_m[-1] - self._crossed_m[0] - LANES_M
-        crossed[[0, -1]] = 0.5 ** (wider_m.clip(0.0) / _LANE_M)
-        return 0.5 * np.append(np.full(len(_CROWNS_M), 1.0 / len(_CROWNS_M)), crossed.ravel() / crossed.sum())
+        off = cells.xy - self.middle
+        return np.concatenate([_bent(off), self._crowns.raised(off, cells.left_m)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -262,6 +241,22 @@ def _given(
     log_likely = most + np.log(total) - 0.5 * float(z @ by_z[:, 0]) - np.log(np.diag(factor[0])).sum()
     mean = np.append(of_edge @ expected + of_falls.sum(axis=1), fall.sum(axis=0))
     return _Given(log_likely, mean, products, np.diag(_PRIOR) - _PRIOR[:, None] * of_own * _PRIOR, of_edge)
+
+
+def _evidence(covariance: FloatArray, z: FloatArray, crowns: FloatArray) -> FloatArray:
+    """Return how likely heights of shape (n,) are with each of some crowns, shape (n, crowns), as a logarithm."""
+    by_crowns = cho_solve(cho_factor(covariance, lower=True), crowns)
+    square = (crowns * by_crowns).sum(axis=0)
+    told: FloatArray = np.logaddexp.reduce(
+        (z @ by_crowns)[:, None] * _FALLS - square[:, None] * (_FALLS**2 / 2), axis=1
+    )
+    return told
+
+
+def _bent(off: FloatArray) -> FloatArray:
+    """Return what planes and their bends are made of at some places, shape (n, 6)."""
+    x, y = off.T
+    return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
 
 
 def height_of(plane: FloatArray, xy: FloatArray) -> FloatArray:

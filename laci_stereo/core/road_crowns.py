@@ -1,0 +1,138 @@
+"""Crowns of roads, from which they fall to both sides so that they drain.
+
+One runs along the way, or the way crosses it, as in a turn and around a roundabout's island. Where two roads cross, both
+have one, and each place is as high as the nearer of them makes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.road_edges import LANES_M, towards
+
+_ALONG_M = np.arange(-LANES_M, LANES_M + 0.1, 0.125)
+"""How far to the left of the way a crown along it is, within two lanes: all are as likely."""
+
+_CROSSED = (0.0, 0.15, 0.325, 0.5, 0.675, 0.85, 1.0)
+"""Crowns that the way crosses are straight: which shares of what is seen are on one side of one. Of what is no wider
+than two lanes that may be all; for each lane more that is half as likely, as the road is so wide, or another one's
+mouth is seen as well."""
+
+_LANE_M = LANES_M / 2
+
+_LEFT, _CROSSING = 4, np.array([0, 1, 2, 6, 7])
+"""Of the directions across straight crowns: that to the left of the way, across one of two roads that cross, and those
+across the other."""
+
+_CROSSING_LIKELY = np.repeat([0.9, 0.1 / 4], [1, 4])
+"""Roads are to cross at 72 to 108 deg (RAL 2012); one crossing in ten is older than that. All others are as likely."""
+
+_SEEN = (0.02, 0.98)
+"""Between these shares of what is seen roads cross: with nothing on one side of it, a crown tells nothing."""
+
+_APART_M, _SQUARES = 1.0, 16
+"""How large the squares are in which crossings are looked for, and in how many of them, the likeliest, one is."""
+
+_WITHIN_M = _APART_M * ((np.arange(4) + 0.5) / 4 - 0.5)
+"""Places in such a square, along either side of it: where the crown is off by as much as one of them is from the next,
+the road is 5 mm too high or too low."""
+
+
+@dataclass(frozen=True)
+class Crowns:
+    """Where crowns may be: one of them is there, or one pair.
+
+    Attributes
+    ----------
+    towards : ndarray, shape (2, directions)
+        Unit vectors across straight crowns.
+    at_m : ndarray, shape (k, directions)
+        How far from the origin in each direction these are.
+    crossing : ndarray of int, shape (pairs,)
+        Where two roads cross: the direction across one of them; the other is along the way.
+    pairs_m : ndarray, shape (pairs, 2)
+        How far from the origin in that direction, and to the left of the way, their crowns are.
+    likely : ndarray, shape (crowns,)
+        Probability of each: of those along the way, of straight ones, and of pairs.
+    """
+
+    towards: FloatArray
+    at_m: FloatArray
+    crossing: IntArray
+    pairs_m: FloatArray
+    likely: FloatArray
+
+    @staticmethod
+    def of_road(off: FloatArray, along_rad: float) -> Crowns:
+        """Return those of one road: one that is along the way is as likely as a straight one, and all of each kind are.
+
+        Parameters
+        ----------
+        off : ndarray, shape (n, 2)
+            What is seen of it, from the origin.
+        along_rad : float
+            Direction of the way.
+        """
+        directions = towards(along_rad)
+        directions = directions[:, : directions.shape[1] // 2]
+        at_m = np.quantile(off @ directions, _CROSSED, axis=0)
+        straight = np.ones_like(at_m)
+        straight[[0, -1]] = 0.5 ** ((at_m[-1] - at_m[0] - LANES_M).clip(0.0) / _LANE_M)
+        kinds = np.full(len(_ALONG_M), 1.0 / len(_ALONG_M)), straight.ravel() / straight.sum()
+        none = np.zeros(0, dtype=np.int64)
+        return Crowns(directions, at_m, none, np.zeros((0, 2)), np.concatenate(kinds) / 2)
+
+    def and_crossings(self, off: FloatArray, evidence: Callable[[FloatArray], FloatArray]) -> Crowns:
+        """Return the same and pairs, anywhere in what is seen: they are as likely as either kind of one road's.
+
+        Parameters
+        ----------
+        off : ndarray, shape (n, 2)
+            What is seen.
+        evidence : callable
+            Takes by how much each of some pairs raises that if roads fall by 1, shape (n, pairs), and returns how
+            likely it is with each, as a logarithm.
+        """
+        at_m = off @ self.towards
+        low, high = np.quantile(at_m, _SEEN, axis=0)
+        places = [np.arange(start + _APART_M / 2, end, _APART_M) for start, end in zip(low, high, strict=True)]
+        squares = [np.stack(np.meshgrid(places[way], places[_LEFT]), axis=-1).reshape(-1, 2) for way in _CROSSING]
+        counts = [len(square) for square in squares]
+        crossing, squares_m = np.repeat(_CROSSING, counts), np.concatenate(squares)
+        likely = np.repeat(_CROSSING_LIKELY / np.maximum(counts, 1), counts)
+        best = np.argsort(evidence(-_nearer_m(at_m, crossing, squares_m)) + np.log(likely))[-_SQUARES:]
+
+        within = np.stack(np.meshgrid(_WITHIN_M, _WITHIN_M), axis=-1).reshape(-1, 2)
+        each_m = squares_m[best, None] + within
+        each = evidence(-_nearer_m(at_m, np.repeat(crossing[best], len(within)), each_m.reshape(-1, 2)))
+        told = each.reshape(len(best), len(within))
+        # The likeliest place stands for its square, with as much evidence as its places have on average.
+        pairs_m = each_m[np.arange(len(best)), told.argmax(axis=1)]
+        share = np.exp(told - told.max(axis=1, keepdims=True)).mean(axis=1)
+        likely = np.append(self.likely * 2.0, likely[best] * share) / 3.0
+        return replace(self, crossing=crossing[best], pairs_m=pairs_m, likely=likely)
+
+    def raised(self, off: FloatArray, left_m: FloatArray) -> FloatArray:
+        """Return how high each makes places if roads fall by 1, shape (n, crowns).
+
+        Parameters
+        ----------
+        off : ndarray, shape (n, 2)
+            From the origin.
+        left_m : ndarray, shape (n,)
+            How far to the left of the way they are.
+        """
+        at_m = off @ self.towards
+        straight = (at_m[:, None] - self.at_m).reshape(len(off), -1)
+        one = np.abs(np.column_stack([left_m[:, None] - _ALONG_M, straight]))
+        return -np.concatenate([one, _nearer_m(at_m, self.crossing, self.pairs_m)], axis=1)
+
+
+def _nearer_m(at_m: FloatArray, crossing: IntArray, pairs_m: FloatArray) -> FloatArray:
+    """Return how far places, `at_m` in each direction, are from the nearer crown of each pair, shape (n, pairs)."""
+    aside: FloatArray = np.abs(at_m[:, crossing] - pairs_m[:, 0])
+    return np.minimum(aside, np.abs(at_m[:, [_LEFT]] - pairs_m[:, 1]), out=aside)

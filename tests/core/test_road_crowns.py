@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.road_crowns import Crowns
+
+ALONG_RAD = 0.3
+
+
+def crossing(off: FloatArray, at_m: FloatArray, askew_rad: float) -> FloatArray:
+    """Return how high the nearer of two crowns, one of them along the way, makes places if roads fall by 1."""
+    across_rad = ALONG_RAD + np.array([askew_rad, np.pi / 2])
+    away_m = (off - at_m) @ np.stack([np.cos(across_rad), np.sin(across_rad)])
+    return -np.abs(away_m).min(axis=1)
+
+
+@pytest.mark.parametrize("askew_deg", [0.0, 22.5, -45.0])
+def test_where_two_roads_cross_is_found_among_all_places(askew_deg: float) -> None:
+    rng = np.random.default_rng(1)
+    off, at_m = rng.uniform(-12.0, 12.0, (400, 2)), np.array([2.3, -4.1])
+    height = 0.02 * crossing(off, at_m, np.radians(askew_deg))
+
+    def evidence(pairs: FloatArray) -> FloatArray:
+        """Heights are exact to 1 cm."""
+        told: FloatArray = -0.5 * (((height[:, None] - 0.02 * pairs) / 0.01) ** 2).sum(axis=0)
+        return told
+
+    one = Crowns.of_road(off, ALONG_RAD)
+    crowns = one.and_crossings(off, evidence)
+    raised = crowns.raised(off, np.zeros(len(off)))
+    pairs = len(crowns.pairs_m)
+    told = evidence(raised[:, -pairs:]) + np.log(crowns.likely[-pairs:])
+    likeliest = raised[:, -pairs:][:, told.argmax()]
+    # Places are 0.25 m apart: off by no more than half of that, and by half in the other direction.
+    assert np.abs(likeliest - height / 0.02).max() < 0.25
+    assert (raised[:, :-pairs] == one.raised(off, np.zeros(len(off)))).all()
+
+
+def test_crowns_of_one_road_are_as_likely_along_the_way_as_across_it() -> None:
+    crowns = Crowns.of_road(np.random.default_rng(2).uniform(-9.0, 9.0, (50, 2)), ALONG_RAD)
+    straight = crowns.at_m.size
+    assert crowns.likely.sum() == pytest.approx(1.0)
+    assert crowns.likely[-straight:].sum() == pytest.approx(0.5)
+
+
+def test_what_is_smaller_than_a_square_shows_no_crossing() -> None:
+    off = np.random.default_rng(3).uniform(0.0, 0.3, (40, 2))
+    crowns = Crowns.of_road(off, ALONG_RAD).and_crossings(off, lambda pairs: np.zeros(pairs.shape[1]))
+    assert len(crowns.pairs_m) == 0
