@@ -19,18 +19,21 @@ from tests.simulated import LEFT_TURN, RIGHT_TURN, STRAIGHT, Scene, cam_log, car
 
 DRIVES = ((LEFT_TURN, 4.4, 1.8), (RIGHT_TURN, 4.1, 1.75), (STRAIGHT, 4.8, 1.9))
 STATIONS = (42, 43, 44)
+DAY_NS = 86_400_000_000_000
 
 
 @cache
 def recorded() -> tuple[tuple[Scene, Calibration], ...]:
-    """The road and the sensor are the same; vehicles, ways and noise are not."""
+    """The road and the sensor are the same; days, vehicles, ways and noise are not."""
     found = []
     for number, (drive, length, width) in enumerate(DRIVES):
         made = scene(drive, lidar(32, 160), frames_hz=5.0, seed=number)
         vehicle = car(made.vehicle.drive, length, width)
         messages = cam_log(made.place, vehicle, 6.0, station=STATIONS[number])
         made = replace(made, recording=replace(made.recording, movers=(vehicle,)), messages=messages)
-        found.append((made, calibrate(made.recording, messages)))
+        one = calibrate(made.recording, messages)
+        epoch_ns = one.vehicle.epoch_ns + number * DAY_NS
+        found.append((made, replace(one, vehicle=replace(one.vehicle, epoch_ns=epoch_ns))))
     return tuple(found)
 
 

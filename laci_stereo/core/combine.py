@@ -72,7 +72,8 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     Parameters
     ----------
     passages : sequence of Passage
-        At least one; of one sensor, in one UTM zone.
+        At least one; of one sensor, in one UTM zone. Those that begin at one time are of one recording: they have one
+        clock offset.
     settings : Settings
         The clocks are taken for as loosely tied as in the loosest of the drives.
 
@@ -96,7 +97,10 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     fit = alone[kept[0]]
     if len(kept) > 1:
         offsets = [alone[i].time_offsets_s[0] for i in kept]
-        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings.joint, close=True)
+        recordings = [laid[i].vehicle.epoch_ns for i in kept]
+        fit = fit_jointly(
+            [drives[i] for i in kept], fit.match, offsets, settings.joint, recordings=recordings, close=True
+        )
     used = [replace(laid[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True)]
     calibration = _calibration(used, [drives[i] for i in kept], fit, settings)
     shares = (

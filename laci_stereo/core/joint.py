@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from laci_stereo.core.drive_model import FIRST_OWN, SWEEP, Chosen, Correction, DriveModel, Fitness, Rows
 from laci_stereo.core.errors import MatchError
@@ -41,6 +42,10 @@ often as not it does not turn, or its points were brought to the scan's stamp be
 
 FIXED = 1e-3
 """Standard deviation of a turn that is taken for known: it keeps the equations regular."""
+
+SENDERS_CLOCK_S = 0.001
+"""Standard deviation by which senders' clocks differ, which GNSS sets: their messages' times have that resolution (ETSI
+EN 302 637-2, generationDeltaTime)."""
 
 FREE_M = 100.0
 """Standard deviation of the position about the start, which only keeps the equations regular."""
@@ -124,6 +129,7 @@ def fit_jointly(
     time_offsets_s: Sequence[float] | None = None,
     settings: JointSettings | None = None,
     *,
+    recordings: Sequence[int] | None = None,
     close: bool = False,
 ) -> JointFit:
     """Estimate yaw and position, and each drive's clock offset, shape, heading error, GNSS bias and growth of borders.
@@ -140,6 +146,8 @@ def fit_jointly(
     time_offsets_s : sequence of float
         Where the search for each drive's clock offset begins; None is 0.
     settings : JointSettings
+    recordings : sequence of int
+        Which recording each drive is in: drives in one have one clock offset. None is one for each.
     close : bool
         The start is what each of the drives says by itself, within its doubt: no other is tried.
 
@@ -156,20 +164,21 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     turn = _turn_of(drives)
+    tie = _tie(range(len(drives)) if recordings is None else recordings)
     fine = [drive.thinned(FINE_ROWS) for drive in drives]
-    problem = _Problem(fine, begin, centre, settings, turn)
+    problem = _Problem(fine, begin, centre, settings, turn, tie)
     if close:
         best = problem.at_rest(offsets)
     else:
         coarse = [drive.thinned(COARSE_ROWS // len(drives)) for drive in drives]
-        thinned = _Problem(coarse, begin, centre, settings, turn)
+        thinned = _Problem(coarse, begin, centre, settings, turn, tie)
         best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     solved = problem.solve(best)
     if not turn.possible:
         return _fit(problem, solved, centre)
     turned = [_turned(problem, solved, each) for each in TURNS]
     likeliest = max(turned, key=lambda each: each.log_probability)
-    problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED))
+    problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), tie)
     solved = problem.solve(likeliest.x)
     # The result is as uncertain as the other turns are different, uncertain by themselves, and likely.
     log_probabilities = np.array([each.log_probability for each in turned])
@@ -179,6 +188,34 @@ def fit_jointly(
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
     fit = _fit(problem, replace(solved, covariance=covariance), centre)
     return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
+
+
+@dataclass(frozen=True)
+class _Tie:
+    """What drives in one recording have in common: the sensor's clock, which is late or early for all of them.
+
+    Attributes
+    ----------
+    share : ndarray, shape (drives,)
+        Of what is known of that clock beforehand, each drive's part.
+    precision : ndarray, shape (drives, drives)
+        Of the differences of their offsets.
+    """
+
+    share: FloatArray
+    precision: FloatArray
+
+    def tied(self, precision: FloatArray) -> FloatArray:
+        """Return the precision of the offsets, shape (drives, drives), given what is known of each, shape (drives,)."""
+        tied: FloatArray = np.diag(self.share * precision) + self.precision
+        return tied
+
+
+def _tie(recordings: Sequence[int]) -> _Tie:
+    number = np.array(recordings)
+    same = number[:, None] == number
+    count = same.sum(axis=1)
+    return _Tie(1.0 / count, (np.diag(count) - same) / SENDERS_CLOCK_S**2)
 
 
 def _turn_of(drives: Sequence[Evidence]) -> Turn:
@@ -220,7 +257,7 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     settings, turn = settings or JointSettings(), _turn_of([drive])
-    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn)
+    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn, _tie([0]))
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
@@ -264,32 +301,39 @@ class _Problem:
     """All drives' models over one vector: yaw, x, y, range bias and turn of the sensor, then each drive's own."""
 
     def __init__(
-        self, drives: Sequence[Evidence], begin: FloatArray, centre: FloatArray, settings: JointSettings, turn: Turn
+        self,
+        drives: Sequence[Evidence],
+        begin: FloatArray,
+        centre: FloatArray,
+        settings: JointSettings,
+        turn: Turn,
+        tie: _Tie,
     ) -> None:
-        self.settings = settings
+        self.settings, self.tie = settings, tie
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
+        self.clocks = [own.start for own in self.own]
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
         self.precision[range(FIRST_OWN), range(FIRST_OWN)] = first
         self.mean = np.zeros(self.size)
         self.mean[:FIRST_OWN] = *begin, turn.mean
-        for model, own in zip(self.models, self.own, strict=True):
-            self.precision[own, own], self.mean[own] = model.prior()
+        self.loosen(None)
 
-    def loosen(self, x: FloatArray) -> None:
-        """Weigh the priors by how far the drives' own parameters are from them."""
+    def loosen(self, x: FloatArray | None) -> None:
+        """Weigh the priors by how far the drives' own parameters are from them, if these are known."""
         for model, own in zip(self.models, self.own, strict=True):
-            self.precision[own, own], _ = model.prior(x[own])
+            self.precision[own, own], self.mean[own] = model.prior(None if x is None else x[own])
+        clocks = np.ix_(self.clocks, self.clocks)
+        self.precision[clocks] = self.tie.tied(np.diag(self.precision[clocks]))
 
     def at_rest(self, offsets: Sequence[float]) -> FloatArray:
         """Return the vector with every correction at its prior's mean, but for the clocks."""
         x: FloatArray = self.mean.copy()
-        for own, offset in zip(self.own, offsets, strict=True):
-            x[own.start] = offset
+        x[self.clocks] = offsets
         return x
 
     def best_of(self, starts: Sequence[FloatArray]) -> FloatArray:
@@ -429,9 +473,9 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     What the points tell of turn and clocks is what was found, less what was expected; the evidence of a turn is the
     mean of that over what the turn lets expect.
     """
-    index = np.array([SWEEP, *(own.start for own in solved.own)])
+    index = np.array([SWEEP, *problem.clocks])
     covariance = solved.covariance[np.ix_(index, index)]
-    before, found = np.diag(np.diag(problem.precision)[index]), np.linalg.inv(covariance)
+    before, found = problem.precision[np.ix_(index, index)], np.linalg.inv(covariance)
     # Where residuals scatter by more than the model has it, less than nothing would be left.
     values, vectors = np.linalg.eigh(found - before)
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
@@ -439,7 +483,7 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
     known_s = problem.settings.clock_sigma_s
     clocks = [with_turn(known_s, model.drive.turn_s) if turn else known_s for model in problem.models]
-    prior = np.diag(np.array([FIXED, *clocks]) ** -2.0)
+    prior = block_diag(FIXED**-2.0, problem.tie.tied(np.array(clocks) ** -2.0))
     mean = np.array([turn, *np.zeros(len(clocks))])
     after, sum_pull = prior + information, prior @ mean + pull
     at = np.linalg.solve(after, sum_pull)

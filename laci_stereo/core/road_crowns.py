@@ -1,7 +1,7 @@
 """Crowns of roads, from which they fall to both sides so that they drain.
 
-One runs along the way, or the way crosses it, as in a turn and around a roundabout's island. Where two roads cross, both
-have one, and each place is as high as the nearer of them makes it.
+One runs along the way, or the way crosses it, as in a turn and around a roundabout's island. Where two roads cross,
+both have one, and each place is as high as the nearer of them makes it.
 """
 
 from __future__ import annotations

@@ -6,12 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.combine import Combined, combine
 from laci_stereo.core.errors import CombineError, EvidenceError
-from laci_stereo.core.frames import Axes
+from laci_stereo.core.frames import Axes, FloatArray
+from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, Settings
 from laci_stereo.core.world import World
-from tests.passages import misplaced, off_by, passages, recorded
+from tests.passages import DAY_NS, misplaced, off_by, passages, recorded
+from tests.simulated import STRAIGHT, Drive, cam_log, car, lidar, scene
 
 
 @cache
@@ -129,6 +132,49 @@ def test_each_drive_has_its_own_clock(late_s: float) -> None:
     assert sigma_s < 0.02
     assert offsets[1][other.station_id] - offsets[0][other.station_id] == pytest.approx(late_s, abs=sigma_s)
     assert offsets[1][one.station_id] == pytest.approx(offsets[0][one.station_id], abs=sigma_s)
+
+
+@cache
+def met(late_s: float) -> tuple[Calibration, Calibration, FloatArray]:
+    """Calibrate with each of two cars that meet on a straight road, at steady speeds, by a clock that is late.
+
+    Returns their results, and where the sensor is, UTM.
+    """
+    made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0, seed=5)
+    cars = car(STRAIGHT), car(Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),)), 4.6, 1.85)
+    logs = [cam_log(made.place, vehicle, 6.0, station=42 + number) for number, vehicle in enumerate(cars)]
+    late = [replace(log, stamps_ns=log.stamps_ns + round(1e9 * late_s)) for log in logs]
+    recording = replace(made.recording, movers=cars)
+    settings = Settings(joint=JointSettings(clock_sigma_s=0.03))
+    one, other = (calibrate(recording, log, settings) for log in late)
+    truth: FloatArray = made.place.to_utm(made.recording.T_world_sensor[None, :2, 3])[0]
+    return one, other, truth
+
+
+def test_in_one_recording_cars_that_meet_tell_the_clock_which_neither_does_alone() -> None:
+    """What a late clock moves along the road it moves against the road for the one that comes the other way."""
+    one, other, truth = met(0.03)
+    for alone in (one, other):
+        assert np.linalg.norm(alone.T_utm_sensor[:2, 3] - truth) > 0.15
+    found = combine([replace(each.passages[0], name=str(each.station_id)) for each in (one, other)])
+    quality = found.calibration.quality
+    assert np.linalg.norm(found.calibration.T_utm_sensor[:2, 3] - truth) < 0.05
+    assert quality.track_xy_sigma_m < 0.5 * min(each.quality.track_xy_sigma_m for each in (one, other))
+    for share in found.shares:
+        assert share.time_offset_s == pytest.approx(0.03, abs=3 * share.time_sigma_s)
+        assert share.time_sigma_s < 0.03 / 3
+    first, second = found.shares
+    assert first.time_offset_s == pytest.approx(second.time_offset_s, abs=0.003)
+
+
+def test_a_recording_s_clock_is_known_no_better_by_two_cars_that_follow_each_other() -> None:
+    one, _, _ = met(0.03)
+    passage = replace(one.passages[0], name="one")
+    follower = replace(passage, name="other", station_id=passage.station_id + 1)
+    next_day = replace(follower, vehicle=replace(follower.vehicle, epoch_ns=follower.vehicle.epoch_ns + DAY_NS))
+    together, apart = (combine([passage, each]).calibration.quality for each in (follower, next_day))
+    assert together.track_xy_sigma_m == pytest.approx(one.quality.track_xy_sigma_m, rel=0.05)
+    assert apart.track_xy_sigma_m < 0.8 * one.quality.track_xy_sigma_m
 
 
 def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
