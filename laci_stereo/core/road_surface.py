@@ -52,7 +52,7 @@ class Surface:
 
     The plane, how the road is bent, how high what is behind an edge is, and how uneven the road is are normal, a
     Gaussian process with explicit basis functions (Rasmussen and Williams 2006, section 2.7). The fall and the place of
-    the crown, the edge, and the class of unevenness are summed over by their evidence.
+    the crown or crowns, the edge, and the class of unevenness are summed over by their evidence.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Surface:
     along_rad : float
         Direction of the way: crowns and edges that are straight are looked for along it, across, and in between.
     edges : bool
-        Some of the cells may be behind an edge of the road.
+        Some of the cells may be behind an edge of the road, and another one may cross it there.
 
     Attributes
     ----------
