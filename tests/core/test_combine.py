@@ -151,6 +151,7 @@ def met(late_s: float) -> tuple[Calibration, Calibration, FloatArray]:
     return one, other, truth
 
 
+@pytest.mark.slow
 def test_in_one_recording_cars_that_meet_tell_the_clock_which_neither_does_alone() -> None:
     """What a late clock moves along the road it moves against the road for the one that comes the other way."""
     one, other, truth = met(0.03)
@@ -167,6 +168,7 @@ def test_in_one_recording_cars_that_meet_tell_the_clock_which_neither_does_alone
     assert first.time_offset_s == pytest.approx(second.time_offset_s, abs=0.003)
 
 
+@pytest.mark.slow
 def test_a_recording_s_clock_is_known_no_better_by_two_cars_that_follow_each_other() -> None:
     one, _, _ = met(0.03)
     passage = replace(one.passages[0], name="one")
