@@ -79,7 +79,8 @@ def _others(calibration: Calibration) -> str:
     if not calibration.others:
         return ""
     stations = ", ".join(str(station) for station in sorted({other.station_id for other in calibration.others}))
-    return f", and {len(calibration.others)} more drives (station {stations})"
+    more = len(calibration.others)
+    return f", and {more} more drive{'s' if more > 1 else ''} (station {stations})"
 
 
 def _frames(quality: Quality) -> str:
