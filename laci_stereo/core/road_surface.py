@@ -91,7 +91,7 @@ class Surface:
             raised = behind_edges(cells.left_m, off @ directions - way_m)
             there = np.flatnonzero(raised.any(axis=(0, 2)))
             raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
-            told = partial(_evidence, noise + UNEVEN_M**2 * alike, z)
+            told = partial(_evidence, cho_factor(noise + UNEVEN_M**2 * alike, lower=True), z)
             self._crowns = self._crowns.and_crossings(patches.xy - self.middle, told)
         in_cells = self._shapes(cells)
         self._in_middle = in_cells.mean(axis=0)
@@ -243,9 +243,12 @@ def _given(
     return _Given(log_likely, mean, products, np.diag(_PRIOR) - _PRIOR[:, None] * of_own * _PRIOR, of_edge)
 
 
-def _evidence(covariance: FloatArray, z: FloatArray, crowns: FloatArray) -> FloatArray:
-    """Return how likely heights of shape (n,) are with each of some crowns, shape (n, crowns), as a logarithm."""
-    by_crowns = cho_solve(cho_factor(covariance, lower=True), crowns)
+def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray) -> FloatArray:
+    """Return how likely heights of shape (n,) are with each of some crowns, shape (n, crowns), as a logarithm.
+
+    ``factor`` is that of their covariance without a crown, see `scipy.linalg.cho_factor`.
+    """
+    by_crowns = cho_solve(factor, crowns)
     square = (crowns * by_crowns).sum(axis=0)
     told: FloatArray = np.logaddexp.reduce(
         (z @ by_crowns)[:, None] * _FALLS - square[:, None] * (_FALLS**2 / 2), axis=1
