@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from scipy.special import chdtri
 
 from laci_stereo.core.errors import CombineError
+from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
-from laci_stereo.core.joint import JointFit
+from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.settings import JointSettings
 
 FALSE_ALARM = 1e-3
 """Probability that any of the drives is left out although all of them agree."""
@@ -43,6 +46,56 @@ class LeftOut:
             f"{self.name} left out: it alone is {self.shift_m:.2f} m and {self.turn_deg:.2f} deg "
             f"({self.sigmas:.1f} sigma) off what the {self.others} other drives say together"
         )
+
+
+@dataclass(frozen=True)
+class Together:
+    """What several drives tell together.
+
+    Attributes
+    ----------
+    passages : tuple of Passage
+        Those that agree, the one that tells most first.
+    drives : tuple of Evidence
+        Of the same.
+    fit : JointFit
+    left_out : tuple of LeftOut
+    """
+
+    passages: tuple[Passage, ...]
+    drives: tuple[Evidence, ...]
+    fit: JointFit
+    left_out: tuple[LeftOut, ...]
+
+
+def fit_together(
+    passages: Sequence[Passage], drives: Sequence[Evidence], alone: Sequence[JointFit], settings: JointSettings
+) -> Together:
+    """Estimate from all drives that agree; those that begin at one time are of one recording.
+
+    Parameters
+    ----------
+    passages : sequence of Passage
+        In one level frame.
+    drives : sequence of Evidence
+    alone : sequence of JointFit
+        What each of them says by itself.
+    settings : JointSettings
+
+    Raises
+    ------
+    CombineError
+        As `agreeing` does.
+    """
+    kept, left_out = agreeing([passage.name for passage in passages], alone)
+    kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
+    fit = alone[kept[0]]
+    if len(kept) > 1:
+        offsets = [alone[i].time_offsets_s[0] for i in kept]
+        recordings = [passages[i].vehicle.epoch_ns for i in kept]
+        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings, recordings=recordings, close=True)
+    used = tuple(replace(passages[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True))
+    return Together(used, tuple(drives[i] for i in kept), fit, left_out)
 
 
 def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int], tuple[LeftOut, ...]]:

@@ -11,13 +11,15 @@ import numpy as np
 from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
+from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import CalibrationError, CamError, MatchError, TrackError
-from laci_stereo.core.frames import FloatArray, planar
+from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
+from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import companion, whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
-from laci_stereo.core.quality import Placement, covariance_of, judge
+from laci_stereo.core.quality import Placement
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -106,30 +108,19 @@ def locate(
     else:
         placement = paper
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
-    match, middle = placement.match, placement.middle_level
-    ground_covariance = seen.ground.covariance_level(seen.axes)
-    return Calibration(
+    own = Passage(
         world=world,
-        T_world_sensor=planar(match.yaw_rad, match.shift) @ seen.T_level_sensor,
-        T_level_sensor=seen.T_level_sensor,
-        covariance=covariance_of(placement.doubt, ground_covariance, match, middle),
-        centre_world=np.append(match(middle), 0.0),
-        time_offset_s=placement.time_offset_s,
-        time_sigma_s=placement.time_sigma_s,
-        station_id=choice.station,
+        axes=seen.axes,
         ground=seen.ground,
         background=seen.background,
         track=choice.track,
         vehicle=vehicle,
-        match=match,
-        paper=None if paper is None else paper.match,
-        axes=seen.axes,
-        quality=judge(placement, ground_covariance, choice.track, settings.quality),
-        method=settings.method,
+        station_id=choice.station,
+        match=choice.fit,
+        time_offset_s=choice.time_offset_s,
         clock_sigma_s=settings.joint.clock_sigma_s,
-        turn=placement.turn,
-        found=placement.remarks,
     )
+    return conclude([own], placement, None if paper is None else paper.match, settings)
 
 
 def _that_drives_ahead(

@@ -8,16 +8,15 @@ from itertools import combinations
 
 import numpy as np
 
-from laci_stereo.core.agreement import LeftOut, agreeing
+from laci_stereo.core.agreement import LeftOut, fit_together
 from laci_stereo.core.common_ground import lay, merge_grounds
+from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import EvidenceError, MatchError
 from laci_stereo.core.evidence import Evidence, evidence_of
-from laci_stereo.core.frames import planar
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.placement import place, place_by_paper
-from laci_stereo.core.quality import covariance_of, judge
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread
@@ -92,22 +91,15 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     laid = [lay(passage, ground, passages[0].world) for passage in passages]
     drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
     alone = [_fit_alone(*pair, settings) for pair in zip(laid, drives, strict=True)]
-    kept, left_out = agreeing([passage.name for passage in passages], alone)
-    kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
-    fit = alone[kept[0]]
-    if len(kept) > 1:
-        offsets = [alone[i].time_offsets_s[0] for i in kept]
-        recordings = [laid[i].vehicle.epoch_ns for i in kept]
-        fit = fit_jointly(
-            [drives[i] for i in kept], fit.match, offsets, settings.joint, recordings=recordings, close=True
-        )
-    used = [replace(laid[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True)]
-    calibration = _calibration(used, [drives[i] for i in kept], fit, settings)
+    together = fit_together(laid, drives, alone, settings.joint)
+    names = [each.name for each in together.passages]
+    placement = place(together.fit, together.drives, _seen(together.passages), settings, names)
+    calibration = conclude(together.passages, placement, _paper(together.passages[0], settings), settings)
     shares = (
         Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)
-        for each, sigma_s in zip(used, fit.time_sigmas_s, strict=True)
+        for each, sigma_s in zip(together.passages, together.fit.time_sigmas_s, strict=True)
     )
-    return Combined(calibration, tuple(shares), left_out)
+    return Combined(calibration, tuple(shares), together.left_out)
 
 
 def _as_loose(settings: Settings, passages: Sequence[Passage]) -> Settings:
@@ -147,38 +139,6 @@ def _fit_alone(passage: Passage, drive: Evidence, settings: Settings) -> JointFi
         return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint)
     except MatchError as error:
         raise MatchError(f"{passage.name}: {error}") from error
-
-
-def _calibration(used: Sequence[Passage], drives: Sequence[Evidence], fit: JointFit, settings: Settings) -> Calibration:
-    own, ground = used[0], used[0].ground
-    T_level_sensor = ground.T_level_sensor(own.axes)
-    ground_covariance = ground.covariance_level(own.axes)
-    placement = place(fit, drives, _seen(used), settings, [each.name for each in used])
-    match = placement.match
-    quality = judge(placement, ground_covariance, own.track, settings.quality)
-    return Calibration(
-        world=own.world,
-        T_world_sensor=planar(match.yaw_rad, match.shift) @ T_level_sensor,
-        T_level_sensor=T_level_sensor,
-        covariance=covariance_of(placement.doubt, ground_covariance, match, placement.middle_level),
-        centre_world=np.append(match(placement.middle_level), 0.0),
-        time_offset_s=placement.time_offset_s,
-        time_sigma_s=placement.time_sigma_s,
-        station_id=own.station_id,
-        ground=ground,
-        background=own.background,
-        track=own.track,
-        vehicle=own.vehicle,
-        match=match,
-        paper=_paper(own, settings),
-        axes=own.axes,
-        quality=replace(quality, frames_seen=_seen(used)),
-        method="joint",
-        clock_sigma_s=settings.joint.clock_sigma_s,
-        turn=placement.turn,
-        found=placement.remarks,
-        others=tuple(replace(each, match=match, turn=placement.turn) for each in used[1:]),
-    )
 
 
 def _seen(used: Sequence[Passage]) -> int:

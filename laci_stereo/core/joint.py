@@ -14,6 +14,7 @@ from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.recordings import Recordings
 from laci_stereo.core.scatter import Blocks, grown
 from laci_stereo.core.settings import JointSettings, with_turn
 
@@ -42,10 +43,6 @@ often as not it does not turn, or its points were brought to the scan's stamp be
 
 FIXED = 1e-3
 """Standard deviation of a turn that is taken for known: it keeps the equations regular."""
-
-SENDERS_CLOCK_S = 0.001
-"""Standard deviation by which senders' clocks differ, which GNSS sets: their messages' times have that resolution (ETSI
-EN 302 637-2, generationDeltaTime)."""
 
 FREE_M = 100.0
 """Standard deviation of the position about the start, which only keeps the equations regular."""
@@ -147,7 +144,8 @@ def fit_jointly(
         Where the search for each drive's clock offset begins; None is 0.
     settings : JointSettings
     recordings : sequence of int
-        Which recording each drive is in: drives in one have one clock offset. None is one for each.
+        Which recording each drive is in: drives in one have one clock offset, and receivers that err alike in part.
+        None is one for each.
     close : bool
         The start is what each of the drives says by itself, within its doubt: no other is tried.
 
@@ -164,21 +162,21 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     turn = _turn_of(drives)
-    tie = _tie(range(len(drives)) if recordings is None else recordings)
+    at_once = Recordings(range(len(drives)) if recordings is None else recordings)
     fine = [drive.thinned(FINE_ROWS) for drive in drives]
-    problem = _Problem(fine, begin, centre, settings, turn, tie)
+    problem = _Problem(fine, begin, centre, settings, turn, at_once)
     if close:
         best = problem.at_rest(offsets)
     else:
         coarse = [drive.thinned(COARSE_ROWS // len(drives)) for drive in drives]
-        thinned = _Problem(coarse, begin, centre, settings, turn, tie)
+        thinned = _Problem(coarse, begin, centre, settings, turn, at_once)
         best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     solved = problem.solve(best)
     if not turn.possible:
         return _fit(problem, solved, centre)
     turned = [_turned(problem, solved, each) for each in TURNS]
     likeliest = max(turned, key=lambda each: each.log_probability)
-    problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), tie)
+    problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), at_once)
     solved = problem.solve(likeliest.x)
     # The result is as uncertain as the other turns are different, uncertain by themselves, and likely.
     log_probabilities = np.array([each.log_probability for each in turned])
@@ -188,34 +186,6 @@ def fit_jointly(
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
     fit = _fit(problem, replace(solved, covariance=covariance), centre)
     return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
-
-
-@dataclass(frozen=True)
-class _Tie:
-    """What drives in one recording have in common: the sensor's clock, which is late or early for all of them.
-
-    Attributes
-    ----------
-    share : ndarray, shape (drives,)
-        Of what is known of that clock beforehand, each drive's part.
-    precision : ndarray, shape (drives, drives)
-        Of the differences of their offsets.
-    """
-
-    share: FloatArray
-    precision: FloatArray
-
-    def tied(self, precision: FloatArray) -> FloatArray:
-        """Return the precision of the offsets, shape (drives, drives), given what is known of each, shape (drives,)."""
-        tied: FloatArray = np.diag(self.share * precision) + self.precision
-        return tied
-
-
-def _tie(recordings: Sequence[int]) -> _Tie:
-    number = np.array(recordings)
-    same = number[:, None] == number
-    count = same.sum(axis=1)
-    return _Tie(1.0 / count, (np.diag(count) - same) / SENDERS_CLOCK_S**2)
 
 
 def _turn_of(drives: Sequence[Evidence]) -> Turn:
@@ -257,7 +227,7 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     settings, turn = settings or JointSettings(), _turn_of([drive])
-    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn, _tie([0]))
+    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn, Recordings([0]))
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
@@ -307,14 +277,18 @@ class _Problem:
         centre: FloatArray,
         settings: JointSettings,
         turn: Turn,
-        tie: _Tie,
+        recordings: Recordings,
     ) -> None:
-        self.settings, self.tie = settings, tie
+        self.settings, self.recordings = settings, recordings
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
         self.clocks = [own.start for own in self.own]
+        # The knots of the positions' errors are each drive's last: first of all x, then of all y.
+        lasts = [(own.stop, len(model.knots_s)) for model, own in zip(self.models, self.own, strict=True)]
+        self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
+        self.drifts = recordings.drifts(self.models, settings) if recordings.shared else None
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
@@ -328,7 +302,10 @@ class _Problem:
         for model, own in zip(self.models, self.own, strict=True):
             self.precision[own, own], self.mean[own] = model.prior(None if x is None else x[own])
         clocks = np.ix_(self.clocks, self.clocks)
-        self.precision[clocks] = self.tie.tied(np.diag(self.precision[clocks]))
+        self.precision[clocks] = self.recordings.clocks(np.diag(self.precision[clocks]))
+        if self.drifts is not None:
+            for knots in self.knots:
+                self.precision[np.ix_(knots, knots)] = self.drifts
 
     def at_rest(self, offsets: Sequence[float]) -> FloatArray:
         """Return the vector with every correction at its prior's mean, but for the clocks."""
@@ -483,7 +460,7 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
     known_s = problem.settings.clock_sigma_s
     clocks = [with_turn(known_s, model.drive.turn_s) if turn else known_s for model in problem.models]
-    prior = block_diag(FIXED**-2.0, problem.tie.tied(np.array(clocks) ** -2.0))
+    prior = block_diag(FIXED**-2.0, problem.recordings.clocks(np.array(clocks) ** -2.0))
     mean = np.array([turn, *np.zeros(len(clocks))])
     after, sum_pull = prior + information, prior @ mean + pull
     at = np.linalg.solve(after, sum_pull)

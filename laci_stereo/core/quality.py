@@ -169,14 +169,15 @@ def covariance_of(
     return covariance
 
 
-def judge(placement: Placement, ground_covariance: FloatArray, track: Track, settings: QualitySettings) -> Quality:
+def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int, settings: QualitySettings) -> Quality:
     """Hold the doubt against the thresholds.
 
     Parameters
     ----------
     placement : Placement
     ground_covariance : ndarray, shape (3, 3)
-    track : Track
+    frames_seen : int
+        In which the vehicles were.
     settings : QualitySettings
     """
     doubt = placement.doubt
@@ -209,6 +210,6 @@ def judge(placement: Placement, ground_covariance: FloatArray, track: Track, set
         height_sigma_m=height,
         residual_rms_m=placement.residual_rms_m,
         frames_used=placement.frames_used,
-        frames_seen=len(track.sightings),
+        frames_seen=frames_seen,
         left_out=placement.left_out,
     )

@@ -59,7 +59,8 @@ def doubt(track: Track, drive: Drive = DRIVE) -> Doubt:
 
 def verdict(value: Doubt, ground: FloatArray = SURE, track: Track | None = None) -> Quality:
     track = track or seen()
-    return judge(Placement(TRUTH, np.zeros(2), value, 0.1, 31), ground, track, QualitySettings())
+    placement = Placement(TRUTH, np.zeros(2), value, 0.1, 31)
+    return judge(placement, ground, len(track.sightings), QualitySettings())
 
 
 def test_exact_boxes_leave_no_doubt() -> None:

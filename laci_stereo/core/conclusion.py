@@ -1,0 +1,59 @@
+"""From an estimate to a result: the drives that it was made from, where it puts the sensor, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from laci_stereo.core.frames import planar
+from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.quality import Placement, covariance_of, judge
+from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import Settings
+
+
+def conclude(
+    passages: Sequence[Passage], placement: Placement, paper: PlanarMatch | None, settings: Settings
+) -> Calibration:
+    """Return the result of an estimate.
+
+    Parameters
+    ----------
+    passages : sequence of Passage
+        In one level frame; the result's own drive first.
+    placement : Placement
+    paper : PlanarMatch or None
+        What the paper's method says of that drive.
+    settings : Settings
+    """
+    own, *others = passages
+    T_level_sensor = own.ground.T_level_sensor(own.axes)
+    ground_covariance = own.ground.covariance_level(own.axes)
+    match, middle = placement.match, placement.middle_level
+    frames_seen = sum(len(each.track.sightings) for each in passages)
+    return Calibration(
+        world=own.world,
+        T_world_sensor=planar(match.yaw_rad, match.shift) @ T_level_sensor,
+        T_level_sensor=T_level_sensor,
+        covariance=covariance_of(placement.doubt, ground_covariance, match, middle),
+        centre_world=np.append(match(middle), 0.0),
+        time_offset_s=placement.time_offset_s,
+        time_sigma_s=placement.time_sigma_s,
+        station_id=own.station_id,
+        ground=own.ground,
+        background=own.background,
+        track=own.track,
+        vehicle=own.vehicle,
+        match=match,
+        paper=paper,
+        axes=own.axes,
+        quality=judge(placement, ground_covariance, frames_seen, settings.quality),
+        method=settings.method,
+        clock_sigma_s=settings.joint.clock_sigma_s,
+        turn=placement.turn,
+        found=placement.remarks,
+        others=tuple(replace(each, match=match, turn=placement.turn) for each in others),
+    )

@@ -1,0 +1,59 @@
+"""What drives in one recording have in common: the sensor's clock, and what all receivers err by at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from laci_stereo.core.drive_model import DriveModel, decay
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.settings import JointSettings
+
+SENDERS_CLOCK_S = 0.001
+"""Standard deviation by which senders' clocks differ, which GNSS sets: their messages' times have that resolution (ETSI
+EN 302 637-2, generationDeltaTime)."""
+
+ALIKE = 0.5
+"""Of the variance of two receivers' errors at one time. Satellites' orbits and clocks and the air above are the same
+for both, what walls reflect is not: the former is most of it without corrections, the latter with them. With half, no
+number of receivers is taken for better than it is by more than the square root of two."""
+
+
+class Recordings:
+    """Which drives were recorded at once.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        The recording of each drive.
+    """
+
+    def __init__(self, numbers: Sequence[int]) -> None:
+        self._same = np.equal.outer(np.array(numbers), np.array(numbers))
+
+    @property
+    def shared(self) -> bool:
+        """Whether there is one with several drives."""
+        return int(self._same.sum()) > len(self._same)
+
+    def clocks(self, precision: FloatArray) -> FloatArray:
+        """Return the precision of the drives' clock offsets, shape (drives, drives).
+
+        Parameters
+        ----------
+        precision : ndarray, shape (drives,)
+            What each drive by itself would have beforehand: those in one recording have it once.
+        """
+        count = self._same.sum(axis=1)
+        tied: FloatArray = np.diag(precision / count) + (np.diag(count) - self._same) / SENDERS_CLOCK_S**2
+        return tied
+
+    def drifts(self, models: Sequence[DriveModel], settings: JointSettings) -> FloatArray:
+        """Return the precision of the errors of positions at all drives' knots, on either axis, shape (k, k)."""
+        drive = np.repeat(np.arange(len(models)), [len(model.knots_s) for model in models])
+        sigma_m = np.concatenate([np.sqrt(np.diag(model.drift)) for model in models])
+        knots_s = np.concatenate([model.knots_s for model in models])
+        together = self._same[np.ix_(drive, drive)] * np.where(np.equal.outer(drive, drive), 1.0, ALIKE)
+        precision: FloatArray = np.linalg.inv(np.outer(sigma_m, sigma_m) * decay(knots_s, settings) * together)
+        return precision
