@@ -109,7 +109,7 @@ _ASKED = (
         help="Lane map: Lanelet2, OpenDRIVE, GeoJSON, DXF or CSV [default: map.osm or the like beside the recording].",
     ),
     map_crs_option,
-    click.option("--station", type=int, help="Sender, where the log has several [default: the one whose track fits]."),
+    click.option("--station", type=int, help="Sender, where the log has several [default: all that are surely seen]."),
     click.option(
         "--cam-reference",
         default="front",

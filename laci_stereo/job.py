@@ -47,7 +47,7 @@ class DriveOptions:
     map_crs : str or None
         The map's coordinate system where its file does not state it; see `read_lane_map`.
     station : int or None
-        The sender; None takes the one whose track fits.
+        The sender; None takes all that are surely seen.
     reference : ReferencePoint
         Where on the vehicle the messages' positions are.
     crs : str or None

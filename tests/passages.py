@@ -10,12 +10,13 @@ import numpy as np
 
 from laci_stereo.combine import Origin
 from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray, invert, transform
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.job import Result
-from tests.simulated import LEFT_TURN, RIGHT_TURN, STRAIGHT, Scene, cam_log, car, lidar, scene
+from tests.simulated import LEFT_TURN, RIGHT_TURN, STRAIGHT, Drive, Recording, Scene, cam_log, car, lidar, scene
 
 DRIVES = ((LEFT_TURN, 4.4, 1.8), (RIGHT_TURN, 4.1, 1.75), (STRAIGHT, 4.8, 1.9))
 STATIONS = (42, 43, 44)
@@ -39,6 +40,19 @@ def recorded() -> tuple[tuple[Scene, Calibration], ...]:
 
 def passages() -> list[Passage]:
     return [replace(found.passages[0], name=f"run {number}") for number, (_, found) in enumerate(recorded())]
+
+
+def meeting(late_s: float = 0.0) -> tuple[Recording, list[CamLog], FloatArray]:
+    """Let two cars meet on a straight road, at steady speeds, and send by a clock that is late.
+
+    Returns what is recorded, the messages of either (stations 42 and 43), and where the sensor is, UTM.
+    """
+    made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0, seed=5)
+    cars = car(STRAIGHT), car(Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),)), 4.6, 1.85)
+    logs = [cam_log(made.place, vehicle, 6.0, station=STATIONS[number]) for number, vehicle in enumerate(cars)]
+    late = [replace(log, stamps_ns=log.stamps_ns + round(1e9 * late_s)) for log in logs]
+    truth: FloatArray = made.place.to_utm(made.recording.T_world_sensor[None, :2, 3])[0]
+    return replace(made.recording, movers=cars), late, truth
 
 
 def off_by(passage: Passage, x_m: float, y_m: float) -> Passage:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,6 +85,8 @@ class Choice:
         Why the track may yet be a stranger's; empty where that is out of the question.
     beside : int
         In how many frames something else moves as one with it; see `companion`.
+    others : tuple of (int, Track)
+        Other senders that the same motion clearly shows where they must be, and their tracks.
     """
 
     station: int
@@ -97,6 +99,7 @@ class Choice:
     second_is: str
     doubt: str = ""
     beside: int = 0
+    others: tuple[tuple[int, Track], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -197,7 +200,7 @@ def choose_track(
 def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
     """Leave out those whose vehicle hardly moves while it is seen: whatever stands there would fit as well."""
     least_m = scene.settings.min_path_m
-    paths_m = [_seen_path(scene, one, _on_vehicle(scene, one)) for one in hypotheses]
+    paths_m = [_seen_path(scene, one, one.account, _on_vehicle(scene, one, one.account)) for one in hypotheses]
     moving = [one for one, path_m in zip(hypotheses, paths_m, strict=True) if path_m >= least_m]
     if not moving:
         path_m, best = max(zip(paths_m, hypotheses, strict=True), key=lambda each: each[1].value)
@@ -215,7 +218,7 @@ def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness
     for rank, one in enumerate(ordered):
         if rank < MOST_OUTLINES and one.value > ordered[0].value - OUTLINE_REACH:
             fit = PlanarMatch(float(one.motion.yaw_rad), one.motion.shift)
-            track = _on_vehicle(scene, one)
+            track = _on_vehicle(scene, one, one.account)
             alike = likeness(track, one.account.station, fit, float(one.motion.offset_s))
             log.debug("station %d: %.1f by boxes, by outlines %s (log odds)", one.account.station, one.value, alike)
             way = one.way if alike.way is None else min(alike.way, _of_pieces(scene, one.account, track, alike.way))
@@ -237,7 +240,7 @@ def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> floa
 
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
     best = max(hypotheses, key=lambda one: one.value)
-    track = _on_vehicle(scene, best)
+    track = _on_vehicle(scene, best, best.account)
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
@@ -274,6 +277,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else _named(scene, best.account, second),
         doubt=doubt,
+        others=tuple(_others(scene, best)),
     )
 
 
@@ -323,27 +327,42 @@ def _joined(scene: Scene, account: Account) -> Track:
     return first
 
 
-def _on_vehicle(scene: Scene, best: _Hypothesis) -> Track:
-    """Return a hypothesis' track without what cannot be its vehicle, such as what it was confused with at its ends."""
-    track, sender = _joined(scene, best.account), scene.senders[best.account.station]
+def _on_vehicle(scene: Scene, best: _Hypothesis, account: Account) -> Track:
+    """Return a sender's track without what cannot be its vehicle, such as what it was confused with at its ends."""
+    track, sender = _joined(scene, account), scene.senders[account.station]
     poses = sender.at(np.array([one.stamp_s for one in track.sightings]) + best.motion.offset_s)
     off = best.motion.place(np.array([one.middle for one in track.sightings])) - poses.xy
     sigma = np.hypot(scene.settings.position_sigma_m, [one.sigma_m for one in track.sightings])
     near = np.linalg.norm(off, axis=1) <= sender.reach_m + GATE * sigma
-    return track.where(near | ~poses.known).without(best.strayed_s)
+    return track.where(near | ~poses.known).without(best.strayed_s if account is best.account else ())
 
 
-def _seen_path(scene: Scene, best: _Hypothesis, track: Track) -> float:
-    """Return how far the vehicle drives while a track is seen, without what it drives meanwhile unseen.
+def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) -> float:
+    """Return how far a sender's vehicle drives while a track is seen, without what it drives meanwhile unseen.
 
     While it stays within its own reach, whatever stands there would do as well: that does not count either.
     """
-    sender = scene.senders[best.account.station]
+    sender = scene.senders[account.station]
     stamps_s = np.array([one.stamp_s for one in track.usable])
     poses = sender.at(stamps_s + best.motion.offset_s)
     stretches = np.split(np.arange(len(stamps_s)), np.flatnonzero(np.diff(stamps_s) > UNSEEN_S) + 1)
     moving = [stretch for stretch in stretches if extent(poses.xy[stretch]) > sender.reach_m]
     return float(sum(np.ptp(poses.path_m[stretch]) for stretch in moving))
+
+
+def _others(scene: Scene, best: _Hypothesis) -> Iterator[tuple[int, Track]]:
+    """Yield the other senders that are as clearly seen where a hypothesis has them, and their tracks."""
+    claimed = set(best.account.tracks)
+    for account in sorted(best.accounts, key=lambda one: -one.value):
+        if account is best.account or not claimed.isdisjoint(account.tracks):
+            continue
+        claimed |= set(account.tracks)
+        seen = account.value + account.coincidence + SILENT
+        if seen < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
+            continue
+        track = _on_vehicle(scene, best, account)
+        if len(track.usable) and _seen_path(scene, best, account, track) >= scene.settings.min_path_m:
+            yield account.station, track
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

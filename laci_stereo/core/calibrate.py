@@ -46,7 +46,7 @@ def calibrate(
         The recording. It is read twice: a survey of whole frames, then every frame once; and so once more where the
         sender's way shows that the ground found first is not the road.
     messages : CamLog
-        Of one station or several; the one whose track fits is taken.
+        Of one station or several: all that are surely seen are used.
     settings : Settings
     reference : ReferencePoint
         Where on the vehicle the messages' positions are.
@@ -97,30 +97,41 @@ def locate(
     def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
         return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
 
-    choice = _that_drives_ahead(whole(seen.tracks, vehicles.values(), settings), vehicles, settings, likeness)
+    tracks = whole(seen.tracks, vehicles.values(), settings)
+    choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     for remark in vehicle.remarks:
         log.warning("%s", remark)
-    paper = _paper(choice.track, vehicle, settings)
-    if settings.method == "joint" or paper is None:
-        placement = place_jointly(choice, vehicle, seen.ground.height_m, settings)
-    else:
-        placement = paper
+
+    def passage(station: int, track: Track) -> Passage:
+        return Passage(
+            world=world,
+            axes=seen.axes,
+            ground=seen.ground,
+            background=seen.background,
+            track=track,
+            vehicle=vehicles[station],
+            station_id=station,
+            match=choice.fit,
+            time_offset_s=choice.time_offset_s,
+            clock_sigma_s=settings.joint.clock_sigma_s,
+            name=f"station {station}",
+        )
+
+    own = passage(choice.station, choice.track)
+    paper = placement = _paper(own, settings)
+    passages: tuple[Passage, ...] = (own,)
+    if placement is None or settings.method == "joint":
+        others = [
+            passage(station, track)
+            for station, track in choice.others
+            if not _companion(choice, station, track, tracks, vehicles)[0]
+        ]
+        placement, passages = place_jointly(own, others, choice, settings)
+        paper = _paper(passages[0], settings)
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
-    own = Passage(
-        world=world,
-        axes=seen.axes,
-        ground=seen.ground,
-        background=seen.background,
-        track=choice.track,
-        vehicle=vehicle,
-        station_id=choice.station,
-        match=choice.fit,
-        time_offset_s=choice.time_offset_s,
-        clock_sigma_s=settings.joint.clock_sigma_s,
-    )
-    return conclude([own], placement, None if paper is None else paper.match, settings)
+    return conclude(passages, placement, None if paper is None else paper.match, settings)
 
 
 def _that_drives_ahead(
@@ -128,7 +139,7 @@ def _that_drives_ahead(
 ) -> Choice:
     """Return which track is which sender's; of two that move as one it is the one ahead, for what is towed follows."""
     choice = choose_track(tracks, vehicles, settings.match, likeness)
-    beside, ahead_m = _companion(choice, tracks, vehicles)
+    beside, ahead_m = _companion(choice, choice.station, choice.track, tracks, vehicles)
     others = list(tracks)
     while ahead_m > 0.0:
         others = [track for track in others if not choice.track.shares(track)]
@@ -136,22 +147,24 @@ def _that_drives_ahead(
             choice = choose_track(others, vehicles, settings.match, likeness)
         except CalibrationError:
             break  # what is ahead does not fit: it will be said that it is there
-        beside, ahead_m = _companion(choice, tracks, vehicles)
+        beside, ahead_m = _companion(choice, choice.station, choice.track, tracks, vehicles)
     return replace(choice, beside=beside)
 
 
-def _companion(choice: Choice, tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack]) -> tuple[int, float]:
-    """Return what `companion` does of the track that was chosen."""
+def _companion(
+    choice: Choice, station: int, track: Track, tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack]
+) -> tuple[int, float]:
+    """Return what `companion` does of the track of a station, given what was chosen."""
 
     def yaw_at(stamps_s: FloatArray) -> FloatArray:
-        return vehicles[choice.station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
+        return vehicles[station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
 
-    return companion(choice.track, tracks, yaw_at)
+    return companion(track, tracks, yaw_at)
 
 
-def _paper(track: Track, vehicle: VehicleTrack, settings: Settings) -> Placement | None:
+def _paper(own: Passage, settings: Settings) -> Placement | None:
     try:
-        return place_by_paper(track, vehicle, settings.match)
+        return place_by_paper(own.track, own.vehicle, settings.match)
     except MatchError:
         if settings.method == "paper":
             raise

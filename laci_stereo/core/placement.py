@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from laci_stereo.core import outline
+from laci_stereo.core.agreement import fit_together
 from laci_stereo.core.association import Choice
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import Correction
-from laci_stereo.core.errors import MatchError, OpenError
+from laci_stereo.core.errors import CombineError, MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch, match_track
+from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
 from laci_stereo.core.settings import MatchSettings, Settings
@@ -57,21 +60,85 @@ def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings)
     )
 
 
-def place_jointly(choice: Choice, vehicle: VehicleTrack, height_m: float, settings: Settings) -> Placement:
-    """Register the visible outline on the vehicle in all frames at once.
+def place_jointly(
+    own: Passage, others: Sequence[Passage], choice: Choice, settings: Settings
+) -> tuple[Placement, tuple[Passage, ...]]:
+    """Register the visible outline on the vehicle in all frames at once; on other senders' as well, where they agree.
+
+    Parameters
+    ----------
+    own : Passage
+        Of the sender that was chosen, where its boxes put it.
+    others : sequence of Passage
+        Of other senders in the same recording.
+    choice : Choice
+    settings : Settings
+
+    Returns
+    -------
+    placement : Placement
+    passages : tuple of Passage
+        Those that it was made from, the one that tells most first.
 
     Raises
     ------
     MatchError
         If too few frames show anything of the outline, or an end of the vehicle is missing where something else is.
     OpenError
-        If the drive leaves a direction open.
+        If the drives leave a direction open.
     """
-    drive = evidence_of(choice.track, vehicle, height_m)
-    fit = fit_jointly([drive], choice.fit, [choice.time_offset_s], settings.joint)
+    drive = evidence_of(own.track, own.vehicle, own.ground.height_m)
+    fit = fit_jointly([drive], own.match, [own.time_offset_s], settings.joint)
     if choice.beside and (lacks := _lacks(drive, fit.match, fit.time_offsets_s[0])):
         raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
-    return place(fit, [drive], len(choice.track.sightings), settings)
+    _check_registered(fit, [drive], settings)
+    seen, drives, alone = [own], [drive], [fit]
+    remarks: list[str] = []
+    doubts: list[str] = []
+    for other in others:
+        try:
+            its, its_fit = _as_well(other, fit, settings)
+        except MatchError as error:
+            remarks.append(f"{other.name} is seen as well, but was not used: {error}")
+            continue
+        seen.append(other)
+        drives.append(its)
+        alone.append(its_fit)
+    try:
+        together = fit_together(seen, drives, alone, settings.joint)
+    except CombineError as error:
+        doubts.append(f"only {own.name} was used: {error}")
+        together = fit_together([own], [drive], [fit], settings.joint)
+    passages = together.passages
+    names = [each.name for each in passages] if len(passages) > 1 else [""]
+    sightings = sum(len(each.track.sightings) for each in passages)
+    placement = place(together.fit, together.drives, sightings, settings, names)
+    remarks += map(str, together.left_out)
+    for each in passages[1:]:
+        remarks.append(f"{each.name} is seen as well, and was used: {len(each.track.sightings)} frames")
+        remarks += [f"{each.name}: {remark}" for remark in each.vehicle.remarks]
+    told = replace(
+        placement,
+        remarks=(*placement.remarks, *remarks),
+        contradictions=(*placement.contradictions, *doubts),
+    )
+    return told, passages
+
+
+def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Evidence, JointFit]:
+    """Register another sender's outline, given the first one's; a direction that it leaves open does no harm.
+
+    Raises
+    ------
+    MatchError
+        If anything speaks against using it.
+    """
+    drive = evidence_of(other.track, other.vehicle, other.ground.height_m)
+    alone = fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], settings.joint)
+    _check_registered(alone, [drive], settings)
+    for _, against in _contradicted(alone, [drive], [""]):
+        raise MatchError(against)
+    return drive, alone
 
 
 def place(
@@ -97,16 +164,7 @@ def place(
     OpenError
         If the drives leave a direction open.
     """
-    if fit.frames < settings.match.min_frames:
-        raise MatchError(
-            f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
-            f"{settings.match.min_frames}{_blurred(drives)}"
-        )
-    if fit.explained < LEAST_EXPLAINED:
-        raise MatchError(
-            f"the outline that the messages tell explains {fit.explained:.0%} of the vehicle's points; needed are "
-            f"{LEAST_EXPLAINED:.0%}: something else is seen with it, or its messages are wrong"
-        )
+    _check_registered(fit, drives, settings)
     middles = np.concatenate([drive.middles for drive in drives])
     doubt = Doubt(fit.covariance, rotate_xy(fit.match.yaw_rad, middles - fit.centre_level))
     advice = _advice(fit, doubt, drives[0])
@@ -119,17 +177,7 @@ def place(
         )
     frames = sum(map(len, drives))
     left_out = {"unknown": sightings - frames, "bare": frames - fit.frames}
-    contradicted = [
-        (name, _in_words(correction))
-        for name, corrections in zip(names, fit.corrections, strict=True)
-        for correction in corrections
-        if abs(correction.value) > 4.0 * correction.sigma
-    ]
-    contradicted += [
-        (name, f"{lacks}: {ANOTHER_PIECE}")
-        for name, drive, offset_s in zip(names, drives, fit.time_offsets_s, strict=True)
-        if (lacks := _lacks(drive, fit.match, offset_s))
-    ]
+    contradicted = _contradicted(fit, drives, names)
     return Placement(
         match=fit.match,
         middle_level=fit.centre_level,
@@ -144,6 +192,35 @@ def place(
         advice=advice,
         contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
     )
+
+
+def _check_registered(fit: JointFit, drives: Sequence[Evidence], settings: Settings) -> None:
+    if fit.frames < settings.match.min_frames:
+        raise MatchError(
+            f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
+            f"{settings.match.min_frames}{_blurred(drives)}"
+        )
+    if fit.explained < LEAST_EXPLAINED:
+        raise MatchError(
+            f"the outline that the messages tell explains {fit.explained:.0%} of the vehicle's points; needed are "
+            f"{LEAST_EXPLAINED:.0%}: something else is seen with it, or its messages are wrong"
+        )
+
+
+def _contradicted(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
+    found = [
+        (name, _in_words(correction))
+        for name, corrections in zip(names, fit.corrections, strict=True)
+        for correction in corrections
+        if abs(correction.value) > 4.0 * correction.sigma
+    ]
+    found += [
+        (name, f"{lacks}: {ANOTHER_PIECE}")
+        for name, drive, offset_s in zip(names, drives, fit.time_offsets_s, strict=True)
+        if (lacks := _lacks(drive, fit.match, offset_s))
+    ]
+    return found
 
 
 def doubts_of(choice: Choice) -> tuple[str, ...]:

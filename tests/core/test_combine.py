@@ -13,8 +13,7 @@ from laci_stereo.core.frames import Axes, FloatArray
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, Settings
 from laci_stereo.core.world import World
-from tests.passages import DAY_NS, misplaced, off_by, passages, recorded
-from tests.simulated import STRAIGHT, Drive, cam_log, car, lidar, scene
+from tests.passages import DAY_NS, meeting, misplaced, off_by, passages, recorded
 
 
 @cache
@@ -136,18 +135,10 @@ def test_each_drive_has_its_own_clock(late_s: float) -> None:
 
 @cache
 def met(late_s: float) -> tuple[Calibration, Calibration, FloatArray]:
-    """Calibrate with each of two cars that meet on a straight road, at steady speeds, by a clock that is late.
-
-    Returns their results, and where the sensor is, UTM.
-    """
-    made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0, seed=5)
-    cars = car(STRAIGHT), car(Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),)), 4.6, 1.85)
-    logs = [cam_log(made.place, vehicle, 6.0, station=42 + number) for number, vehicle in enumerate(cars)]
-    late = [replace(log, stamps_ns=log.stamps_ns + round(1e9 * late_s)) for log in logs]
-    recording = replace(made.recording, movers=cars)
+    """Calibrate with each of two cars that meet, by a clock that is late; return where the sensor is, UTM, as well."""
+    recording, logs, truth = meeting(late_s)
     settings = Settings(joint=JointSettings(clock_sigma_s=0.03))
-    one, other = (calibrate(recording, log, settings) for log in late)
-    truth: FloatArray = made.place.to_utm(made.recording.T_world_sensor[None, :2, 3])[0]
+    one, other = (calibrate(recording, log, settings) for log in logs)
     return one, other, truth
 
 
