@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
 from laci_stereo.core.box import Box
@@ -15,6 +18,26 @@ SAME_STAMP_S = 1e-4
 
 TRACK_STEP_S = 0.1
 """At 50 km/h this is the length of a car's bonnet; between messages the track is a curve."""
+
+
+def drives_of(calibration: Calibration) -> Iterator[Calibration]:
+    """Yield the calibration with each of its drives as its only one."""
+    for passage in calibration.passages:
+        yield replace(
+            calibration,
+            track=passage.track,
+            vehicle=passage.vehicle,
+            station_id=passage.station_id,
+            time_offset_s=passage.time_offset_s,
+            background=passage.background,
+            others=(),
+        )
+
+
+def stations_of(calibration: Calibration) -> str:
+    """Name the senders."""
+    numbers = [str(each.station_id) for each in calibration.passages]
+    return f"station{'s' if len(numbers) > 1 else ''} {', '.join(dict.fromkeys(numbers))}"
 
 
 def T_world_level(calibration: Calibration) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.result import Calibration
-from laci_stereo.report.drawn import background_corners, sensor_track
+from laci_stereo.report.drawn import background_corners, drives_of, sensor_track
 from laci_stereo.report.lines import clip_slab
 
 NEAR_BACKGROUND_M = 12.0
@@ -58,12 +58,13 @@ class MapView:
 
 
 def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
-    """Choose the part of the world with the sensor, the vehicle where it was seen, and what stands near to them."""
-    shown = np.concatenate(
-        [sensor_track(calibration), _seen_sender(calibration), calibration.T_world_sensor[None, :2, 3]]
-    )
+    """Choose the part of the world with the sensor, the vehicles where they were seen, and what stands near to them."""
+    drives = list(drives_of(calibration))
+    tracks = [track for drive in drives for track in (sensor_track(drive), _seen_sender(drive))]
+    shown = np.concatenate([*tracks, calibration.T_world_sensor[None, :2, 3]])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    corners = [corner for box in background_corners(calibration) if _near(box, low, high) for corner in box]
+    boxes = [box for drive in drives for box in background_corners(drive)]
+    corners = [corner for box in boxes if _near(box, low, high) for corner in box]
     shown = np.concatenate([shown, np.array(corners).reshape(-1, 2)])
     low, high = shown.min(axis=0), shown.max(axis=0)
     extent = np.maximum((1 + 2 * MARGIN_SHARE) * (high - low), LEAST_EXTENT_M)

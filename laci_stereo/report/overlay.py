@@ -13,10 +13,12 @@ from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, emptiest_corner, touches
 from laci_stereo.report.drawn import (
+    drives_of,
     known_stamps,
     on_ground,
     sender_track,
     sensor_track,
+    stations_of,
 )
 from laci_stereo.report.scene import GRID_AHEAD, GRID_M, grid_places, ground_grid, vehicle_edges
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke, lane_strokes
@@ -130,19 +132,23 @@ def _label_grid(
 
 
 def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> list[FloatArray]:
-    """Draw where the vehicle drove, by its messages and by the sensor; return the pixels."""
-    sent = [piece for track in sender_track(calibration) for piece in camera.project_line(on_ground(track))]
+    """Draw where the vehicles drove, by their messages and by the sensor; return the pixels."""
+    drives = list(drives_of(calibration))
+    tracks = [track for drive in drives for track in sender_track(drive)]
+    sent = [piece for track in tracks for piece in camera.project_line(on_ground(track))]
     canvas.lines(sent, SENDER)
-    seen = camera.project(on_ground(sensor_track(calibration)))
+    seen = camera.project(on_ground(np.concatenate([sensor_track(drive) for drive in drives])))
     seen = seen[np.isfinite(seen).all(axis=1)]
     canvas.dots(seen, SENSOR.colour, DOT_RADIUS)
     return [*sent, seen]
 
 
 def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_s: float) -> list[FloatArray]:
-    """Draw the vehicle at that time, by its messages and by the sensor; return the pixels."""
-    edges = vehicle_edges(calibration, stamp_s)
-    sent_px, seen_px = ([piece for edge in each for piece in camera.project_line(edge)] for each in edges)
+    """Draw the vehicles at that time, by their messages and by the sensor; return the pixels."""
+    edges = zip(*(vehicle_edges(drive, stamp_s) for drive in drives_of(calibration)), strict=True)
+    sent_px, seen_px = (
+        [piece for each in of_all for edge in each for piece in camera.project_line(edge)] for of_all in edges
+    )
     canvas.layers([(sent_px, SENDER), (seen_px, SENSOR)])
     return sent_px + seen_px
 
@@ -166,7 +172,7 @@ def _draw_legend(canvas: Canvas, bottom: float, vehicle: list[FloatArray], lanes
 def _draw_caption(canvas: Canvas, top: float, calibration: Calibration, stamp_s: float) -> None:
     quality = calibration.quality
     text = (
-        f"t = {stamp_s:.2f} s, station {calibration.station_id}, verdict: {quality.verdict}, "
+        f"t = {stamp_s:.2f} s, {stations_of(calibration)}, verdict: {quality.verdict}, "
         f"objects placed to ±{quality.track_xy_sigma_m:.2f} m (1σ)"
     )
     margin = MARGIN * canvas.unit_px

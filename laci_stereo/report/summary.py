@@ -47,7 +47,7 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
         ("Position", place),
         ("Height", f"{calibration.height_m:.2f} m above the ground{_slope(calibration)}"),
         ("Looks", looks),
-        ("Vehicle", f"station {calibration.station_id}, {size}{_others(calibration)}, {_frames(quality)}"),
+        ("Vehicle", f"station {calibration.station_id}, {size}{others_of(calibration)}, {_frames(quality)}"),
         ("Background", f"{len(static.boxes)} boxes, from {static.quiet_frames} frames at rest"),
         ("Fit", _fit(calibration)),
         ("Doubt", "; ".join(filter(None, [doubt, quality.advice]))),
@@ -75,7 +75,8 @@ def _fit(calibration: Calibration) -> str:
     return f"points are {rms_m:.2f} m from the vehicle's outline (RMS); {clock}; the paper's method {beside}"
 
 
-def _others(calibration: Calibration) -> str:
+def others_of(calibration: Calibration) -> str:
+    """Say which other drives it was estimated from."""
     if not calibration.others:
         return ""
     stations = ", ".join(str(station) for station in sorted({other.station_id for other in calibration.others}))

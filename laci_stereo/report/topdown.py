@@ -13,12 +13,14 @@ from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect
 from laci_stereo.report.drawn import (
     T_world_level,
     background_corners,
+    drives_of,
     known_stamps,
     plan_in_world,
     sender_box,
     sender_track,
     sensor_track,
     sighting_at,
+    stations_of,
 )
 from laci_stereo.report.mapview import MapView, map_view, nice_step
 from laci_stereo.report.style import (
@@ -173,13 +175,15 @@ def _draw_map(canvas: Canvas, view: MapView, calibration: Calibration, lane_map:
 
 def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> list[Entry]:
     T = T_world_level(calibration)
-    for sighting in calibration.track.usable:
+    drives = list(drives_of(calibration))
+    for sighting in (sighting for drive in drives for sighting in drive.track.usable):
         canvas.specks(view.pixels(transform(T, sighting.points)[:, :2]), POINTS.colour)
-    marks = marks_of(calibration)
+    marks = [mark for drive in drives for mark in marks_of(drive)]
     for mark in marks:
         canvas.lines([view.pixels(mark.corners)], SENSOR, closed=True)
-    canvas.lines([piece for track in sender_track(calibration) for piece in view.line(track)], SENDER)
-    canvas.dots(view.pixels(sensor_track(calibration)), SENSOR.colour, DOT_RADIUS)
+    tracks = [track for drive in drives for track in sender_track(drive)]
+    canvas.lines([piece for track in tracks for piece in view.line(track)], SENDER)
+    canvas.dots(view.pixels(np.concatenate([sensor_track(drive) for drive in drives])), SENSOR.colour, DOT_RADIUS)
     ellipses = [view.pixels(position_ellipse(calibration, mark.seen)) for mark in marks]
     visible = [
         ellipse for ellipse in ellipses if np.ptp(ellipse, axis=0).max() > 2 * SENSOR_MARK_RADIUS * canvas.unit_px
@@ -306,7 +310,7 @@ def facts(calibration: Calibration) -> list[str]:
         f"sensor at E {east:.2f} m",
         f"N {north:.2f} m, height {calibration.height_m:.2f} m",
         f"looks to {(90.0 - angles.yaw_deg) % 360.0:.1f}°, {angles.down_deg:.1f}° down",
-        f"station {calibration.station_id}, {quality.frames_used} frames used",
+        f"{stations_of(calibration)}, {quality.frames_used} frames used",
         f"verdict: {quality.verdict}, method: {calibration.method}",
         f"objects placed to ±{quality.track_xy_sigma_m:.2f} m (1σ)",
     ]

@@ -14,7 +14,7 @@ from laci_stereo.core.frames import FloatArray, planar
 from laci_stereo.core.result import Calibration, viewing_angles
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.report.page.residuals import SIDES, Laid
-from laci_stereo.report.summary import LEFT_OUT
+from laci_stereo.report.summary import LEFT_OUT, others_of
 
 DIGITS = 9
 """Of a transform's numbers: a nanometre, and less than a micrometre at a kilometre."""
@@ -162,6 +162,7 @@ def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
     """Say how sure it is, and from how much."""
     quality, vehicle = calibration.quality, calibration.vehicle
     seen = f"{quality.frames_used} of {quality.frames_seen}"
+    size = f"{vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m"
     return (
         Fact(
             "Position along the track",
@@ -181,7 +182,7 @@ def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
         Fact("Frames used", seen, "frames in the fit, of those that show the vehicle"),
         Fact(
             "Vehicle",
-            f"station {calibration.station_id}, {vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m",
+            f"station {calibration.station_id}, {size}{others_of(calibration)}",
             "sender of the messages (CAM), and the size that they tell",
         ),
     )

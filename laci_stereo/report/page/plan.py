@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, transform
-from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.report.drawn import (
     T_world_level,
     background_corners,
+    drives_of,
     plan_in_world,
     sender_box,
     sender_track,
@@ -108,7 +108,7 @@ class Plan:
 def draw_plan(calibration: Calibration, lane_map: LaneMap | None) -> Plan:
     """Draw lanes, background, points, tracks and how far all of it can be trusted."""
     drives = list(drives_of(calibration))
-    view = _view(drives)
+    view = map_view(calibration, SIZE)
     grid_m = nice_step(SIZE[0] / view.scale_px, TICKS)
     layers = [
         Layer("grid", f"Grid, {grid_m:g} m", (Part("grid", lines(_grid(view, grid_m), DIGITS)),)),
@@ -129,33 +129,6 @@ def draw_plan(calibration: Calibration, lane_map: LaneMap | None) -> Plan:
     ]
     kept = tuple(layer for layer in layers if any(part.d for part in layer.parts))
     return Plan(view, kept, _labels(calibration, drives, view), _moments(drives, view), grid_m)
-
-
-def drives_of(calibration: Calibration) -> Iterator[Calibration]:
-    """Yield the calibration with each of its drives as its own."""
-    for passage in calibration.passages:
-        yield of_drive(calibration, passage)
-
-
-def of_drive(calibration: Calibration, passage: Passage) -> Calibration:
-    """Return the calibration with this drive as its only one."""
-    return replace(
-        calibration,
-        track=passage.track,
-        vehicle=passage.vehicle,
-        station_id=passage.station_id,
-        time_offset_s=passage.time_offset_s,
-        background=passage.background,
-        others=(),
-    )
-
-
-def _view(drives: list[Calibration]) -> MapView:
-    """Return a view that holds the views of all drives."""
-    views = [map_view(drive, SIZE) for drive in drives]
-    extents = np.array([[view.extent_m(0), view.extent_m(1)] for view in views])
-    low, high = extents[:, :, 0].min(axis=0), extents[:, :, 1].max(axis=0)
-    return MapView((low + high) / 2, float((np.array(SIZE) / (high - low)).min()), SIZE)
 
 
 def _grid(view: MapView, step_m: float) -> list[FloatArray]:
