@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from laci_stereo.core.background import Background, BackgroundBox
 from laci_stereo.core.box import Box
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import OPENCV_AXES, Axes, FloatArray, invert, planar, transform
+from laci_stereo.core.frames import OPENCV_AXES, Axes, FloatArray, invert, planar, rotate_xy, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.result import Calibration, Quality
@@ -24,6 +26,7 @@ HEIGHT_M = 6.0
 LENGTH_M, WIDTH_M = 4.5, 1.8
 SPEED_MPS = 8.0
 CORNER = np.array([3.0, 20.0])
+BESIDE_M = np.array([-3.0, 3.5])
 
 
 def calibration(axes: Axes = OPENCV_AXES, far_box: bool = False) -> Calibration:
@@ -66,6 +69,20 @@ def calibration(axes: Axes = OPENCV_AXES, far_box: bool = False) -> Calibration:
         quality=Quality("pass", (), 0.36, 0.3, 90.0, "", 1.1, 0.01, 0.01, 0.05, 31, 31, {}),
         method="paper",
     )
+
+
+def with_another(true: Calibration) -> Calibration:
+    """Return a calibration from a second drive as well, of a car that drives beside the first."""
+    (own,) = true.passages
+    beside = rotate_xy(-YAW_RAD, BESIDE_M)
+    track = Track(
+        tuple(
+            replace(one, middle=one.middle + beside, box=replace(one.box, centre=one.box.centre + beside))
+            for one in own.track.sightings
+        )
+    )
+    vehicle = replace(own.vehicle, xy=own.vehicle.xy + BESIDE_M)
+    return replace(true, others=(replace(own, track=track, vehicle=vehicle, station_id=4712),))
 
 
 def drive(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.tracking import Track
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.style import SKY_BLUE, VERMILLION, YELLOW, Colour
-from tests.report.support import calibration, drive, lane, lane_map, lens, pixel
+from tests.report.support import BESIDE_M, calibration, drive, lane, lane_map, lens, pixel, with_another
 
 MAP = lane_map(lane((-20.0, 24.0), (20.0, 24.0)), lane((8.0, 15.0), (8.0, 60.0), subtype="dashed"))
 
@@ -61,6 +61,19 @@ def test_the_box_stands_on_the_ground_around_the_vehicle() -> None:
 def test_both_boxes_show_where_they_agree() -> None:
     drawn = draw_overlay(grey(), lens(), calibration(), 1.5, None)
     (x, y), *_ = drive(np.array([1.5]))[0]
+    u, v = pixel((x - 2.25, y - 0.9, 0.7), lens())
+    assert has(drawn[v : v + 1, u - 4 : u + 5], SKY_BLUE)
+    assert has(drawn[v : v + 1, u - 4 : u + 5], VERMILLION)
+
+
+def test_every_vehicle_has_its_tracks_and_boxes() -> None:
+    both = with_another(calibration())
+    drawn = draw_overlay(grey(), lens(), both, 4.0, None)
+    for x, y in drive(np.array([1.3, 2.0]))[0] + BESIDE_M:
+        u, v = pixel((x, y, 0.0), lens())
+        assert drawn[v, u].tolist() == list(SKY_BLUE)
+    drawn = draw_overlay(grey(), lens(), both, 1.5, None)
+    (x, y), *_ = drive(np.array([1.5]))[0] + BESIDE_M
     u, v = pixel((x - 2.25, y - 0.9, 0.7), lens())
     assert has(drawn[v : v + 1, u - 4 : u + 5], SKY_BLUE)
     assert has(drawn[v : v + 1, u - 4 : u + 5], VERMILLION)

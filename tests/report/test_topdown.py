@@ -14,7 +14,17 @@ from laci_stereo.report.mapview import MapView, map_view, nice_step
 from laci_stereo.report.style import BLACK, LIGHT_GREY, VERMILLION
 from laci_stereo.report.summary import summarise
 from laci_stereo.report.topdown import PLOT, SIZE, draw_topdown, facts, position_covariance
-from tests.report.support import CORNER, SENSOR_XY, YAW_RAD, calibration, drive, lane, lane_map
+from tests.report.support import (
+    BESIDE_M,
+    CORNER,
+    SENSOR_XY,
+    YAW_RAD,
+    calibration,
+    drive,
+    lane,
+    lane_map,
+    with_another,
+)
 
 
 def plot(image: Raster) -> Raster:
@@ -45,6 +55,16 @@ def test_the_senders_track_is_where_the_view_puts_it(stamp_s: float) -> None:
     true = calibration()
     x, y = np.rint(plot_view(true).pixels(drive(np.array([stamp_s]))[0])[0]).astype(int)
     assert plot(draw_topdown(true))[y, x].tolist() == list(VERMILLION)
+
+
+@pytest.mark.parametrize("stamp_s", [0.4, 0.7, 4.2])
+def test_every_senders_track_is_in_view_and_all_are_named(stamp_s: float) -> None:
+    both = with_another(calibration())
+    (xy,) = drive(np.array([stamp_s]))[0]
+    for at in (xy, xy + BESIDE_M):
+        x, y = np.rint(plot_view(both).pixels(at)).astype(int)
+        assert plot(draw_topdown(both))[y, x].tolist() == list(VERMILLION)
+    assert any(line.startswith("stations 4711, 4712, ") for line in facts(both))
 
 
 def test_the_scale_is_the_same_in_both_directions() -> None:
