@@ -10,9 +10,10 @@ from laci_stereo.core.drive_model import DriveModel, decay
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.settings import JointSettings
 
-SENDERS_CLOCK_S = 0.001
-"""Standard deviation by which senders' clocks differ, which GNSS sets: their messages' times have that resolution (ETSI
-EN 302 637-2, generationDeltaTime)."""
+SENDER_S, SENDER_SHARE = 0.005, 0.5
+"""Of what is not known of the clocks' offset, each sender's own part, one standard deviation: GNSS sets their clocks to
+far better, but what they tell is a position that was worked out some milliseconds earlier, and stamped as well as their
+software does. It is no more than half of the offset's own: who knows that better knows how senders stamp."""
 
 ALIKE = 0.5
 """Of the variance of two receivers' errors at one time. Satellites' orbits and clocks and the air above are the same
@@ -43,10 +44,12 @@ class Recordings:
         Parameters
         ----------
         precision : ndarray, shape (drives,)
-            What each drive by itself would have beforehand: those in one recording have it once.
+            What each drive by itself has beforehand.
         """
-        count = self._same.sum(axis=1)
-        tied: FloatArray = np.diag(precision / count) + (np.diag(count) - self._same) / SENDERS_CLOCK_S**2
+        variance = 1.0 / precision
+        own = np.minimum(SENDER_S**2, SENDER_SHARE**2 * variance)
+        sensors = np.sqrt(variance - own)
+        tied: FloatArray = np.linalg.inv(self._same * np.outer(sensors, sensors) + np.diag(own))
         return tied
 
     def drifts(self, models: Sequence[DriveModel], settings: JointSettings) -> FloatArray:

@@ -5,18 +5,17 @@ import pytest
 
 from laci_stereo.core.drive_model import DriveModel
 from laci_stereo.core.evidence import evidence_of
-from laci_stereo.core.recordings import ALIKE, SENDERS_CLOCK_S, Recordings
+from laci_stereo.core.recordings import ALIKE, SENDER_S, SENDER_SHARE, Recordings
 from laci_stereo.core.settings import JointSettings
 from tests.passages import passages
 
-SIGMA_S = 0.01
 
-
-def test_a_recording_has_one_clock_which_is_known_once() -> None:
-    covariance = np.linalg.inv(Recordings([7, 8, 7]).clocks(np.full(3, SIGMA_S**-2)))
-    assert np.diag(covariance) == pytest.approx(SIGMA_S**2, rel=0.01)
-    assert covariance[0, 2] == pytest.approx(SIGMA_S**2, rel=0.01)
-    assert covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2] == pytest.approx(SENDERS_CLOCK_S**2, rel=0.01)
+@pytest.mark.parametrize("sigma_s", [0.001, 0.01, 1.0])
+def test_the_sensors_clock_is_common_to_a_recording_and_each_sender_stamps_by_itself(sigma_s: float) -> None:
+    covariance = np.linalg.inv(Recordings([7, 8, 7]).clocks(np.full(3, sigma_s**-2)))
+    own_s = min(SENDER_S, SENDER_SHARE * sigma_s)
+    assert np.diag(covariance) == pytest.approx(sigma_s**2)
+    assert covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2] == pytest.approx(2 * own_s**2, rel=1e-3)
     assert covariance[1, [0, 2]] == pytest.approx(0.0)
 
 

@@ -127,7 +127,9 @@ class Factors:
     lever_sigma_m : float
         Standard deviation of the lever arm's error, per axis.
     stations : int
-        Other vehicles that send.
+        Other vehicles that send, each with flaws of its own.
+    stamping_s : float
+        By how much each of their clocks differs from the sender's, one standard deviation.
     noise, rain, point_times
         See `LidarFlaws`; ``noise`` also scales a stereo camera's.
     turning : str
@@ -177,6 +179,7 @@ class Factors:
     over_mirrors: bool | None = None
     lever_sigma_m: float = 0.02
     stations: int | None = None
+    stamping_s: float = 0.003
     noise: float = 1.0
     rain: float | None = None
     point_times: bool | None = None
@@ -492,7 +495,7 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
         axes=axes,
         T_world_sensor=T_world_sensor,
         times_s=times,
-        messages=_messages(draw, sender, vehicle, others, stations, place, flaws, times),
+        messages=_messages(draw, factors, sender, vehicle, others, stations, place, flaws, times),
         cam_flaws=flaws,
         lidar_flaws=_lidar_flaws(draw, factors, sensor),
         stereo_flaws=_stereo_flaws(draw, factors),
@@ -572,24 +575,30 @@ def _rolled(roll_rad: float) -> FloatArray:
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
-def _cam_flaws(draw: Draw, factors: Factors) -> CamFlaws:
-    lever = factors.lever_sigma_m * draw.rng("lever").normal(size=2)
+def _cam_flaws(draw: Draw, factors: Factors, whose: str = "") -> CamFlaws:
+    """Draw what is wrong with a sender's messages; ``whose`` tells it from others."""
+    lever = factors.lever_sigma_m * draw.rng(f"lever{whose}").normal(size=2)
+    clock_s = draw.given(factors.clock_offset_s, "clock", lambda rng: float(rng.normal(0.0, 0.005)))
+    stamping_s = float(draw.rng(f"stamping{whose}").normal(0.0, factors.stamping_s)) if whose else 0.0
     return CamFlaws(
         receiver=factors.receiver,
-        rate_hz=draw.choice(factors.cam_rate_hz, "rate", (10.0, 5.0, 0.0, 2.0), (0.4, 0.2, 0.3, 0.1)),
-        loss=draw.choice(factors.loss, "loss", (0.0, 0.05, 0.2), (0.5, 0.3, 0.2)),
-        clock_offset_s=draw.given(factors.clock_offset_s, "clock", lambda rng: float(rng.normal(0.0, 0.005))),
-        heading_sigma_deg=draw.given(factors.heading_sigma_deg, "heading", lambda rng: float(rng.uniform(0.1, 0.5))),
-        heading_of=draw.choice(factors.heading_of, "heading of", ("body", "front"), (0.7, 0.3)),
+        rate_hz=draw.choice(factors.cam_rate_hz, f"rate{whose}", (10.0, 5.0, 0.0, 2.0), (0.4, 0.2, 0.3, 0.1)),
+        loss=draw.choice(factors.loss, f"loss{whose}", (0.0, 0.05, 0.2), (0.5, 0.3, 0.2)),
+        clock_offset_s=clock_s + stamping_s,
+        heading_sigma_deg=draw.given(
+            factors.heading_sigma_deg, f"heading{whose}", lambda rng: float(rng.uniform(0.1, 0.5))
+        ),
+        heading_of=draw.choice(factors.heading_of, f"heading of{whose}", ("body", "front"), (0.7, 0.3)),
         quantised=factors.quantised,
-        rounding=draw.choice(factors.rounding, "rounding", ("nearest", "up"), (0.5, 0.5)),
-        over_mirrors=draw.choice(factors.over_mirrors, "over mirrors", (False, True), (0.85, 0.15)),
+        rounding=draw.choice(factors.rounding, f"rounding{whose}", ("nearest", "up"), (0.5, 0.5)),
+        over_mirrors=draw.choice(factors.over_mirrors, f"over mirrors{whose}", (False, True), (0.85, 0.15)),
         lever_m=(float(lever[0]), float(lever[1])),
     )
 
 
 def _messages(
     draw: Draw,
+    factors: Factors,
     sender: Mover,
     vehicle: Vehicle,
     others: tuple[Mover, ...],
@@ -601,8 +610,8 @@ def _messages(
     span = (float(times_s[0]) - 1.5, float(times_s[-1]) + 1.5)
     logs = [cam_log(sender, place, flaws, span, STATION, vehicle.mirror_width_m, draw.rng("cam"))]
     for number, mover in enumerate(_talking(others)[:stations], start=1):
-        rng = draw.rng(f"cam {number}")
-        logs.append(cam_log(mover, place, flaws, span, STATION + number, mover.width_m + 0.3, rng))
+        its, rng = _cam_flaws(draw, factors, f" {number}"), draw.rng(f"cam {number}")
+        logs.append(cam_log(mover, place, its, span, STATION + number, mover.width_m + 0.3, rng))
     return together(logs)
 
 
