@@ -29,7 +29,8 @@ def conclude(
         What the paper's method says of that drive.
     settings : Settings
     """
-    own, *others = passages
+    bodies = placement.bodies or [None] * len(passages)
+    own, *others = (replace(each, body=body) for each, body in zip(passages, bodies, strict=True))
     T_level_sensor = own.ground.T_level_sensor(own.axes)
     ground_covariance = own.ground.covariance_level(own.axes)
     match, middle = placement.match, placement.middle_level
@@ -56,4 +57,5 @@ def conclude(
         turn=placement.turn,
         found=placement.remarks,
         others=tuple(replace(each, match=match, turn=placement.turn) for each in others),
+        body=own.body,
     )

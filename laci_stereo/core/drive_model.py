@@ -353,6 +353,19 @@ class DriveModel:
             for what, value, sigma, left in zip(CORRECTED, values, self.sigmas, after, strict=True)
         )
 
+    def body(self, own: FloatArray) -> VehicleTrack:
+        """Return the vehicle's track with the yaw of its body, as the drive's own parameters have it.
+
+        What is told is that of its motion, often of its front's, which differs in a bend.
+        """
+        vehicle = self.drive.vehicle
+        heading_error, lever, begin = own[[_HEADING - FIRST_OWN, _LEVER - FIRST_OWN, _BEGIN - FIRST_OWN]].tolist()
+        poses = poses_at(vehicle.stamps_s, vehicle, heading_error, lever, begin)
+        yaw = vehicle.yaw_rad + np.where(poses.known, poses.yaw - poses.heading, 0.0)
+        reference = np.tile(np.asarray(vehicle.reference), (len(yaw), 1))
+        xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, reference) - rotate_xy(yaw, reference)
+        return replace(vehicle, xy=xy, yaw_rad=yaw)
+
     def shares(self) -> FloatArray:
         """Return the mixture's shares to begin with: of each frame's faces, then of the borders of all frames."""
         groups = (len(self.drive) * outline.FACES, outline.BORDERS)

@@ -9,6 +9,7 @@ from itertools import pairwise, product
 import numpy as np
 from scipy.linalg import block_diag
 
+from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import FIRST_OWN, SWEEP, Chosen, Correction, DriveModel, Fitness, Rows
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
@@ -100,6 +101,8 @@ class JointFit:
         That have such points.
     explained : float
         Share of the points that the outline explains, at the surface or behind it.
+    bodies : tuple of VehicleTrack
+        Of each drive: what its messages tell, with the yaw of the vehicle's body instead of its motion's.
     turn : float
         How the scanner turns while it takes a scan: 1 counter-clockwise, -1 clockwise, 0 not at all or the points'
         times are known.
@@ -116,6 +119,7 @@ class JointFit:
     residual_rms_m: float
     frames: int
     explained: float
+    bodies: tuple[VehicleTrack, ...] = ()
     turn: float = 0.0
     turn_probability: float = 1.0
 
@@ -493,4 +497,5 @@ def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:
         residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
         frames=sum(each.frames for each in solved.fitness),
         explained=sum(each.explained for each in solved.fitness) / max(1, sum(each.rows for each in solved.fitness)),
+        bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, solved.own, strict=True)),
     )

@@ -40,6 +40,8 @@ class Passage:
         How its scanner turned, see `JointFit`.
     name : str
         What messages call it.
+    body : VehicleTrack or None
+        Where the estimate has the vehicle's body; None where it was not estimated.
     """
 
     world: World
@@ -54,6 +56,7 @@ class Passage:
     clock_sigma_s: float
     turn: float = 0.0
     name: str = ""
+    body: VehicleTrack | None = None
 
     @property
     def span_ns(self) -> tuple[int, int]:

@@ -191,6 +191,7 @@ def place(
         remarks=(_turning(fit),) if any(drive.turn_s for drive in drives) else (),
         advice=advice,
         contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
+        bodies=fit.bodies,
     )
 
 

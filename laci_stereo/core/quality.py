@@ -81,6 +81,8 @@ class Placement:
         Which drive would help where it is weakest.
     contradictions : tuple of str
         What of the messages the points contradict, so that the messages, or what was said of them, may be wrong.
+    bodies : tuple of VehicleTrack
+        Of each drive, see `JointFit`; none where nothing was found of them.
     """
 
     match: PlanarMatch
@@ -95,6 +97,7 @@ class Placement:
     remarks: tuple[str, ...] = ()
     advice: str = ""
     contradictions: tuple[str, ...] = ()
+    bodies: tuple[VehicleTrack, ...] = ()
 
 
 def doubt_of(

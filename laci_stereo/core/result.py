@@ -100,6 +100,8 @@ class Calibration:
         What else the estimate found.
     others : tuple of Passage
         Further drives that it was estimated from, in the same level frame and world.
+    body : VehicleTrack or None
+        See `Passage`.
     """
 
     world: World
@@ -123,6 +125,7 @@ class Calibration:
     turn: float = 0.0
     found: tuple[str, ...] = ()
     others: tuple[Passage, ...] = ()
+    body: VehicleTrack | None = None
 
     @property
     def passages(self) -> tuple[Passage, ...]:
@@ -139,6 +142,7 @@ class Calibration:
             time_offset_s=self.time_offset_s,
             clock_sigma_s=self.clock_sigma_s,
             turn=self.turn,
+            body=self.body,
         )
         return (own, *self.others)
 

@@ -21,12 +21,12 @@ TRACK_STEP_S = 0.1
 
 
 def drives_of(calibration: Calibration) -> Iterator[Calibration]:
-    """Yield the calibration with each of its drives as its only one."""
+    """Yield the calibration with each of its drives as its only one, and its vehicle as the estimate has it."""
     for passage in calibration.passages:
         yield replace(
             calibration,
             track=passage.track,
-            vehicle=passage.vehicle,
+            vehicle=passage.body or passage.vehicle,
             station_id=passage.station_id,
             time_offset_s=passage.time_offset_s,
             background=passage.background,

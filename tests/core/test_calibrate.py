@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate, world_around
-from laci_stereo.core.cam import CENTRE
+from laci_stereo.core.cam import CENTRE, VehicleTrack
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import BackgroundError, CamError, GroundError, InputError, MatchError, TrackError
-from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.core.frames import FloatArray, invert, rotate_xy, transform
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Method, Settings
 from tests.simulated import (
     CURVE,
+    EPOCH_NS,
     EQUATOR,
     LEFT_TURN,
     RIGHT_TURN,
@@ -292,3 +293,28 @@ def test_the_world_needs_a_position() -> None:
     log = scene(last_s=1.0).messages
     with pytest.raises(InputError):
         world_around(replace(log, latitude_deg=np.full(len(log), np.nan)))
+
+
+def test_the_body_is_found_where_the_messages_tell_how_the_front_moves() -> None:
+    made = scene(LEFT_TURN, lidar(32, 160), frames_hz=5.0, seed=1)
+    mover = made.vehicle
+    log = cam_log(made.place, mover, 6.0)
+
+    def front(times: FloatArray) -> FloatArray:
+        xy, yaw = mover.drive.at(times)
+        return xy + rotate_xy(yaw, np.tile([mover.length / 2, 0.0], (len(times), 1)))
+
+    sent_s = (log.stamps_ns - EPOCH_NS) / 1e9
+    moved = front(sent_s + 0.01) - front(sent_s - 0.01)
+    heading = made.place.heading_deg(front(sent_s), np.arctan2(moved[:, 1], moved[:, 0])) % 360.0
+    found = calibrate(made.recording, replace(log, heading_deg=heading.round(1)))
+    assert found.body is not None
+
+    def off_m(track: VehicleTrack) -> float:
+        stamps_s = found.track.stamps_s
+        xy, _, known = track.at(stamps_s + found.time_offset_s)
+        true = found.world.from_utm(made.place.to_utm(mover.drive.at(stamps_s)[0]))
+        return float(np.linalg.norm(xy - true, axis=1)[known].max())
+
+    assert off_m(found.vehicle) > 0.4
+    assert off_m(found.body) < 0.1
