@@ -10,7 +10,16 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_model import FIRST_OWN, SWEEP, Chosen, Correction, DriveModel, Fitness, Rows
+from laci_stereo.core.drive_model import (
+    FIRST_OWN,
+    SWEEP,
+    Chosen,
+    Correction,
+    DriveModel,
+    Fitness,
+    Rows,
+    position_sigma_m,
+)
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
@@ -292,7 +301,10 @@ class _Problem:
         # The knots of the positions' errors are each drive's last: first of all x, then of all y.
         lasts = [(own.stop, len(model.knots_s)) for model, own in zip(self.models, self.own, strict=True)]
         self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
-        self.drifts = recordings.drifts(self.models, settings) if recordings.shared else None
+        self.drifts = None
+        if recordings.shared:
+            sigmas_m = [position_sigma_m(drive.vehicle, settings) for drive in drives]
+            self.drifts = recordings.drifts([model.knots_s for model in self.models], sigmas_m, settings)
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]

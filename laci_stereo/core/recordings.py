@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.drive_model import DriveModel, decay
+from laci_stereo.core.drive_model import decay
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.settings import JointSettings
 
@@ -52,11 +52,20 @@ class Recordings:
         tied: FloatArray = np.linalg.inv(self._same * np.outer(sensors, sensors) + np.diag(own))
         return tied
 
-    def drifts(self, models: Sequence[DriveModel], settings: JointSettings) -> FloatArray:
-        """Return the precision of the errors of positions at all drives' knots, on either axis, shape (k, k)."""
-        drive = np.repeat(np.arange(len(models)), [len(model.knots_s) for model in models])
-        sigma_m = np.concatenate([np.sqrt(np.diag(model.drift)) for model in models])
-        knots_s = np.concatenate([model.knots_s for model in models])
-        together = self._same[np.ix_(drive, drive)] * np.where(np.equal.outer(drive, drive), 1.0, ALIKE)
-        precision: FloatArray = np.linalg.inv(np.outer(sigma_m, sigma_m) * decay(knots_s, settings) * together)
+    def drifts(self, knots_s: Sequence[FloatArray], sigmas_m: Sequence[float], settings: JointSettings) -> FloatArray:
+        """Return the precision of the errors of positions at all drives' knots, on either axis, shape (k, k).
+
+        Parameters
+        ----------
+        knots_s : sequence of ndarray
+            When each drive's are.
+        sigmas_m : sequence of float
+            How exact each drive's positions are.
+        settings : JointSettings
+        """
+        drive = np.repeat(np.arange(len(knots_s)), [len(each) for each in knots_s])
+        sigma_m = np.array(sigmas_m)[drive]
+        alike = self._same * np.where(np.eye(len(knots_s), dtype=bool), 1.0, ALIKE)
+        covariance = np.outer(sigma_m, sigma_m) * decay(np.concatenate(knots_s), settings) * alike[drive][:, drive]
+        precision: FloatArray = np.linalg.inv(covariance)
         return precision

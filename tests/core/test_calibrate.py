@@ -295,6 +295,7 @@ def test_the_world_needs_a_position() -> None:
         world_around(replace(log, latitude_deg=np.full(len(log), np.nan)))
 
 
+@pytest.mark.slow
 def test_the_body_is_found_where_the_messages_tell_how_the_front_moves() -> None:
     made = scene(LEFT_TURN, lidar(32, 160), frames_hz=5.0, seed=1)
     mover = made.vehicle

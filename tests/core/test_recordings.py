@@ -3,11 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from laci_stereo.core.drive_model import DriveModel
-from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.recordings import ALIKE, SENDER_S, SENDER_SHARE, Recordings
 from laci_stereo.core.settings import JointSettings
-from tests.passages import passages
 
 
 @pytest.mark.parametrize("sigma_s", [0.001, 0.01, 1.0])
@@ -19,15 +16,12 @@ def test_the_sensors_clock_is_common_to_a_recording_and_each_sender_stamps_by_it
     assert covariance[1, [0, 2]] == pytest.approx(0.0)
 
 
-def test_receivers_in_one_recording_err_alike_in_part_and_in_others_by_themselves() -> None:
+def test_receivers_err_alike_in_part_at_one_time_and_by_themselves_on_other_days() -> None:
     settings = JointSettings()
-    models = [
-        DriveModel(evidence_of(each.track, each.vehicle, each.ground.height_m), np.zeros(2), settings)
-        for each in (passages()[0], passages()[0], passages()[1])
-    ]
-    count = len(models[0].knots_s)
-    covariance = np.linalg.inv(Recordings([1, 1, 2]).drifts(models, settings))
-    own, common, other = np.split(covariance[:count], [count, 2 * count], axis=1)
-    assert own == pytest.approx(models[0].drift)
-    assert common == pytest.approx(ALIKE * own)
-    assert other == pytest.approx(0.0, abs=1e-12)
+    knots_s = [np.array([0.0, 2.0]), np.array([2.0, 9.0]), np.array([2.0])]
+    covariance = np.linalg.inv(Recordings([1, 1, 2]).drifts(knots_s, [0.01, 0.3, 0.02], settings))
+    assert np.sqrt(np.diag(covariance)) == pytest.approx([0.01, 0.01, 0.3, 0.3, 0.02])
+    assert covariance[1, 2] == pytest.approx(ALIKE * 0.01 * 0.3)
+    assert covariance[0, 1] == pytest.approx(0.01**2 * np.exp(-2.0 / settings.bias_time_s))
+    assert covariance[0, 2] == pytest.approx(ALIKE * 0.01 * 0.3 * np.exp(-2.0 / settings.bias_time_s))
+    assert covariance[4, :4] == pytest.approx(0.0)
