@@ -16,6 +16,7 @@ from laci_stereo.io.text_file import quoted
 LARGEST_RATIO = 1000
 """LAZ makes points about ten times smaller; a header that promises a hundred times more than that is wrong."""
 
+_MINOR_AT = 25
 _VLR_SIZE, _EVLR_SIZE = 54, 60
 _ITEMS_AT = 34
 _LAYERED = 3
@@ -54,10 +55,12 @@ def read_las(content: bytes, what: str) -> Columns:
 
 def _check_records(content: bytes, what: str) -> None:
     """Check the counts that laspy believes."""
-    if len(content) < 227:
-        raise ScanError(f"{what} is cut off: {len(content)} bytes; the header alone has 227")
+    counts_extended = len(content) > _MINOR_AT and content[_MINOR_AT] >= 4
+    header_size = 375 if counts_extended else 227
+    if len(content) < header_size:
+        raise ScanError(f"{what} is cut off: {len(content)} bytes; the header alone has {header_size}")
     records = struct.unpack_from("<I", content, 100)[0]
-    extended = struct.unpack_from("<I", content, 243)[0] if content[25] >= 4 and len(content) >= 247 else 0
+    extended = struct.unpack_from("<I", content, 243)[0] if counts_extended else 0
     if records * _VLR_SIZE + extended * _EVLR_SIZE > len(content):
         raise ScanError(
             f"{what}: its header promises {records + extended} records before its points, and the file has "

@@ -303,6 +303,13 @@ def _without_memory(path: Path) -> str:
     return message
 
 
+def test_a_header_that_ends_within_the_number_of_its_records(tmp_path: Path):
+    content = bytearray(write_las(tmp_path / "scan.las", SCENE).read_bytes())
+    content[243:246] = b"\xff\xff\xff"
+    (tmp_path / "scan.las").write_bytes(content[:246])
+    assert "cut off: 246 bytes; the header alone has 375" in _without_memory(tmp_path / "scan.las")
+
+
 def test_a_header_that_python_would_warn_of_is_refused(tmp_path: Path):
     path = tmp_path / "scan.npy"
     np.save(path, np.ones((5, 4)))
