@@ -67,6 +67,11 @@ class Together:
     fit: JointFit
     left_out: tuple[LeftOut, ...]
 
+    @property
+    def sightings(self) -> int:
+        """In how many frames the vehicles were seen."""
+        return sum(len(each.track.sightings) for each in self.passages)
+
 
 def fit_together(
     passages: Sequence[Passage], drives: Sequence[Evidence], alone: Sequence[JointFit], settings: JointSettings

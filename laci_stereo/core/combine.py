@@ -93,7 +93,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     alone = [_fit_alone(*pair, settings) for pair in zip(laid, drives, strict=True)]
     together = fit_together(laid, drives, alone, settings.joint)
     names = [each.name for each in together.passages]
-    placement = place(together.fit, together.drives, _seen(together.passages), settings, names)
+    placement = place(together.fit, together.drives, together.sightings, settings, names)
     calibration = conclude(together.passages, placement, _paper(together.passages[0], settings), settings)
     shares = (
         Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)
@@ -139,10 +139,6 @@ def _fit_alone(passage: Passage, drive: Evidence, settings: Settings) -> JointFi
         return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint)
     except MatchError as error:
         raise MatchError(f"{passage.name}: {error}") from error
-
-
-def _seen(used: Sequence[Passage]) -> int:
-    return sum(len(each.track.sightings) for each in used)
 
 
 def _paper(own: Passage, settings: Settings) -> PlanarMatch | None:

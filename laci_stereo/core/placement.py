@@ -111,8 +111,7 @@ def place_jointly(
         together = fit_together([own], [drive], [fit], settings.joint)
     passages = together.passages
     names = [each.name for each in passages] if len(passages) > 1 else [""]
-    sightings = sum(len(each.track.sightings) for each in passages)
-    placement = place(together.fit, together.drives, sightings, settings, names)
+    placement = place(together.fit, together.drives, together.sightings, settings, names)
     remarks += map(str, together.left_out)
     for each in passages[1:]:
         remarks.append(f"{each.name} is seen as well, and was used: {len(each.track.sightings)} frames")

@@ -62,14 +62,17 @@ def background_corners(calibration: Calibration) -> list[FloatArray]:
 
 def sensor_track(calibration: Calibration) -> FloatArray:
     """Return the centres of the boxes that the sensor saw and that were used, world, shape (n, 2)."""
-    return plan_in_world(calibration, calibration.track.centres)
+    return plan_in_world(calibration, np.concatenate([drive.track.centres for drive in calibration.passages]))
 
 
 def sender_track(calibration: Calibration) -> list[FloatArray]:
-    """Return where the vehicle drove as its messages tell: pieces without a gap, world, shape (n, 2) each."""
-    first_s, last_s = calibration.vehicle.stamps_s[[0, -1]]
-    xy, _, known = calibration.vehicle.at(np.append(np.arange(first_s, last_s, TRACK_STEP_S), last_s))
-    return [xy[run] for run in runs(known)]
+    """Return where the vehicles drove as their messages tell: pieces without a gap, world, shape (n, 2) each."""
+    pieces: list[FloatArray] = []
+    for vehicle in (drive.vehicle for drive in drives_of(calibration)):
+        first_s, last_s = vehicle.stamps_s[[0, -1]]
+        xy, _, known = vehicle.at(np.append(np.arange(first_s, last_s, TRACK_STEP_S), last_s))
+        pieces += [xy[run] for run in runs(known)]
+    return pieces
 
 
 def sender_box(calibration: Calibration, stamp_s: float) -> Box | None:

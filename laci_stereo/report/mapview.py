@@ -60,8 +60,8 @@ class MapView:
 def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
     """Choose the part of the world with the sensor, the vehicles where they were seen, and what stands near to them."""
     drives = list(drives_of(calibration))
-    tracks = [track for drive in drives for track in (sensor_track(drive), _seen_sender(drive))]
-    shown = np.concatenate([*tracks, calibration.T_world_sensor[None, :2, 3]])
+    sent = [_seen_sender(drive) for drive in drives]
+    shown = np.concatenate([sensor_track(calibration), *sent, calibration.T_world_sensor[None, :2, 3]])
     low, high = shown.min(axis=0), shown.max(axis=0)
     boxes = [box for drive in drives for box in background_corners(drive)]
     corners = [corner for box in boxes if _near(box, low, high) for corner in box]

@@ -13,7 +13,6 @@ from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, emptiest_corner, touches
 from laci_stereo.report.drawn import (
-    drives_of,
     known_stamps,
     on_ground,
     sender_track,
@@ -133,11 +132,9 @@ def _label_grid(
 
 def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> list[FloatArray]:
     """Draw where the vehicles drove, by their messages and by the sensor; return the pixels."""
-    drives = list(drives_of(calibration))
-    tracks = [track for drive in drives for track in sender_track(drive)]
-    sent = [piece for track in tracks for piece in camera.project_line(on_ground(track))]
+    sent = [piece for track in sender_track(calibration) for piece in camera.project_line(on_ground(track))]
     canvas.lines(sent, SENDER)
-    seen = camera.project(on_ground(np.concatenate([sensor_track(drive) for drive in drives])))
+    seen = camera.project(on_ground(sensor_track(calibration)))
     seen = seen[np.isfinite(seen).all(axis=1)]
     canvas.dots(seen, SENSOR.colour, DOT_RADIUS)
     return [*sent, seen]
@@ -145,10 +142,8 @@ def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> li
 
 def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_s: float) -> list[FloatArray]:
     """Draw the vehicles at that time, by their messages and by the sensor; return the pixels."""
-    edges = zip(*(vehicle_edges(drive, stamp_s) for drive in drives_of(calibration)), strict=True)
-    sent_px, seen_px = (
-        [piece for each in of_all for edge in each for piece in camera.project_line(edge)] for of_all in edges
-    )
+    edges = vehicle_edges(calibration, stamp_s)
+    sent_px, seen_px = ([piece for edge in each for piece in camera.project_line(edge)] for each in edges)
     canvas.layers([(sent_px, SENDER), (seen_px, SENSOR)])
     return sent_px + seen_px
 

@@ -10,6 +10,7 @@ from laci_stereo.core.sighting import Sighting
 from laci_stereo.report.drawn import (
     T_world_level,
     background_corners,
+    drives_of,
     on_ground,
     plan_in_world,
     sender_box,
@@ -50,23 +51,26 @@ def grid_places(calibration: Calibration) -> FloatArray:
 
 
 def vehicle_edges(calibration: Calibration, stamp_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the edges of the vehicle's box at a time of the sensor, world, shape (2, 3) each.
+    """Return the edges of the vehicles' boxes at a time of the sensor, world, shape (2, 3) each.
 
     Returns
     -------
     sent : list of ndarray
-        By the messages, with a line that points ahead; empty where they do not tell.
+        By the messages, with a line that points ahead; none where they do not tell.
     seen : list of ndarray
-        By the sensor; empty where it saw none.
+        By the sensor; none where it saw none.
     """
-    sent, seen = sender_box(calibration, stamp_s), sighting_at(calibration, stamp_s)
-    height_m = NOMINAL_HEIGHT_M if seen is None else seen_height(seen)
-    sent_edges, seen_edges = [], []
-    if sent is not None:
-        nose = sent.centre + np.outer([0.5 * sent.length_m, 0.5 * sent.length_m + HEADING_M], _direction(sent.yaw_rad))
-        sent_edges = [*box_edges(sent.corners(), height_m), on_ground(nose)]
-    if seen is not None:
-        seen_edges = box_edges(plan_in_world(calibration, seen.box.corners()), height_m)
+    sent_edges: list[FloatArray] = []
+    seen_edges: list[FloatArray] = []
+    for drive in drives_of(calibration):
+        sent, seen = sender_box(drive, stamp_s), sighting_at(drive, stamp_s)
+        height_m = NOMINAL_HEIGHT_M if seen is None else seen_height(seen)
+        if sent is not None:
+            ahead_m = [0.5 * sent.length_m, 0.5 * sent.length_m + HEADING_M]
+            nose = sent.centre + np.outer(ahead_m, _direction(sent.yaw_rad))
+            sent_edges += [*box_edges(sent.corners(), height_m), on_ground(nose)]
+        if seen is not None:
+            seen_edges += box_edges(plan_in_world(drive, seen.box.corners()), height_m)
     return sent_edges, seen_edges
 
 

@@ -181,9 +181,8 @@ def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> li
     marks = [mark for drive in drives for mark in marks_of(drive)]
     for mark in marks:
         canvas.lines([view.pixels(mark.corners)], SENSOR, closed=True)
-    tracks = [track for drive in drives for track in sender_track(drive)]
-    canvas.lines([piece for track in tracks for piece in view.line(track)], SENDER)
-    canvas.dots(view.pixels(np.concatenate([sensor_track(drive) for drive in drives])), SENSOR.colour, DOT_RADIUS)
+    canvas.lines([piece for track in sender_track(calibration) for piece in view.line(track)], SENDER)
+    canvas.dots(view.pixels(sensor_track(calibration)), SENSOR.colour, DOT_RADIUS)
     ellipses = [view.pixels(position_ellipse(calibration, mark.seen)) for mark in marks]
     visible = [
         ellipse for ellipse in ellipses if np.ptp(ellipse, axis=0).max() > 2 * SENSOR_MARK_RADIUS * canvas.unit_px

@@ -16,7 +16,7 @@ from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.mask.stage import GlimpseRays
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.canvas import as_bgr8
-from laci_stereo.report.drawn import drives_of, on_ground, sender_track, sensor_track
+from laci_stereo.report.drawn import on_ground, sender_track, sensor_track
 from laci_stereo.report.page.shapes import Label, Layer, Part, dots, lines, thinned
 from laci_stereo.report.scene import GRID_AHEAD, background_edges, grid_places, ground_grid, vehicle_edges
 from laci_stereo.report.style import lane_strokes, look_of
@@ -111,10 +111,8 @@ def draw_over(photographs: Photographs, calibration: Calibration, lane_map: Lane
 
 
 def _layers(camera: Camera, calibration: Calibration, lane_map: LaneMap | None) -> tuple[Layer, ...]:
-    drives = list(drives_of(calibration))
-    sent = [on_ground(track) for drive in drives for track in sender_track(drive)]
-    tracks = np.concatenate([sensor_track(drive) for drive in drives])
-    seen = camera.project(on_ground(thinned(tracks, MOST_DOTS)))
+    sent = [on_ground(track) for track in sender_track(calibration)]
+    seen = camera.project(on_ground(thinned(sensor_track(calibration), MOST_DOTS)))
     layers = [
         Layer("grid", "Ground grid, 10 m", (Part("grid", _project(camera, ground_grid(calibration))),)),
         Layer("background", "Background boxes", (_part(camera, "background", background_edges(calibration)),), False),
@@ -136,8 +134,7 @@ def _lanes(camera: Camera, lane_map: LaneMap | None) -> list[Part]:
 
 
 def _shot(shot: Photograph, camera: Camera, calibration: Calibration) -> Shot:
-    edges = zip(*(vehicle_edges(drive, shot.stamp_s) for drive in drives_of(calibration)), strict=True)
-    sent, seen = ([edge for each in of_all for edge in each] for of_all in edges)
+    sent, seen = vehicle_edges(calibration, shot.stamp_s)
     layers: tuple[Layer, ...] = (
         Layer("sent-box", "Vehicle by its messages (CAM)", (_part(camera, "sent box", sent),)),
         Layer("seen-box", "Vehicle by the sensor", (_part(camera, "seen box", seen),)),
