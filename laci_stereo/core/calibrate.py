@@ -12,14 +12,13 @@ from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_t
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.conclusion import conclude
-from laci_stereo.core.errors import CalibrationError, CamError, MatchError, TrackError
+from laci_stereo.core.errors import CalibrationError, CamError, TrackError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import companion, whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
-from laci_stereo.core.quality import Placement
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -120,18 +119,18 @@ def locate(
         )
 
     own = passage(choice.station, choice.track)
-    paper = placement = _paper(own, settings)
     passages: tuple[Passage, ...] = (own,)
-    if placement is None or settings.method == "joint":
+    if settings.method == "paper":
+        placement = place_by_paper(own.track, own.vehicle, settings.match)
+    else:
         others = [
             passage(station, track)
             for station, track in choice.others
             if not _companion(choice, station, track, tracks, vehicles)[0]
         ]
         placement, passages = place_jointly(own, others, choice, settings)
-        paper = _paper(passages[0], settings)
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
-    return conclude(passages, placement, None if paper is None else paper.match, settings)
+    return conclude(passages, placement, settings)
 
 
 def _that_drives_ahead(
@@ -160,15 +159,6 @@ def _companion(
         return vehicles[station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
 
     return companion(track, tracks, yaw_at)
-
-
-def _paper(own: Passage, settings: Settings) -> Placement | None:
-    try:
-        return place_by_paper(own.track, own.vehicle, settings.match)
-    except MatchError:
-        if settings.method == "paper":
-            raise
-        return None
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:

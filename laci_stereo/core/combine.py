@@ -14,9 +14,8 @@ from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import EvidenceError, MatchError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.joint import JointFit, fit_jointly
-from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.placement import place, place_by_paper
+from laci_stereo.core.placement import place
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread
@@ -94,7 +93,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     together = fit_together(laid, drives, alone, settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
-    calibration = conclude(together.passages, placement, _paper(together.passages[0], settings), settings)
+    calibration = conclude(together.passages, placement, settings)
     shares = (
         Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)
         for each, sigma_s in zip(together.passages, together.fit.time_sigmas_s, strict=True)
@@ -139,10 +138,3 @@ def _fit_alone(passage: Passage, drive: Evidence, settings: Settings) -> JointFi
         return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint)
     except MatchError as error:
         raise MatchError(f"{passage.name}: {error}") from error
-
-
-def _paper(own: Passage, settings: Settings) -> PlanarMatch | None:
-    try:
-        return place_by_paper(own.track, own.vehicle, settings.match).match
-    except MatchError:
-        return None

@@ -7,26 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from laci_stereo.core.errors import MatchError
 from laci_stereo.core.frames import planar
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.placement import place_by_paper
 from laci_stereo.core.quality import Placement, covariance_of, judge
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 
 
-def conclude(
-    passages: Sequence[Passage], placement: Placement, paper: PlanarMatch | None, settings: Settings
-) -> Calibration:
-    """Return the result of an estimate.
+def conclude(passages: Sequence[Passage], placement: Placement, settings: Settings) -> Calibration:
+    """Return the result of an estimate, and what the paper's method says of its own drive beside it.
 
     Parameters
     ----------
     passages : sequence of Passage
         In one level frame; the result's own drive first.
     placement : Placement
-    paper : PlanarMatch or None
-        What the paper's method says of that drive.
     settings : Settings
     """
     bodies = placement.bodies or [None] * len(passages)
@@ -49,7 +47,7 @@ def conclude(
         track=own.track,
         vehicle=own.vehicle,
         match=match,
-        paper=paper,
+        paper=_by_paper(own, settings),
         axes=own.axes,
         quality=judge(placement, ground_covariance, frames_seen, settings.quality),
         method=settings.method,
@@ -59,3 +57,10 @@ def conclude(
         others=tuple(replace(each, match=match, turn=placement.turn) for each in others),
         body=own.body,
     )
+
+
+def _by_paper(own: Passage, settings: Settings) -> PlanarMatch | None:
+    try:
+        return place_by_paper(own.track, own.vehicle, settings.match).match
+    except MatchError:
+        return None

@@ -92,18 +92,14 @@ def place_jointly(
     if choice.beside and (lacks := _lacks(drive, fit.match, fit.time_offsets_s[0])):
         raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
     _check_registered(fit, [drive], settings)
-    seen, drives, alone = [own], [drive], [fit]
-    remarks: list[str] = []
-    doubts: list[str] = []
+    registered, remarks = [(own, drive, fit)], []
     for other in others:
         try:
-            its, its_fit = _as_well(other, fit, settings)
+            registered.append(_as_well(other, fit, settings))
         except MatchError as error:
             remarks.append(f"{other.name} is seen as well, but was not used: {error}")
-            continue
-        seen.append(other)
-        drives.append(its)
-        alone.append(its_fit)
+    seen, drives, alone = zip(*registered, strict=True)
+    doubts = []
     try:
         together = fit_together(seen, drives, alone, settings.joint)
     except CombineError as error:
@@ -124,7 +120,7 @@ def place_jointly(
     return told, passages
 
 
-def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Evidence, JointFit]:
+def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Passage, Evidence, JointFit]:
     """Register another sender's outline, given the first one's; a direction that it leaves open does no harm.
 
     Raises
@@ -137,7 +133,7 @@ def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Evidenc
     _check_registered(alone, [drive], settings)
     for _, against in _contradicted(alone, [drive], [""]):
         raise MatchError(against)
-    return drive, alone
+    return other, drive, alone
 
 
 def place(
