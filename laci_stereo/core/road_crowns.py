@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.core.road_edges import LANES_M, towards
+from laci_stereo.core.road_edges import LANES_M, TOWARDS_RAD, towards
 
 _ALONG_M = np.arange(-LANES_M, LANES_M + 0.1, 0.125)
 """How far to the left of the way a crown along it is, within two lanes: all are as likely."""
@@ -24,9 +24,14 @@ mouth is seen as well."""
 
 _LANE_M = LANES_M / 2
 
-_LEFT, _CROSSING = 4, np.array([0, 1, 2, 6, 7])
-"""Of the directions across straight crowns: that to the left of the way, across one of two roads that cross, and those
-across the other."""
+_ACROSS_RAD = TOWARDS_RAD[: len(TOWARDS_RAD) // 2]
+"""Directions across straight crowns, from that of the way: each crown has two, of which one is enough."""
+
+_LEFT = len(_ACROSS_RAD) // 2
+"""That to the left of the way, across one of two roads that cross."""
+
+_CROSSING = np.array([0, 1, 2, -2, -1]) % len(_ACROSS_RAD)
+"""Those across the other: along the way, and askew by one and two steps to either side."""
 
 _CROSSING_LIKELY = np.repeat([0.9, 0.1 / 4], [1, 4])
 """Roads are to cross at 72 to 108 deg (RAL 2012); one crossing in ten is older than that. All others are as likely."""
@@ -77,8 +82,7 @@ class Crowns:
         along_rad : float
             Direction of the way.
         """
-        directions = towards(along_rad)
-        directions = directions[:, : directions.shape[1] // 2]
+        directions = towards(along_rad)[:, : len(_ACROSS_RAD)]
         at_m = np.quantile(off @ directions, _CROSSED, axis=0)
         straight = np.ones_like(at_m)
         straight[[0, -1]] = 0.5 ** ((at_m[-1] - at_m[0] - LANES_M).clip(0.0) / _LANE_M)

@@ -18,10 +18,12 @@ ON_WAY_M = 0.75
 LANES_M = 7.0
 """Edges are looked for within two lanes of the way, as crowns are: roads are no narrower than one."""
 
-_TOWARDS_RAD = np.pi / 8 * np.arange(16)
+TOWARDS_RAD = np.pi / 8 * np.arange(16)
+"""From the way's direction, those in which straight edges are looked for."""
+
 _AWAY_M = np.arange(0.0, LANES_M + 0.1, 0.5)
 _BESIDE_M = ON_WAY_M + np.append(_AWAY_M, np.inf)
-_PLACES = len(_TOWARDS_RAD) * len(_AWAY_M) + len(_BESIDE_M) ** 2 - 1
+_PLACES = len(TOWARDS_RAD) * len(_AWAY_M) + len(_BESIDE_M) ** 2 - 1
 """An edge is straight, so far beyond the way in some direction, or runs so far beside it, on one side or on both. Each
 of these places is as likely."""
 
@@ -81,7 +83,7 @@ def towards(along_rad: float) -> FloatArray:
 
     Roads cross one another at right angles more often than not, so that edges are along the way or across it.
     """
-    angle = along_rad + _TOWARDS_RAD
+    angle = along_rad + TOWARDS_RAD
     return np.stack([np.cos(angle), np.sin(angle)])
 
 
