@@ -37,6 +37,8 @@ class PointCloud:
     window_rad : float
         Side of the square window, as an angle, over which a camera matches: points in one have their noise in common.
         0: each has its own.
+    others : PointCloud or None
+        What moves as well, but is no vehicle by a mask.
     """
 
     stamp_ns: int
@@ -47,6 +49,7 @@ class PointCloud:
     offset_s: FloatArray | None = None
     turn_s: float = 0.0
     window_rad: float = 0.0
+    others: PointCloud | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)

@@ -7,7 +7,7 @@ driven through the scene it is known where the road is: below its wheels.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,6 @@ from laci_stereo.core.laying import laid_xy
 from laci_stereo.core.road_extent import road_along
 from laci_stereo.core.road_surface import FALL, OTHER, height_of
 from laci_stereo.core.settings import GroundSettings
-from laci_stereo.core.tracking import Track
 
 log = logging.getLogger(__name__)
 
@@ -94,29 +93,25 @@ def road_ground(
 
 
 def standing(
-    survey: Sequence[PointCloud], T_level_sensor: FloatArray, tracks: Sequence[Track], epoch_ns: int
-) -> list[PointCloud]:
-    """Return clouds without what is in or near a box of a track in their frames.
+    survey: Sequence[PointCloud], T_level_sensor: FloatArray, boxes: Mapping[int, Sequence[Box]]
+) -> tuple[PointCloud, ...]:
+    """Return clouds without what is in or near what moves in their frames.
 
     Parameters
     ----------
     survey : sequence of PointCloud
     T_level_sensor : ndarray, shape (4, 4)
-    tracks : sequence of Track
-    epoch_ns : int
-        Unix time of the recording's first stamp, from which the tracks' times count.
+    boxes : mapping of int to sequence of Box
+        Of what moves, in the level frame, by the frame's stamp.
     """
-    boxes: dict[int, list[Box]] = {}
-    for sighting in (sighting for track in tracks for sighting in track.sightings):
-        boxes.setdefault(round(1e3 * sighting.frame_s), []).append(sighting.box)
     found = []
     for cloud in survey:
         xy = transform(T_level_sensor, cloud.points)[:, :2]
         stands = np.ones(len(cloud), dtype=bool)
-        for box in boxes.get(round((cloud.stamp_ns - epoch_ns) / 1e6), []):
+        for box in boxes.get(cloud.stamp_ns, ()):
             stands &= ~box.contains(xy, ROOM_M)
         found.append(cloud[stands])
-    return found
+    return tuple(found)
 
 
 def _seen_from(

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from laci_stereo.core.association import HALF_LANE_M, choose_track
 from laci_stereo.core.background import Background, learn_background
+from laci_stereo.core.box import Box
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
@@ -29,7 +30,7 @@ from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places
 from laci_stereo.core.road_surface import OTHER
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import find_vehicles
+from laci_stereo.core.sighting import Sighting, find_vehicles
 from laci_stereo.core.threads import in_one_thread
 from laci_stereo.core.tracking import Track, link_tracks
 
@@ -63,6 +64,8 @@ class Observation:
         Everything that may have moved, in the level frame, the one with most sightings first.
     survey : tuple of PointCloud
         Thinned, which the ground was fitted to.
+    standing : tuple of PointCloud
+        The same without what moves.
     """
 
     axes: Axes
@@ -70,6 +73,7 @@ class Observation:
     background: Background
     tracks: tuple[Track, ...]
     survey: tuple[PointCloud, ...] = ()
+    standing: tuple[PointCloud, ...] = ()
 
     @cached_property
     def T_level_sensor(self) -> FloatArray:
@@ -108,13 +112,23 @@ def observe(
     del survey, whole_frames  # whole clouds are large
     log.info("background: %d boxes from %d quiet frames", len(background.boxes), background.quiet_frames)
 
-    epoch_ns = source.span_ns[0]
-    sightings = (
-        find_vehicles(cloud, (cloud.stamp_ns - epoch_ns) / 1e9, T_level_sensor, background, settings, land)
-        for cloud in source
-    )
-    tracks = tuple(deskewed(track, settings) for track in link_tracks(sightings, settings.track))
-    return Observation(source.axes, ground, background, tracks, tuple(thinned))
+    moving: dict[int, list[Box]] = {cloud.stamp_ns: [] for cloud in thinned}
+
+    def seen_in(cloud: PointCloud) -> list[Sighting]:
+        frame_s = (cloud.stamp_ns - source.span_ns[0]) / 1e9
+        return find_vehicles(cloud, frame_s, T_level_sensor, background, settings, land)
+
+    def sightings() -> Iterator[list[Sighting]]:
+        for cloud in source:
+            found = seen_in(cloud)
+            if cloud.stamp_ns in moving:
+                others = [] if cloud.others is None else seen_in(cloud.others)
+                moving[cloud.stamp_ns] += [sighting.box for sighting in (*found, *others)]
+            yield found
+
+    tracks = tuple(deskewed(track, settings) for track in link_tracks(sightings(), settings.track))
+    still = standing(thinned, T_level_sensor, moving)
+    return Observation(source.axes, ground, background, tracks, tuple(thinned), still)
 
 
 @in_one_thread
@@ -146,8 +160,7 @@ def on_the_road(
         way = laid_xy(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
         if before is not None and _is_along(way, before):
             break
-        survey = standing(seen.survey, seen.T_level_sensor, seen.tracks, source.span_ns[0])
-        ground = road_ground(survey, first.axes, first.ground, way, settings.ground)
+        ground = road_ground(seen.standing, first.axes, first.ground, way, settings.ground)
         log.info("ground: with what is seen of the road, %.3f m below the sensor", ground.height_m)
         T_road_first = ground.T_level_sensor(first.axes) @ invert(first.T_level_sensor)
         if np.abs(way @ T_road_first[2, :2] + T_road_first[2, 3]).max() < SAME_M:

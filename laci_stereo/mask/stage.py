@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import cv2
@@ -244,7 +244,7 @@ class VehicleMask:
         tally.kept += int(keep.sum())
         tally.dropped += int((~keep).sum())
         tally.glimpses[moving.cloud.stamp_ns] = _glimpse(moving, vehicles, chosen, keep)
-        return moving.cloud[keep]
+        return replace(moving.cloud[keep], others=moving.cloud[~keep])
 
     def _conclude(self) -> None:
         tally = self.tally

@@ -315,7 +315,7 @@ def test_what_moves_is_left_out_of_its_frame_alone() -> None:
     T_level_sensor = fitted(cloud).T_level_sensor(AXES)
     clouds = [replace(cloud, stamp_ns=stamp_ns) for stamp_ns in (1_000_000_000, 1_100_000_000)]
     at = np.array([3.0, ROAD_Y_M])
-    moving, still = standing(clouds, T_level_sensor, [Track((sighting(0.1, at),))], epoch_ns=900_000_000)
+    moving, still = standing(clouds, T_level_sensor, {1_000_000_000: [sighting(0.1, at).box]})
     assert len(still) == len(cloud)
     assert 0 < len(moving) < len(cloud)
     away = np.abs(moving.points[:, :2] - at)

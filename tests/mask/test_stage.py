@@ -47,6 +47,13 @@ def test_frames_come_out_in_order_and_the_empty_ones_too() -> None:
     assert finder.most == 3
 
 
+def test_what_is_dropped_goes_along_as_what_else_moves() -> None:
+    (cloud,) = VehicleMask(Fixed([box(CAR)]), "net").apply([frame(0, CAR, WALKER)], HALF_WINDOW)
+    whole = moving(CAR, WALKER)
+    assert cloud.others is not None
+    assert cloud.others.points.tolist() == whole.cloud.points[~within(whole, CAR)].tolist()
+
+
 def test_few_frames_wait_for_the_network() -> None:
     frames = iter(range(10 * MOST_WAITING))
     next(VehicleMask(Fixed([]), "net").apply(frames, HALF_WINDOW))
