@@ -24,7 +24,7 @@ from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import Account, hold_against
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
-from laci_stereo.core.track_scene import TABLE_S, Scene, extent, lay_out
+from laci_stereo.core.track_scene import TABLE_S, Scene, Sender, extent, lay_out
 from laci_stereo.core.tracking import GATE, Times, Track
 
 log = logging.getLogger(__name__)
@@ -242,6 +242,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     best = max(hypotheses, key=lambda one: one.value)
     track = _on_vehicle(scene, best, best.account)
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
+    _check_whole(scene, best, rivals, track)
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
     mine = set(best.account.tracks)
@@ -256,13 +257,12 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
     # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - mine)
-    seen = best.value + SILENT - math.log(objects)
-    if seen < scene.settings.least_seen_log_odds:
-        chance = _by_chance(scene, best.account, objects, seen)
-        needed = f"; needed are {math.exp(scene.settings.least_seen_log_odds):.0f} to 1"
-        raise MatchError(chance + needed + _lingering(scene))
+    even, doubt = best.value - math.log(objects), ""
+    needed = scene.settings.least_seen_log_odds - SILENT
+    if even < needed:
+        chance = _by_chance(scene, best.account, objects, even)
+        raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{_lingering(scene)}")
     # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
-    even, doubt = seen - SILENT, ""
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = _tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:
@@ -279,6 +279,44 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         doubt=doubt,
         others=tuple(_others(scene, best)),
     )
+
+
+def _check_whole(scene: Scene, best: _Hypothesis, rivals: Sequence[_Hypothesis], track: Track) -> None:
+    """Refuse a part of a drive whose other part fits the same messages, but by another motion.
+
+    Raises
+    ------
+    MatchError
+    """
+    sender = scene.senders[best.account.station]
+    for rival in rivals:
+        other = _on_vehicle(scene, rival, rival.account)
+        if rival.account.station != sender.station or not _goes_on(sender, track, other, best.motion):
+            continue
+        places = [one.place(other.centres) for one in (best, rival)]
+        off_m = float(np.median(np.linalg.norm(places[0] - places[1], axis=1)))
+        raise MatchError(
+            f"the vehicle of station {sender.station} is seen in {len(track.usable)} frames, and in "
+            f"{len(other.usable)} frames right before or after these, but by the latter its messages are {off_m:.1f} m "
+            "elsewhere: are their positions where --cam-reference has them, and their headings those of the drive?"
+        )
+
+
+def _goes_on(sender: Sender, one: Track, other: Track, motion: Motion) -> bool:
+    """Tell whether one track begins where and when the other ends, as one vehicle's does that was hidden in between.
+
+    They are then no farther apart than the vehicle is long, and drives meanwhile: different parts of it may be seen.
+    """
+    if one.shares(other) or not len(other.usable):
+        return False
+    first, second = sorted((one, other), key=lambda track: track.sightings[0].stamp_s)
+    begins = second.sightings[0]
+    if abs(begins.stamp_s - first.sightings[-1].stamp_s) > UNSEEN_S:
+        return False
+    last = min(first.sightings, key=lambda seen: abs(seen.stamp_s - begins.stamp_s))
+    stamps_s = np.array([last.stamp_s, begins.stamp_s])
+    driven_m = float(np.ptp(sender.at(stamps_s + motion.offset_s).path_m))
+    return float(np.linalg.norm(begins.middle - last.middle)) <= sender.length_m + driven_m
 
 
 def _margin(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> float:
@@ -419,9 +457,10 @@ def _tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
     )
     # Where one may drive in line with the other, the one that was taken need not be the likelier of the two.
     odds = math.exp(max(margin, 0.0))
+    name = "name the sender's station, or " if len(scene.senders) > 1 else ""
     return (
         f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1): "
-        "name the sender's station, or record a drive with a turn or less traffic"
+        f"{name}record a drive with a turn or less traffic"
     )
 
 

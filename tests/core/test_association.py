@@ -90,6 +90,18 @@ def test_fragments_of_one_drive_are_joined() -> None:
     assert choice.track == Track(first.sightings + second.sightings)
 
 
+def test_a_vehicle_whose_parts_of_the_drive_contradict_each_other_is_refused() -> None:
+    """Its positions are of the rear axle and taken for those of its front: in a turn the error turns with it."""
+    right = vehicle()
+    ahead = np.column_stack([np.cos(right.yaw_rad), np.sin(right.yaw_rad)])
+    wrong = replace(right, xy=right.xy - 3.6 * ahead)
+    whole = seen()
+    first, second = Track(whole.sightings[:26]), Track(whole.sightings[33:])
+    for tracks in ([first, second], [second, first]):
+        with pytest.raises(MatchError, match=r"seen in (27|26) frames, and in (26|27) frames right before or after"):
+            choose_track(tracks, {42: wrong})
+
+
 def test_what_comes_from_another_object_is_not_joined() -> None:
     whole = seen()
     first = Track(whole.sightings[:40])
