@@ -65,6 +65,11 @@ FINE_ROWS = 10_000
 of a frame have in common makes any number of them weigh as much as four."""
 
 
+MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
+"""One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, and its headings as far
+off as one that is told of another part of it, such as a cab in a bend, or by a magnet."""
+
+
 @dataclass(frozen=True)
 class Turn:
     """What is known beforehand of how a scanner turns while it takes a scan, counter-clockwise.
@@ -176,17 +181,19 @@ def fit_jointly(
     begin = _around(start, centre)
     turn = _turn_of(drives)
     at_once = Recordings(range(len(drives)) if recordings is None else recordings)
-    fine = [drive.thinned(FINE_ROWS) for drive in drives]
+    fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (FINE_ROWS, COARSE_ROWS // len(drives)))
+    thinned = _Problem(coarse, begin, centre, settings, turn, at_once)
+    best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
+    expected = [model.sigmas for model in thinned.models]
+    log_likely, best = thinned.reached(best)
+    for wrong, log_prior in _mistakes(drives, settings):
+        its_log_likely, its_best = _Problem(coarse, begin, centre, wrong, turn, at_once).reached(best)
+        if its_log_likely + log_prior > log_likely:
+            log_likely, best, settings = its_log_likely + log_prior, its_best, wrong
     problem = _Problem(fine, begin, centre, settings, turn, at_once)
-    if close:
-        best = problem.at_rest(offsets)
-    else:
-        coarse = [drive.thinned(COARSE_ROWS // len(drives)) for drive in drives]
-        thinned = _Problem(coarse, begin, centre, settings, turn, at_once)
-        best = thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     solved = problem.solve(best)
     if not turn.possible:
-        return _fit(problem, solved, centre)
+        return _fit(problem, solved, centre, expected)
     turned = [_turned(problem, solved, each) for each in TURNS]
     likeliest = max(turned, key=lambda each: each.log_probability)
     problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), at_once)
@@ -197,8 +204,25 @@ def fit_jointly(
     off = np.array([each.x - likeliest.x for each in turned])
     within = [solved.covariance if each is likeliest else each.covariance for each in turned]
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
-    fit = _fit(problem, replace(solved, covariance=covariance), centre)
+    fit = _fit(problem, replace(solved, covariance=covariance), centre, expected)
     return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
+
+
+def _mistakes(drives: Sequence[Evidence], settings: JointSettings) -> list[tuple[JointSettings, float]]:
+    """Return what may be expected of messages with a mistake, and how likely that is, as a logarithm.
+
+    Their positions are those of another place on the vehicle than was said, or their headings are not the drive's. To
+    take small errors of much else for it is likelier the nearer it is to none, and downhill from there.
+    """
+    count, length_m = len(drives), max(drive.vehicle.length_m for drive in drives)
+    wrong = (
+        (replace(settings, lever_sigma_m=length_m / 2), 2 * np.log(2 * settings.lever_sigma_m / length_m)),
+        (
+            replace(settings, heading_sigma_deg=WRONG_HEADING_DEG),
+            np.log(settings.heading_sigma_deg / WRONG_HEADING_DEG),
+        ),
+    )
+    return [(each, float(np.log(MISTAKEN) + count * wider)) for each, wider in wrong]
 
 
 def _turn_of(drives: Sequence[Evidence]) -> Turn:
@@ -334,6 +358,12 @@ class _Problem:
         closest = sorted((self._descend(x, SOFTENING_M[:FIRST_STEPS]) for x in starts), key=lambda found: -found[0])
         ends = [self._descend(x, SOFTENING_M[FIRST_STEPS:]) for _, x in closest[:FOLLOWED]]
         return max(ends, key=lambda found: found[0])[1]
+
+    def reached(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Return how likely the place is, as a logarithm, to which a start nearby leads, and the place."""
+        solved = self.solve(x)
+        self.loosen(solved.x)
+        return sum(each.log_likelihood for each in solved.fitness) + self._log_prior(solved.x), solved.x
 
     def _descend(self, x: FloatArray, softening_m: Sequence[float]) -> tuple[float, FloatArray]:
         """Take a step at each softness, and tell how likely the place is that is reached."""
@@ -492,19 +522,24 @@ def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
     return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
 
 
-def _fit(problem: _Problem, solved: _Solved, centre: FloatArray) -> JointFit:
+def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray]) -> JointFit:
     weights = sum(each.weight for each in solved.fitness)
     squares = sum(each.squares for each in solved.fitness)
-    sigma = np.sqrt(np.diag(solved.covariance))
+    after = np.sqrt(np.diag(solved.covariance))
     return JointFit(
         match=_match(solved, centre),
         time_offsets_s=tuple(float(solved.x[own.start]) for own in solved.own),
         covariance=solved.covariance[:3, :3],
         centre_level=centre,
-        time_sigmas_s=tuple(float(sigma[own.start]) for own in solved.own),
+        time_sigmas_s=tuple(float(after[own.start]) for own in solved.own),
         corrections=tuple(
-            model.corrections(solved.x[own], solved.covariance[own, own])
-            for model, own in zip(problem.models, solved.own, strict=True)
+            tuple(
+                replace(each, sigma=float(sigma))
+                for each, sigma in zip(
+                    model.corrections(solved.x[own], solved.covariance[own, own]), sigmas, strict=True
+                )
+            )
+            for model, own, sigmas in zip(problem.models, solved.own, expected, strict=True)
         ),
         residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
         frames=sum(each.frames for each in solved.fitness),

@@ -205,17 +205,13 @@ def _check_registered(fit: JointFit, drives: Sequence[Evidence], settings: Setti
 
 def _contradicted(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str]) -> list[tuple[str, str]]:
     """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
-    found = [
-        (name, _in_words(correction))
-        for name, corrections in zip(names, fit.corrections, strict=True)
-        for correction in corrections
-        if abs(correction.value) > 4.0 * correction.sigma
-    ]
-    found += [
-        (name, f"{lacks}: {ANOTHER_PIECE}")
-        for name, drive, offset_s in zip(names, drives, fit.time_offsets_s, strict=True)
-        if (lacks := _lacks(drive, fit.match, offset_s))
-    ]
+    found = []
+    for name, drive, corrections, offset_s in zip(names, drives, fit.corrections, fit.time_offsets_s, strict=True):
+        wrong = [each for each in corrections if abs(each.value) > 4.0 * each.sigma]
+        found += [(name, _in_words(each)) for each in wrong]
+        # Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
+        if all(each.what != "ahead" for each in wrong) and (lacks := _lacks(drive, fit.match, offset_s)):
+            found.append((name, f"{lacks}: {ANOTHER_PIECE}"))
     return found
 
 

@@ -192,6 +192,33 @@ def test_positions_of_another_point_than_was_said(side: float) -> None:
     assert f"to the {'left' if side > 0 else 'right'} of where" in reason(found, "the messages' positions are 0.")
 
 
+def test_positions_of_another_part_of_the_vehicle_are_told_and_put_right() -> None:
+    """Of its middle, where those of the middle of its front were said."""
+    found = calibrate(TURNING.recording, cam_log(ULM, TURNING.vehicle, 6.0, reference=(0.0, 0.0)))
+    words = reason(found, "the messages' positions are")
+    assert "behind where on the vehicle --cam-reference puts them" in words
+    assert float(words.split()[4]) == pytest.approx(TURNING.vehicle.length / 2, abs=0.15)
+    covered(TURNING, found)
+    assert errors(TURNING, found).track_xy_m < 0.05
+
+
+@pytest.mark.slow
+def test_positions_of_the_rear_axle_do_no_harm() -> None:
+    """How far behind they are and how late looks nearly alike: where the sensor is does not depend on it."""
+    found = calibrate(TURNING.recording, cam_log(ULM, TURNING.vehicle, 6.0, reference=(-1.4, 0.0)))
+    assert "behind where on the vehicle --cam-reference puts them" in reason(found, "the messages' positions are")
+    covered(TURNING, found)
+    assert errors(TURNING, found).track_xy_m < 0.05
+
+
+@pytest.mark.slow
+def test_a_heading_that_is_wrong_by_far_is_put_right() -> None:
+    log = TURNING.messages
+    found = calibrate(TURNING.recording, replace(log, heading_deg=(log.heading_deg + 10.0) % 360.0))
+    assert float(reason(found, "heading").split()[4]) == pytest.approx(10.0, abs=0.5)
+    covered(TURNING, found)
+
+
 def test_positions_that_their_sender_hardly_knows() -> None:
     log = TURNING.messages
     semi = np.full(len(log), 0.6 * np.sqrt(-2.0 * np.log(0.05)))  # of the ellipse that holds 95 %
