@@ -43,7 +43,7 @@ class Asked:
     lane_map: Path | None
     map_crs: str | None
     station: int | None
-    cam_reference: str
+    cam_reference: str | None
     crs: str | None
     height: float | None
     method: Method
@@ -66,7 +66,7 @@ class Asked:
             lane_map=self.lane_map,
             map_crs=self.map_crs,
             station=self.station,
-            reference=parse_reference(self.cam_reference),
+            reference=None if self.cam_reference is None else parse_reference(self.cam_reference),
             crs=self.crs,
             name=self.name,
             background=background,
@@ -112,11 +112,10 @@ _ASKED = (
     click.option("--station", type=int, help="Sender, where the log has several [default: all that are surely seen]."),
     click.option(
         "--cam-reference",
-        default="front",
-        show_default=True,
         metavar="front|center|rear-axle:X|X,Y",
         help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
-        "the box's centre, or X m ahead and Y m left of it.",
+        "the box's centre, or X m ahead and Y m left of it [default: front; needed where a log's positions are an "
+        "antenna's].",
     ),
     click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
     click.option("--height", type=float, metavar="M", help="About how high the sensor hangs [default: found]."),

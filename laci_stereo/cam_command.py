@@ -9,9 +9,9 @@ from typing import Literal, TypeAlias
 import click
 
 from laci_stereo.asked import PATH, say_written
-from laci_stereo.core.cam import CamLog
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.images import write_picture
 from laci_stereo.io.output import check_files, check_png, write_file
 from laci_stereo.report.cam_map import draw_log
@@ -19,7 +19,10 @@ from laci_stereo.report.cam_summary import summarise_log
 
 Format: TypeAlias = Literal["csv", "geojson"]
 
-_WRITERS: Mapping[Format, Callable[[CamLog], str]] = {"csv": to_csv, "geojson": to_geojson}
+_WRITERS: Mapping[Format, Callable[[CamRecording], str]] = {
+    "csv": lambda recording: to_csv(recording.log, of_antenna=recording.is_receiver),
+    "geojson": lambda recording: to_geojson(recording.log),
+}
 
 
 @click.command()
@@ -46,7 +49,7 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
         return
     for note in recording.notes:
         click.echo(f"note: {note}", err=True)
-    text = _WRITERS[form](recording.log)
+    text = _WRITERS[form](recording)
     if out is None:
         click.echo(text, nl=False)
     else:

@@ -23,6 +23,7 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.calibration_file import Provenance, to_document, to_text
+from laci_stereo.io.cam_gnss import OF_ANTENNA
 from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.evidence_file import Kept, write_evidence
 from laci_stereo.io.images import write_picture
@@ -48,8 +49,8 @@ class DriveOptions:
         The map's coordinate system where its file does not state it; see `read_lane_map`.
     station : int or None
         The sender; None takes all that are surely seen.
-    reference : ReferencePoint
-        Where on the vehicle the messages' positions are.
+    reference : ReferencePoint or None
+        Where on the vehicle the messages' positions are; None takes CAMs for what they are, and refuses an antenna's.
     crs : str or None
         The UTM zone; None takes the messages'.
     name : str or None
@@ -62,11 +63,16 @@ class DriveOptions:
     lane_map: Path | None = None
     map_crs: str | None = None
     station: int | None = None
-    reference: ReferencePoint = FRONT
+    reference: ReferencePoint | None = None
     crs: str | None = None
     name: str | None = None
     background: tuple[int, int] | Path | None = None
     core: Settings = field(default_factory=Settings)
+
+    @property
+    def point(self) -> ReferencePoint:
+        """Where on the vehicle the messages' positions are: as was said, else where CAMs have them."""
+        return self.reference or FRONT
 
     def config(self) -> dict[str, object]:
         """Return every effective setting; paths stand among the inputs."""
@@ -74,7 +80,7 @@ class DriveOptions:
         return {
             "background_frames": str(background) if isinstance(background, Path) else background,
             "station": self.station,
-            "reference": asdict(self.reference),
+            "reference": asdict(self.point),
             "crs": self.crs,
             "map_crs": self.map_crs,
             **asdict(self.core),
@@ -118,8 +124,12 @@ def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], optio
     Raises
     ------
     CamError, MapError
+        If one cannot be read, they are of another time or place, or positions are an antenna's and nobody said where
+        on the vehicle that is.
     """
     recorded = read_cam_log(cam)
+    if recorded.is_receiver and options.reference is None:
+        raise CamError(f"{cam} is {recorded.format}, and {OF_ANTENNA}")
     messages = _of_station(recorded.log, options.station, cam)
     with _naming(cam):
         check_overlap(messages, *span_ns)
@@ -245,7 +255,7 @@ class Job(Task):
         """Find ground, background and vehicle in the frames, and match its tracks."""
         options = self.options
         return calibrate(
-            watch(self.recording), self.drive.messages, options.core, reference=options.reference, crs=options.crs
+            watch(self.recording), self.drive.messages, options.core, reference=options.point, crs=options.crs
         )
 
     @property

@@ -69,7 +69,7 @@ class MatchTask(Task):
         first_ns, last_ns = self.detections.span_ns
         messages = self.drive.messages.between(first_ns, last_ns)
         world = world_around(messages, options.crs)
-        vehicles = vehicles_of(messages, world, first_ns, options.reference)
+        vehicles = vehicles_of(messages, world, first_ns, options.point)
         seen = observe_detections(self.detections, self.axes, options.core, self.level_m)
         return _with_assumption(locate(seen, vehicles, world, options.core))
 

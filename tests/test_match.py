@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
+from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import GroundError, InputError
 from laci_stereo.io.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match
 from tests.cli_support import refusal, run, run_installed, snapshot
 from tests.detections import EXACT, Noise, Passing, Rows, Traffic, cam_rows, detection_rows, errors, is_senders, traffic
+from tests.io.cam_writers import write_gpx, write_nmea
 from tests.simulated import Drive
 
 NOT_CALIBRATED, UNUSABLE = 1, 2
@@ -178,6 +180,20 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     assert np.array(document["T_world_sensor"]) == pytest.approx(here.calibration.T_world_sensor)
     assert f"{'Height':<11}{here.calibration.height_m:.2f} m above the ground" in ran.out
     refusal(run(site.arguments(), site.root), UNUSABLE, "holds a result already", "--overwrite")
+
+
+@pytest.mark.parametrize("write", [write_gpx, write_nmea])
+def test_an_antennas_positions_need_its_place_on_the_vehicle(site: Site, write: Callable[[Path, CamLog], Path]) -> None:
+    messages = site.made.messages
+    log = write(site.root, replace(messages, altitude_m=np.full(len(messages), 500.0)))
+    converted = site.root / "converted.csv"
+    assert run(["cam", str(log), "--to", "csv", "--out", str(converted)], site.root).code == 0
+    for path in (log, converted):
+        ran = run(["match", str(site.detections), str(path), "--out", str(site.out)], site.root)
+        refusal(ran, UNUSABLE, path.name, "positions are the antenna's; needed is", "--cam-reference=-0.4,0, or front")
+        assert not site.out.exists()
+    ran = run(["match", str(site.detections), str(log), "--cam-reference", "front", "--out", str(site.out)], site.root)
+    assert ran.code == 0, ran
 
 
 def test_what_makes_no_sense_for_detections_is_no_option(site: Site) -> None:

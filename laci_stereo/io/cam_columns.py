@@ -72,6 +72,11 @@ class Quantity(Column):
 
 STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "vehicleid"))
 
+POSITION_OF = Column("position_of", ())
+"""What on the vehicle the positions are of, where it is not what CAMs are about."""
+
+ANTENNA = "antenna"
+
 LATITUDE = Quantity("latitude", ("lat", "latitudedeg", "latdeg"), "deg", 1e7, 900000001, -90.0, 90.0)
 LONGITUDE = Quantity(
     "longitude", ("lon", "lng", "long", "longitudedeg", "londeg"), "deg", 1e7, 1800000001, -180.0, 180.0

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from laci_stereo.core.errors import CamError
-from laci_stereo.io.cam_columns import QUANTITIES, REQUIRED, in_units
+from laci_stereo.io.cam_columns import ANTENNA, POSITION_OF, QUANTITIES, REQUIRED, in_units
+from laci_stereo.io.cam_gnss import OF_ANTENNA
 from laci_stereo.io.cam_recording import CamRecording, Messages, recorded
 from laci_stereo.io.cam_table import column_notes, numbers_of, station_ids
 from laci_stereo.io.table import merged, read_table, stamps_ns
@@ -16,7 +18,8 @@ def read_cam_csv(path: Path) -> CamRecording:
 
     The columns are ``timestamp``, ``station_id``, ``latitude``, ``longitude``, ``heading``, ``speed``,
     ``vehicle_length`` and ``vehicle_width``, optionally ``altitude``, ``semi_major_95``, ``semi_minor_95`` and
-    ``ellipse_orientation``; common synonyms are known. Raw ETSI integers are recognised for the whole file at once.
+    ``ellipse_orientation``, and ``position_of`` where that is the ``antenna``; common synonyms are known. Raw ETSI
+    integers are recognised for the whole file at once.
 
     Raises
     ------
@@ -33,4 +36,7 @@ def read_cam_csv(path: Path) -> CamRecording:
     code_notes = [note for parsed in numbers.values() for note in parsed.notes]
     understood = [*column_notes(table), *stamps.notes, *stations.notes, *unit_notes, *code_notes]
     messages = Messages(path, "row", table.line_numbers, stamps.values, stations.values, values, problems)
-    return recorded(messages, understood, "CSV")
+    of_antenna = ANTENNA in (table.texts(POSITION_OF) or [])
+    return replace(
+        recorded(messages, [*understood, *([OF_ANTENNA] if of_antenna else [])], "CSV"), is_receiver=of_antenna
+    )

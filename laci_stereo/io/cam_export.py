@@ -12,12 +12,14 @@ from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.cam_columns import (
     ALTITUDE,
+    ANTENNA,
     COLUMNS,
     ELLIPSE_ORIENTATION,
     HEADING,
     LATITUDE,
     LENGTH,
     LONGITUDE,
+    POSITION_OF,
     SEMI_MAJOR,
     SEMI_MINOR,
     SPEED,
@@ -42,13 +44,17 @@ def _values(log: CamLog) -> dict[Quantity, FloatArray]:
     }
 
 
-def to_csv(log: CamLog) -> str:
-    """Return the canonical columns, every number with all its digits, empty where it is missing."""
+def to_csv(log: CamLog, *, of_antenna: bool = False) -> str:
+    """Return the canonical columns, every number with all its digits, empty where it is missing.
+
+    Positions of an antenna say so in a column of their own, so that they are not taken for a CAM's when read again.
+    """
     values = [column.tolist() for column in _values(log).values()]
-    lines = [",".join(column.name for column in COLUMNS)]
+    own = {POSITION_OF: ANTENNA} if of_antenna else {}
+    lines = [",".join(column.name for column in (*COLUMNS, *own))]
     for stamp, station, *row in zip(log.stamps_ns.tolist(), log.station_id.tolist(), *values, strict=True):
         cells = ("" if math.isnan(value) else repr(value) for value in row)
-        lines.append(",".join((f"{stamp // 10**9}.{stamp % 10**9:09d}", str(station), *cells)))
+        lines.append(",".join((f"{stamp // 10**9}.{stamp % 10**9:09d}", str(station), *cells, *own.values())))
     return "\n".join(lines) + "\n"
 
 

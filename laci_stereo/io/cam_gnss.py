@@ -29,6 +29,12 @@ from laci_stereo.io.cam_recording import CamRecording, Messages, recorded
 STATION = 0
 """A receiver is no station of its own."""
 
+OF_ANTENNA = (
+    "its positions are the antenna's; needed is where that is on the vehicle: --cam-reference X,Y, metres ahead and "
+    "left of the vehicle's middle, such as --cam-reference=-0.4,0, or front if they were moved there"
+)
+"""Metres that no result would tell: along a straight road they look like a shift of the sensor."""
+
 # WGS84
 _SEMI_MAJOR_AXIS_M = 6_378_137.0
 _ECCENTRICITY_SQUARED = 6.694379990141e-3
@@ -83,7 +89,7 @@ def recorded_drive(messages: Messages, notes: Sequence[str], file_format: str) -
         *notes,
         f"no station_id in {file_format}; all is taken for one station, {STATION}",
         f"no vehicle_length and vehicle_width in {file_format}",
-        "positions are the antenna's; --cam-reference X,Y tells where it is on the vehicle",
+        OF_ANTENNA,
     ]
     messages, motion_notes = _with_motion(messages)
     return replace(recorded(messages, [*notes, *motion_notes], file_format), is_receiver=True)

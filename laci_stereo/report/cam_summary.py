@@ -27,7 +27,7 @@ def _whole(recording: CamRecording, name: str) -> Iterator[str]:
     yield _line("Log", f"{name}: {recording.format}, {len(log)} messages")
     yield _line("Time", _span(log))
     reference = (
-        "antenna; --cam-reference X,Y tells where on the vehicle that is"
+        "antenna; --cam-reference X,Y has to tell where on the vehicle that is"
         if recording.is_receiver
         else "centre of the vehicle's front side (ETSI); if the sender does not comply, --cam-reference"
     )
