@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from laci_stereo.core.cam_repair import dimensions, fitting, levers, usual_speed
+from laci_stereo.core.cam_headings import WRONG_SHARE, check_filled, check_forwards, check_reading
+from laci_stereo.core.cam_repair import dimensions, fitting, levers, onwards_mps, usual_speed, usual_velocity
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.folding import folded, longest_rigid
@@ -26,6 +27,9 @@ ELLIPSE_SIGMAS = 2.4477
 
 STANDING_MPS = 0.5
 """Below this speed the heading, which is the direction of motion, says nothing about the vehicle's body."""
+
+OTHER_SPEEDS = {"km/h": 3.6, "knots": 3.6 / 1.852, "miles per hour": 3.6 / 1.609344, "cm/s": 100.0}
+"""What speeds are written in instead of m/s; no two of these are within 10 %."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,8 @@ class VehicleTrack:
         Standard deviations of length and width beyond those of told ones, where they had to be assumed.
     remarks : tuple of str
         What was assumed or left out.
+    doubts : tuple of str
+        Why the messages may be wrong as a whole.
     slope : Slope or None
         Of the ground, where altitudes tell one; positions and yaws are then along the ground, not on the level map.
     altitude_told : bool
@@ -138,6 +144,7 @@ class VehicleTrack:
     position_sigma_m: float = float("nan")
     guessed_m: tuple[float, float] = (0.0, 0.0)
     remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     slope: Slope | None = None
     altitude_told: bool = False
 
@@ -241,7 +248,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     ------
     CamError
         If there are fewer than two messages with a position, or fewer than half fit one another, or the heading was
-        never sent.
+        never sent, or is not what it should be.
     TrackError
         If the vehicle stands still.
     """
@@ -252,10 +259,13 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     x, y = reference.offset(float(length)).tolist()
-    fits = _fitting(log, world, xy, levers((x, y), float(length)))
+    fits, doubts = _fitting(log, world, xy, levers((x, y), float(length)))
     if not fits.all():
         left_out = f"{np.count_nonzero(~fits)} of {len(fits)} messages of station {log.station_id[0]} are left out"
-        remarks += (f"{left_out}: their positions do not follow from the others by speed and heading",)
+        left_out += ": their positions do not follow from the others by speed and heading"
+        remarks += (left_out,)
+        if np.mean(~fits) > WRONG_SHARE:
+            doubts = (*doubts, left_out)
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
@@ -274,6 +284,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         position_sigma_m=_position_sigma(log),
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
+        doubts=doubts,
         slope=slope,
         altitude_told=bool(np.isfinite(log.altitude_m).any()),
     )
@@ -282,25 +293,43 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     return replace(track, remarks=(*remarks, _check_folding(track, int(log.station_id[0]))))
 
 
-def _fitting(log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[float, float]]) -> BoolArray:
-    """Tell which messages, whose positions are ``xy``, fit one another.
+def _fitting(
+    log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[float, float]]
+) -> tuple[BoolArray, tuple[str, ...]]:
+    """Tell which messages, whose positions are ``xy``, fit one another, and why all may be wrong.
 
     Raises
     ------
     CamError
-        If fewer than half do, or one: then it is not some messages that are wrong, but what all tell.
+        If fewer than half do, or one, or headings are something else: then it is not some messages that are wrong, but
+        what all tell.
     """
+    station = int(log.station_id[0])
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
-    yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
-    fits = fitting(stamps_s, xy, yaw, log.speed_mps, arms, _position_sigma(log), MAX_GAP_S)
+    north = world.yaw_from_heading(np.zeros(len(log)), log.latitude_deg, log.longitude_deg)
+    yaw = north - np.radians(log.heading_deg)
+
+    def fitting_by(yaw: FloatArray) -> BoolArray:
+        return fitting(stamps_s, xy, yaw, log.speed_mps, arms, _position_sigma(log), MAX_GAP_S)
+
+    fits = fitting_by(yaw)
+    if (log.heading_deg == 0.0).all():
+        check_filled(fits, fitting_by(np.full(len(yaw), np.nan)), station)
+    velocity = usual_velocity(stamps_s, xy)
+    course_deg = np.degrees(north - np.arctan2(velocity[:, 1], velocity[:, 0]))
+    check_reading(log.heading_deg, course_deg, np.linalg.norm(velocity, axis=1), station)
     if np.count_nonzero(fits) < max(2, len(fits) / 2):
-        told = np.nanmedian(log.speed_mps) if np.isfinite(log.speed_mps).any() else float("nan")
+        told = float(np.nanmedian(log.speed_mps)) if np.isfinite(log.speed_mps).any() else float("nan")
+        moved = float(np.median(usual_speed(stamps_s, xy)))
+        units = [unit for unit, per_mps in OTHER_SPEEDS.items() if abs(told - per_mps * moved) < 0.05 * told]
         raise CamError(
-            f"the messages of station {log.station_id[0]} contradict one another: {np.count_nonzero(fits)} of "
+            f"the messages of station {station} contradict one another: {np.count_nonzero(fits)} of "
             f"{len(fits)} positions follow from the one before by speed and heading, needed is half; the speed told is "
-            f"{told:.1f} m/s, the positions move at {np.median(usual_speed(stamps_s, xy)):.1f} m/s (medians)"
+            f"{told:.1f} m/s, the positions move at {moved:.1f} m/s (medians)"
+            f"{''.join(f'; likely: speed is in {unit}' for unit in units)}"
         )
-    return fits
+    reversing = check_forwards(onwards_mps(stamps_s, xy, yaw)[fits], station)
+    return fits, (reversing,) if reversing else ()
 
 
 def _check_folding(track: VehicleTrack, station: int) -> str:

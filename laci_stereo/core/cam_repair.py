@@ -128,8 +128,8 @@ def fitting(
     """
     speed = np.abs(np.where(np.isfinite(speed_mps), speed_mps, usual_speed(stamps_s, xy)))
     direction = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
-    onwards = np.nanmedian(np.einsum("nkj,nj->nk", _rates(stamps_s, xy), np.nan_to_num(direction)), axis=1)
-    velocity = np.where(onwards < 0.0, -speed, speed)[:, None] * direction
+    backwards = onwards_mps(stamps_s, xy, yaw_rad) < 0.0
+    velocity = np.where(backwards, -speed, speed)[:, None] * direction
     white = np.sqrt(2.0) * (max(TOLD_SIGMA_M, sigma_m) if np.isfinite(sigma_m) else UNTOLD_SIGMA_M)
 
     points = np.stack([xy - rotate_xy(yaw_rad, np.tile(lever, (len(xy), 1))) for lever in levers])
@@ -194,6 +194,19 @@ def usual_speed(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
     """Return how fast positions move, shape (n,), by the medians over some messages before and after."""
     speed: FloatArray = np.nanmedian(np.linalg.norm(_rates(stamps_s, xy), axis=2), axis=1)
     return speed
+
+
+def usual_velocity(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return how positions move, shape (n, 2), by the medians over some messages before and after."""
+    velocity: FloatArray = np.nanmedian(_rates(stamps_s, xy), axis=1)
+    return velocity
+
+
+def onwards_mps(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Return how fast positions move where the yaw points, shape (n,), negative backwards; 0 where it is not told."""
+    direction = np.nan_to_num(np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)]))
+    onwards: FloatArray = np.nanmedian(np.einsum("nkj,nj->nk", _rates(stamps_s, xy), direction), axis=1)
+    return onwards
 
 
 def _rates(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:

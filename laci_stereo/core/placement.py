@@ -57,6 +57,7 @@ def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings)
         residual_rms_m=float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean())),
         frames_used=int(used.sum()),
         left_out={str(reason): count for reason, count in left_out.items() if count},
+        contradictions=vehicle.doubts,
     )
 
 
@@ -208,7 +209,7 @@ def _contradicted(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str
     found = []
     for name, drive, corrections, offset_s in zip(names, drives, fit.corrections, fit.time_offsets_s, strict=True):
         wrong = [each for each in corrections if abs(each.value) > 4.0 * each.sigma]
-        found += [(name, _in_words(each)) for each in wrong]
+        found += [(name, words) for words in (*map(_in_words, wrong), *drive.vehicle.doubts)]
         # Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
         if all(each.what != "ahead" for each in wrong) and (lacks := _lacks(drive, fit.match, offset_s)):
             found.append((name, f"{lacks}: {ANOTHER_PIECE}"))

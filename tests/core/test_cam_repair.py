@@ -129,6 +129,13 @@ def test_messages_that_contradict_one_another(change: str, told: float) -> None:
         track_of(replace(log, **{change: wrong}))
 
 
+@pytest.mark.parametrize(("unit", "per_mps"), [("km/h", 3.6), ("knots", 1.9438), ("miles per hour", 2.2369)])
+def test_speeds_in_another_unit_are_named(unit: str, per_mps: float) -> None:
+    log = log_of(TURN)
+    with pytest.raises(CamError, match=f"likely: speed is in {unit}$"):
+        track_of(replace(log, speed_mps=per_mps * log.speed_mps))
+
+
 def test_two_messages_that_contradict_one_another_are_no_track() -> None:
     log = log_of(TURN)[np.array([20, 21])]
     with pytest.raises(CamError, match=r"contradict one another: 1 of 2 positions"):

@@ -185,6 +185,14 @@ def test_positions_that_are_wrong() -> None:
     assert f"of {len(log)} messages of station 42 are left out" in found.remarks[0]
 
 
+def test_positions_of_which_more_are_wrong_than_may_be() -> None:
+    log, rng = TURNING.messages, np.random.default_rng(0)
+    off_deg = np.where(rng.permutation(len(log)) < 0.4 * len(log), rng.uniform(-1e-4, 1e-4, len(log)), 0.0)
+    found = calibrate(TURNING.recording, replace(log, latitude_deg=log.latitude_deg + off_deg))
+    assert f"of {len(log)} messages of station 42" in reason(found, "are left out")
+    covered(TURNING, found)
+
+
 @pytest.mark.parametrize("side", [pytest.param(-1.0, marks=pytest.mark.slow), 1.0])
 def test_positions_of_another_point_than_was_said(side: float) -> None:
     told = cam_log(ULM, TURNING.vehicle, 6.0, reference=(0.0, 0.7 * side))

@@ -1,0 +1,142 @@
+"""Headings that all messages of a log tell wrongly: in another unit, from another axis, or turned round."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from laci_stereo.core.cam_repair import DIRECTION_SIGMA_RAD
+from laci_stereo.core.errors import CamError
+from laci_stereo.core.frames import BoolArray, FloatArray
+
+MOVING_MPS = 2.0
+"""Slower than that, what is wrong with positions turns the direction in which they move."""
+
+FEWEST = 5
+"""So few messages tell nothing of all."""
+
+WRONG_SHARE = 0.3
+"""So many messages may be wrong, each by itself."""
+
+SURELY_OFF_DEG = float(np.degrees(4.0 * DIRECTION_SIGMA_RAD))
+"""Four sigma: nothing that is told rightly is so far off in most messages."""
+
+REVERSING_MPS = 4.0
+"""Nobody reverses faster: it is the pace of a jogger, to whom one has to look back all the time."""
+
+NEEDED = "needed are degrees clockwise from north"
+
+_Reading = Callable[[FloatArray], FloatArray]
+_READINGS: tuple[tuple[str, _Reading], ...] = (
+    ("they are in radians", np.degrees),
+    ("they are in radians, counter-clockwise from east", lambda told: 90.0 - np.degrees(told)),
+    ("they are counter-clockwise from east", lambda told: 90.0 - told),
+    ("they are counter-clockwise, or the longitudes lack their sign", lambda told: -told),
+    ("the latitudes lack their sign", lambda told: 180.0 - told),
+    ("they are in degrees and were taken for tenths", lambda told: 10.0 * told),
+)
+"""What senders and loggers write instead, and what heading that is; angles between -180 and 180 deg."""
+
+
+def check_reading(heading_deg: FloatArray, course_deg: FloatArray, speed_mps: FloatArray, station: int) -> None:
+    """Check that headings are degrees clockwise from north.
+
+    They are not where another reading is near to the way in which the positions move, and what is told is not, neither
+    forwards nor backwards.
+
+    Parameters
+    ----------
+    heading_deg : ndarray, shape (n,)
+        As told; NaN where not.
+    course_deg, speed_mps : ndarray, shape (n,)
+        Whither, clockwise from north, and how fast the positions move.
+    station : int
+
+    Raises
+    ------
+    CamError
+        It says what they likely are.
+    """
+    moves = np.isfinite(heading_deg) & (speed_mps >= MOVING_MPS)
+    if np.count_nonzero(moves) < FEWEST:
+        return
+    told, course = _half_turn(heading_deg[moves]), course_deg[moves]
+    off = np.abs(_half_turn(told - course))
+    off_deg = _most(np.minimum(off, 180.0 - off))
+    if off_deg <= SURELY_OFF_DEG:
+        return
+    likely = [words for words, read in _READINGS if _most(np.abs(_half_turn(read(told) - course))) < off_deg / 4]
+    if likely:
+        raise CamError(
+            f"heading is {off_deg:.0f} deg off the way in which the positions of station {station} move, such as "
+            f"{heading_deg[moves][0]:.4g} where they move towards {course[0] % 360.0:.0f} deg; {NEEDED}; likely: "
+            f"{', or '.join(likely)}"
+        )
+
+
+def check_forwards(onwards_mps: FloatArray, station: int) -> str:
+    """Check that a vehicle does not reverse where nobody would, and say whether it does nothing but reverse.
+
+    Parameters
+    ----------
+    onwards_mps : ndarray, shape (n,)
+        How fast positions move where the heading points; negative where they move the opposite way.
+    station : int
+
+    Raises
+    ------
+    CamError
+        If most of what is faster than people reverse goes backwards.
+    """
+    turned = (
+        "the headings are turned by 180 deg, or count counter-clockwise, or longitudes or latitudes lack their sign"
+    )
+    fast, back = np.abs(onwards_mps) > REVERSING_MPS, onwards_mps < 0.0
+    count = np.count_nonzero(fast & back)
+    if 2 * count > np.count_nonzero(fast) and count > 1:
+        raise CamError(
+            f"the vehicle of station {station} would reverse at up to {-onwards_mps.min():.1f} m/s in {count} of "
+            f"{len(onwards_mps)} messages: its positions move the other way than heading says; needed are at most "
+            f"{REVERSING_MPS:g} m/s; likely: {turned}"
+        )
+    moves = np.abs(onwards_mps) >= MOVING_MPS
+    if np.count_nonzero(moves) < FEWEST or np.count_nonzero(moves & back) <= 0.9 * np.count_nonzero(moves):
+        return ""
+    return (
+        f"the vehicle of station {station} reverses all the way, by its headings; if it does not, {turned}, and the "
+        "result is off by up to its length"
+    )
+
+
+def check_filled(fits: BoolArray, fits_without: BoolArray, station: int) -> None:
+    """Check that headings that are all 0 are headings, and not what stands where nobody knew one.
+
+    Parameters
+    ----------
+    fits, fits_without : ndarray of bool, shape (n,)
+        Which messages fit one another with and without their headings.
+    station : int
+
+    Raises
+    ------
+    CamError
+        If without them more fit than by chance.
+    """
+    gained = np.count_nonzero(fits_without) - np.count_nonzero(fits)
+    if gained > WRONG_SHARE / 2 * len(fits):
+        raise CamError(
+            f"heading is 0 in all of {len(fits)} messages of station {station}, but {gained} of their positions move "
+            f"another way; {NEEDED}, or none at all where they are not known"
+        )
+
+
+def _half_turn(angle_deg: FloatArray) -> FloatArray:
+    """Return the same angles between -180 and 180 deg."""
+    wrapped: FloatArray = (angle_deg + 180.0) % 360.0 - 180.0
+    return wrapped
+
+
+def _most(off_deg: FloatArray) -> float:
+    """Return what those that are right, of so many that may be wrong, are off by at most."""
+    return float(np.quantile(off_deg, 1.0 - WRONG_SHARE))
