@@ -351,8 +351,12 @@ def _check_folding(track: VehicleTrack, station: int) -> str:
 
 
 def _position_sigma(log: CamLog) -> float:
-    """Return the standard deviation of the positions along each axis, from their 95 % ellipses; NaN without one."""
-    area = log.semi_major_95_m * log.semi_minor_95_m
+    """Return the standard deviation of the positions along each axis, from their 95 % ellipses; NaN without one.
+
+    An axis that is not told is taken to be as long as the other.
+    """
+    major, minor = log.semi_major_95_m, log.semi_minor_95_m
+    area = np.where(np.isfinite(major), major, minor) * np.where(np.isfinite(minor), minor, major)
     known = area[np.isfinite(area)]
     return float(np.sqrt(np.median(known))) / ELLIPSE_SIGMAS if len(known) else float("nan")
 

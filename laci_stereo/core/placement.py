@@ -21,7 +21,7 @@ from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
-from laci_stereo.core.settings import MatchSettings, Settings
+from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from laci_stereo.core.tracking import Track
 
 LEAST_EXPLAINED = 0.5
@@ -184,7 +184,10 @@ def place(
         time_offset_s=fit.time_offsets_s[0],
         time_sigma_s=fit.time_sigmas_s[0],
         turn=fit.turn,
-        remarks=(_turning(fit),) if any(drive.turn_s for drive in drives) else (),
+        remarks=(
+            *([_turning(fit)] if any(drive.turn_s for drive in drives) else []),
+            *_assumed_accuracies(drives, names, settings.joint),
+        ),
         advice=advice,
         contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
         bodies=fit.bodies,
@@ -262,6 +265,19 @@ def _turning(fit: JointFit) -> str:
     """Say how the scanner turns."""
     how = {0.0: "all at once", 1.0: "turning counter-clockwise", -1.0: "turning clockwise"}[fit.turn]
     return f"by the drive, the scanner takes a scan's points {how} (probability {fit.turn_probability:.0%})"
+
+
+def _assumed_accuracies(drives: Sequence[Evidence], names: Sequence[str], settings: JointSettings) -> list[str]:
+    """Say how exact positions were taken for whose messages tell nothing of it."""
+    assumed = (
+        f"the messages tell no accuracy of their positions: taken as {settings.position_sigma_m:g} m, that of a "
+        "receiver with carrier-phase corrections"
+    )
+    return [
+        f"{name}: {assumed}" if name else assumed
+        for name, drive in zip(names, drives, strict=True)
+        if not np.isfinite(drive.vehicle.position_sigma_m)
+    ]
 
 
 def _told(vehicle: VehicleTrack) -> float:

@@ -27,6 +27,9 @@ class Quantity(Column):
         What the quantity can be, in ``unit``.
     out_of_range : int or None
         The raw integer that says that it is more than can be sent, if there is one.
+    is_at_least : bool
+        Whether a value that is more than can be sent is taken for the least of those, and not for missing: an error
+        that is so large is known well enough.
     """
 
     unit: str
@@ -35,18 +38,28 @@ class Quantity(Column):
     lowest: float
     highest: float
     out_of_range: int | None = None
+    is_at_least: bool = False
 
     @property
     def codes(self) -> Mapping[str, int]:
         """The raw integers that are no values, by what they say."""
-        out_of_range = {} if self.out_of_range is None else {"out of range": self.out_of_range}
-        return {"unavailable": self.unavailable, **out_of_range}
+        codes = {"unavailable": self.unavailable}
+        if self.out_of_range is not None and not self.is_at_least:
+            codes["out of range"] = self.out_of_range
+        return codes
 
     def is_code(self, values: FloatArray, code: int) -> BoolArray:
         """Return which values are such a raw integer, or were one before they were converted along with the others."""
         both = (code, code / self.etsi_per_unit)
         found: BoolArray = np.any([np.isclose(values, number, rtol=1e-12, atol=0.0) for number in both], axis=0)
         return found
+
+    @property
+    def least_beyond(self) -> float:
+        """What a value that is more than can be sent is at least, in ``unit``; NaN where that says too little."""
+        if self.out_of_range is None or not self.is_at_least:
+            return float("nan")
+        return self.out_of_range / self.etsi_per_unit
 
     @property
     def etsi_text(self) -> str:
@@ -104,12 +117,12 @@ ALTITUDE = Quantity(
 SEMI_MAJOR = Quantity(
     "semi_major_95",
     ("semimajor95m", "semimajoraxislength", "semimajorconfidence", "semimajor"),
-    *("m", 100, 4095, 0.0, 100.0, 4094),
+    *("m", 100, 4095, 0.0, 100.0, 4094, True),
 )
 SEMI_MINOR = Quantity(
     "semi_minor_95",
     ("semiminor95m", "semiminoraxislength", "semiminorconfidence", "semiminor"),
-    *("m", 100, 4095, 0.0, 100.0, 4094),
+    *("m", 100, 4095, 0.0, 100.0, 4094, True),
 )
 ELLIPSE_ORIENTATION = Quantity(
     "ellipse_orientation",
@@ -120,6 +133,7 @@ ELLIPSE_ORIENTATION = Quantity(
 REQUIRED: tuple[Column, ...] = (TIMESTAMP, LATITUDE, LONGITUDE, HEADING)
 POSITION = (LATITUDE, LONGITUDE)
 DIMENSIONS = (LENGTH, WIDTH)
+AXES = (SEMI_MAJOR, SEMI_MINOR)
 QUANTITIES = (*POSITION, HEADING, SPEED, ALTITUDE, *DIMENSIONS, SEMI_MAJOR, SEMI_MINOR, ELLIPSE_ORIENTATION)
 COLUMNS: tuple[Column, ...] = (TIMESTAMP, STATION_ID, *QUANTITIES)
 
@@ -128,7 +142,7 @@ Values: TypeAlias = Mapping[Quantity, FloatArray]
 
 
 def in_units(raw_or_not: Values) -> tuple[Values, list[str]]:
-    """Convert those columns that hold raw ETSI integers, and say which."""
+    """Convert those columns that hold raw ETSI integers, and say which; infinite is what is more than can be sent."""
     positions = _positions_look_raw(np.concatenate([raw_or_not[quantity] for quantity in POSITION]))
     # 47 can be either unit of a length, but 18 only one of a width, so the width speaks for both.
     dimensions = WIDTH.looks_raw(raw_or_not[WIDTH], positions)
@@ -141,6 +155,7 @@ def in_units(raw_or_not: Values) -> tuple[Values, list[str]]:
     values = {
         quantity: found / quantity.etsi_per_unit if quantity in raw else found for quantity, found in raw_or_not.items()
     }
+    values = {quantity: np.where(np.isinf(found), quantity.least_beyond, found) for quantity, found in values.items()}
     return values, [f"{quantity.name}: raw ETSI integers of {quantity.etsi_text}" for quantity in raw]
 
 

@@ -89,7 +89,7 @@ def pdu_kind(message_id: int) -> str:
 
 
 def in_units(cams: Sequence[Cam]) -> Values:
-    """Return the messages' quantities in units, NaN where they are unavailable or out of range."""
+    """Return the messages' quantities in units, NaN where they are unavailable, or out of range and no accuracy."""
     raw = np.array(cams, dtype=np.float64).reshape(-1, len(Cam._fields))
     return {quantity: _in_unit(quantity, raw[:, Cam._fields.index(element)]) for quantity, element in _ELEMENTS.items()}
 
@@ -112,7 +112,13 @@ def value_notes(values: Values, good: BoolArray) -> list[str]:
     missing = {quantity.name: int(np.isnan(found[good]).sum()) for quantity, found in values.items()}
     lacking = ", ".join(f"{name} in {count}" for name, count in missing.items() if count)
     said = f"unavailable or out of range, of {int(good.sum())} messages, taken as missing: {lacking}"
-    return [f"ETSI integers of {sent}", *([said] if lacking else [])]
+    beyond = [
+        f"{quantity.name} is out of range in {count}: taken as {quantity.least_beyond:g} {quantity.unit}, the least "
+        "that it means"
+        for quantity, found in values.items()
+        if (count := int(np.sum(found[good] == quantity.least_beyond)))
+    ]
+    return [f"ETSI integers of {sent}", *([said] if lacking else []), *beyond]
 
 
 def direction_notes(cams: Sequence[Cam]) -> list[str]:

@@ -13,6 +13,7 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, IntArray
 from laci_stereo.io.cam_columns import (
     ALTITUDE,
+    AXES,
     DIMENSIONS,
     ELLIPSE_ORIENTATION,
     HEADING,
@@ -133,13 +134,13 @@ def _skip_notes(messages: Messages, problems: Problems) -> list[str]:
 
 
 def _without_zeros(values: Values) -> tuple[Values, list[str]]:
-    """Take for missing what senders and loggers put where they know nothing: the position 0, 0 and the size 0."""
+    """Take for missing what senders and loggers put where they know nothing: the position 0, 0, a size or error 0."""
     nowhere = np.all([np.abs(values[quantity]) < _NOWHERE_DEG for quantity in POSITION], axis=0)
     notes = [f"{int(nowhere.sum())} positions are 0, 0; taken as missing"] if nowhere.any() else []
     kept = {
         **values,
         **{quantity: np.where(nowhere, np.nan, values[quantity]) for quantity in POSITION},
-        **{quantity: np.where(values[quantity] == 0, np.nan, values[quantity]) for quantity in DIMENSIONS},
+        **{quantity: np.where(values[quantity] == 0, np.nan, values[quantity]) for quantity in (*DIMENSIONS, *AXES)},
     }
     return kept, notes
 

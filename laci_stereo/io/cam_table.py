@@ -38,7 +38,7 @@ def station_ids(table: Table) -> Parsed[IntArray]:
 
 
 def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:
-    """Return a quantity's numbers, in whatever unit they are; NaN where they are missing."""
+    """Return a quantity's numbers, in whatever unit they are; NaN where they are missing, infinite as `in_units`."""
     found = table.numbers(quantity)
     known, notes = found.values, []
     for meaning, code in quantity.codes.items():
@@ -47,6 +47,13 @@ def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:
         if coded.any():
             times = f"{int(coded.sum())} times {code}"
             notes.append(f'{quantity.name}: {times}, ETSI\'s "{meaning}"; taken as missing')
+    if quantity.is_at_least and quantity.out_of_range is not None:
+        beyond = quantity.is_code(found.values, quantity.out_of_range)
+        known = np.where(beyond, np.inf, known)
+        if beyond.any():
+            times = f"{int(beyond.sum())} times {quantity.out_of_range}"
+            least = f"{quantity.least_beyond:g} {quantity.unit}"
+            notes.append(f'{quantity.name}: {times}, ETSI\'s "out of range"; taken as {least}, the least that it means')
     return Parsed(known, found.problems, tuple(notes))
 
 

@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.core.cam import CENTRE, FRONT, MAX_GAP_S, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.cam import (
+    CENTRE,
+    ELLIPSE_SIGMAS,
+    FRONT,
+    MAX_GAP_S,
+    CamLog,
+    ReferencePoint,
+    VehicleTrack,
+    vehicle_track,
+)
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.world import World
@@ -121,6 +130,15 @@ def test_values_that_a_sender_did_not_know_are_skipped() -> None:
     assert track.xy == pytest.approx(known.xy, abs=0.05)
     track = track_of(replace(log, latitude_deg=log.latitude_deg * every_third))
     assert len(track.stamps_s) == np.count_nonzero(np.isfinite(every_third))
+
+
+def test_an_axis_that_is_not_told_is_as_long_as_the_other() -> None:
+    log = cam_log(ULM, car(TURN), 6.0)
+    axis, nothing = np.full(len(log), 0.6 * ELLIPSE_SIGMAS), np.full(len(log), np.nan)
+    for major, minor in ((axis, nothing), (nothing, axis), (axis, axis)):
+        told = track_of(replace(log, semi_major_95_m=major, semi_minor_95_m=minor))
+        assert told.position_sigma_m == pytest.approx(0.6)
+    assert np.isnan(track_of(replace(log, semi_major_95_m=nothing, semi_minor_95_m=nothing)).position_sigma_m)
 
 
 def test_stamps_are_exact_far_from_1970() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import CENTRE, CamLog
+from laci_stereo.core.cam import CENTRE, ELLIPSE_SIGMAS, CamLog
 from laci_stereo.core.errors import CamError, MatchError, OpenError, TrackError
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
@@ -27,6 +27,12 @@ SLOWING = scene(replace(STRAIGHT, speeds=((0.0, 8.0), (2.0, 8.0), (4.0, 7.2))), 
 
 def late(log: CamLog, by_s: float) -> CamLog:
     return replace(log, stamps_ns=log.stamps_ns + round(by_s * 1e9))
+
+
+def accurate(log: CamLog) -> CamLog:
+    """Let messages tell the accuracy that is assumed where they do not."""
+    semi = np.full(len(log), JointSettings().position_sigma_m * ELLIPSE_SIGMAS)
+    return replace(log, semi_major_95_m=semi, semi_minor_95_m=semi)
 
 
 def follower(length: float) -> Scene:
@@ -169,11 +175,26 @@ def test_a_length_that_is_wrong(off_m: float) -> None:
 
 
 def test_dimensions_that_were_not_told() -> None:
-    log = TURNING.messages
+    log = accurate(TURNING.messages)
     nothing = np.full(len(log), np.nan)
     found = calibrate(TURNING.recording, replace(log, length_m=nothing, width_m=nothing))
     covered(TURNING, found)
     assert [("length" in line, "width" in line) for line in found.remarks] == [(True, False), (False, True)]
+
+
+def test_an_accuracy_that_was_not_told() -> None:
+    untold, told = (calibrate(TURNING.recording, log) for log in (TURNING.messages, accurate(TURNING.messages)))
+    (remark,) = untold.remarks
+    assert "the messages tell no accuracy of their positions: taken as 0.02 m" in remark
+    assert told.remarks == ()
+    assert np.array_equal(told.T_world_sensor, untold.T_world_sensor)
+
+
+def test_an_accuracy_that_is_out_of_range() -> None:
+    log = TURNING.messages
+    semi = np.full(len(log), 40.94)
+    found = calibrate(TURNING.recording, replace(log, semi_major_95_m=semi, semi_minor_95_m=semi))
+    assert found.quality.verdict == "fail"
 
 
 def test_positions_that_are_wrong() -> None:
@@ -241,7 +262,7 @@ def test_positions_that_their_sender_hardly_knows() -> None:
 )
 def test_a_scanner_that_turns_and_does_not_tell_the_points_times(turn_s: float, how: str) -> None:
     made = scene(STRAIGHT, replace(lidar(), turn_s=turn_s))
-    found = calibrate(made.recording, made.messages)
+    found = calibrate(made.recording, accurate(made.messages))
     assert found.remarks == (f"by the drive, the scanner takes a scan's points {how} (probability 100%)",)
     covered(made, found)
 

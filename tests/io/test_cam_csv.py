@@ -348,8 +348,6 @@ def test_confidence_ellipses_are_read(tmp_path: Path) -> None:
         ("speed", "16382", "speed_mps"),
         ("vehicle_length", "1022", "length_m"),
         ("vehicle_width", "61", "width_m"),
-        ("semiMajorConfidence", "4094", "semi_major_95_m"),
-        ("semiMinorConfidence", "4094", "semi_minor_95_m"),
     ],
 )
 def test_what_is_too_large_to_be_sent_is_missing(tmp_path: Path, column: str, code: str, field: str) -> None:
@@ -357,6 +355,28 @@ def test_what_is_too_large_to_be_sent_is_missing(tmp_path: Path, column: str, co
     recording = read_cam_csv(write(tmp_path / "cam.csv", put(table(drive(), columns), column, code, 12)))
     assert np.isnan(getattr(recording.log, field)).tolist() == [True] * 12 + [False] * 8
     assert any(f'12 times {code}, ETSI\'s "out of range"; taken as missing' in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("columns", [CANONICAL, RAW], ids=["degrees", "raw"])
+@pytest.mark.parametrize("count", [12, 20])
+def test_an_accuracy_that_is_too_large_to_be_sent_is_as_large_at_least(
+    tmp_path: Path, columns: Columns, count: int
+) -> None:
+    """TS 102 894-2, SemiAxisLength: 4094 is more than 40.93 m, 4095 is unavailable."""
+    axis = "1.2" if columns is CANONICAL else "120"
+    columns = {**columns, "semiMajorConfidence": lambda m: axis, "semiMinorConfidence": lambda m: axis}
+    rows = put(table(drive(), columns), "semiMajorConfidence", "4094", count)
+    recording = read_cam_csv(write(tmp_path / "cam.csv", put(rows, "semiMinorConfidence", "4095", 3)))
+    assert recording.log.semi_major_95_m.tolist() == [40.94] * count + [1.2] * (20 - count)
+    assert np.isnan(recording.log.semi_minor_95_m).tolist() == [True] * 3 + [False] * 17
+    assert any(f'{count} times 4094, ETSI\'s "out of range"; taken as 40.94 m' in note for note in recording.notes)
+
+
+def test_no_position_is_exact(tmp_path: Path) -> None:
+    columns: Columns = {**CANONICAL, "semi_major_95": lambda m: "0", "semi_minor_95": lambda m: "0.0"}
+    log = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns))).log
+    assert np.isnan(log.semi_major_95_m).all()
+    assert np.isnan(log.semi_minor_95_m).all()
 
 
 def test_rows_are_sorted_and_doubled_ones_merged(tmp_path: Path, log: CamLog) -> None:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.io.cam_columns import HEADING, LATITUDE, LENGTH, LONGITUDE, QUANTITIES, SPEED, WIDTH
-from laci_stereo.io.cam_etsi import Cam, DamagedError, OtherKindError, in_units
+from laci_stereo.io.cam_columns import AXES, HEADING, LATITUDE, LENGTH, LONGITUDE, QUANTITIES, SPEED, WIDTH
+from laci_stereo.io.cam_etsi import Cam, DamagedError, OtherKindError, in_units, value_notes
 from laci_stereo.io.cam_uper import decode_cam, is_cam
 from tests.io.cam_asn1 import decode, encode, vehicle_cam
 from tests.io.support import SHARED, mutations, needs_shared
@@ -134,7 +134,11 @@ def test_unavailable_and_out_of_range_are_missing():
     unknown = decode_cam(encode(vehicle_cam(latitude=900000001, longitude=1800000001)))
     outside = unknown._replace(semi_major=4094, semi_minor=4094, altitude=800000, speed=16382, length=1022, width=61)
     values = in_units([unknown, outside])
-    assert all(np.isnan(values[quantity]).all() for quantity in QUANTITIES)
+    for quantity in QUANTITIES:
+        assert np.isnan(values[quantity]).tolist() == [True, quantity not in AXES]
+    assert [values[quantity][1] for quantity in AXES] == [40.94, 40.94]  # or more, says TS 102 894-2
+    notes = value_notes(values, np.array([True, True]))
+    assert "semi_major_95 is out of range in 1: taken as 40.94 m, the least that it means" in notes
 
 
 @needs_shared
