@@ -234,8 +234,18 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
         Metres.
     remarks : tuple of str
         What had to be assumed.
+
+    Raises
+    ------
+    CamError
+        If it is wider than long, or as wide as a lorry and of unknown length.
     """
     length, width = _told(length_m), _told(width_m)
+    if width > length:
+        raise CamError(
+            f"the vehicle's width, {width:.2f} m, exceeds its length, {length:.2f} m; exchanged? Needed is a larger "
+            "length"
+        )
     sigma, remarks = np.zeros(2), []
     if not np.isfinite(length):
         if width > WIDEST_M - 2 * ALLOWED_WIDTH_SIGMA_M:

@@ -145,6 +145,11 @@ def test_two_messages_that_contradict_one_another_are_no_track() -> None:
 # dimensions
 
 
+def test_length_and_width_exchanged() -> None:
+    with pytest.raises(CamError, match=r"width, 4\.70 m, exceeds its length, 1\.80 m; exchanged\?"):
+        told(1.8, 4.7)
+
+
 def test_a_car_without_dimensions_is_taken_for_a_usual_one() -> None:
     log = log_of(TURN)
     unknown = np.full(len(log), np.nan)
