@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -70,18 +70,6 @@ class Quantity(Column):
         """Return which values the quantity can have; what is missing is possible."""
         return np.isnan(values) | ((values >= self.lowest) & (values <= self.highest))
 
-    def looks_raw(self, values: FloatArray, others_are_raw: bool) -> bool:
-        """Return whether a column holds raw ETSI integers.
-
-        They are integers that cannot be in ``unit``, or that can be raw in a file whose other columns are.
-        """
-        values = values[np.isfinite(values)]
-        if not _are_whole(values):
-            return False
-        if np.median(np.abs(values)) > self.highest:
-            return True
-        return others_are_raw and bool(np.median(values) / self.etsi_per_unit >= self.lowest)
-
 
 STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "vehicleid"))
 
@@ -134,6 +122,9 @@ REQUIRED: tuple[Column, ...] = (TIMESTAMP, LATITUDE, LONGITUDE, HEADING)
 POSITION = (LATITUDE, LONGITUDE)
 DIMENSIONS = (LENGTH, WIDTH)
 AXES = (SEMI_MAJOR, SEMI_MINOR)
+_TOGETHER = ((HEADING,), (SPEED,), (ALTITUDE,), DIMENSIONS, AXES, (ELLIPSE_ORIENTATION,))
+"""What is raw or not together; positions are for themselves."""
+
 QUANTITIES = (*POSITION, HEADING, SPEED, ALTITUDE, *DIMENSIONS, SEMI_MAJOR, SEMI_MINOR, ELLIPSE_ORIENTATION)
 COLUMNS: tuple[Column, ...] = (TIMESTAMP, STATION_ID, *QUANTITIES)
 
@@ -141,22 +132,50 @@ Values: TypeAlias = Mapping[Quantity, FloatArray]
 """The values of each quantity, shape (n,), NaN where missing."""
 
 
-def in_units(raw_or_not: Values) -> tuple[Values, list[str]]:
-    """Convert those columns that hold raw ETSI integers, and say which; infinite is what is more than can be sent."""
+def in_units(raw_or_not: Values, pointed: Set[Quantity] = frozenset()) -> tuple[Values, list[str]]:
+    """Convert those columns that hold raw ETSI integers, and say which.
+
+    Parameters
+    ----------
+    raw_or_not : mapping of Quantity to ndarray, shape (n,)
+        Infinite is what is more than can be sent.
+    pointed : set of Quantity
+        Those that are written with a decimal point.
+    """
     positions = _positions_look_raw(np.concatenate([raw_or_not[quantity] for quantity in POSITION]))
-    # 47 can be either unit of a length, but 18 only one of a width, so the width speaks for both.
-    dimensions = WIDTH.looks_raw(raw_or_not[WIDTH], positions)
-    raw = [
+    # Where even raw positions have a decimal point, whoever wrote them puts one behind all numbers.
+    as_positions = positions and not pointed & set(POSITION)
+    raw = {
         quantity
-        for quantity in QUANTITIES
-        if (positions if quantity in POSITION else quantity.looks_raw(raw_or_not[quantity], positions))
-        or (quantity is LENGTH and quantity.looks_raw(raw_or_not[quantity], dimensions))
-    ]
+        for group in _TOGETHER
+        if _look_raw({quantity: raw_or_not[quantity] for quantity in group}, pointed if as_positions else (), positions)
+        for quantity in group
+    } | set(POSITION if positions else ())
     values = {
         quantity: found / quantity.etsi_per_unit if quantity in raw else found for quantity, found in raw_or_not.items()
     }
     values = {quantity: np.where(np.isinf(found), quantity.least_beyond, found) for quantity, found in values.items()}
-    return values, [f"{quantity.name}: raw ETSI integers of {quantity.etsi_text}" for quantity in raw]
+    units = [
+        f"{quantity.name}: raw ETSI integers of {quantity.etsi_text}" for quantity in QUANTITIES if quantity in raw
+    ]
+    return values, units
+
+
+def _look_raw(values: Values, pointed: Collection[Quantity], positions_are_raw: bool) -> bool:
+    """Return whether columns that are written alike hold raw ETSI integers.
+
+    They are whole numbers, and one of them cannot be in its unit: 47 can be either unit of a length, but 18 only one of
+    a width. Or the positions are raw and all of them can be, without a decimal point.
+    """
+    known = {quantity: found[np.isfinite(found)] for quantity, found in values.items() if np.isfinite(found).any()}
+    if not known or not all(map(_are_whole, known.values())):
+        return False
+    if any(np.median(np.abs(found)) > quantity.highest for quantity, found in known.items()):
+        return True
+    return positions_are_raw and all(
+        quantity not in pointed and np.median(found) / quantity.etsi_per_unit >= quantity.lowest
+        for quantity, found in known.items()
+    )
 
 
 def _positions_look_raw(values: FloatArray) -> bool:

@@ -30,7 +30,10 @@ def read_cam_csv(path: Path) -> CamRecording:
     table = read_table(path, REQUIRED, CamError, "message")
     stamps, stations = stamps_ns(table), station_ids(table)
     numbers = {quantity: numbers_of(table, quantity) for quantity in QUANTITIES}
-    values, unit_notes = in_units({quantity: parsed.values for quantity, parsed in numbers.items()})
+    values, unit_notes = in_units(
+        {quantity: parsed.values for quantity, parsed in numbers.items()},
+        {quantity for quantity in QUANTITIES if any("." in text for text in table.texts(quantity) or [])},
+    )
     unread = merged(parsed.problems for parsed in numbers.values())
     problems = merged([table.problems, stamps.problems, stations.problems, unread])
     code_notes = [note for parsed in numbers.values() for note in parsed.notes]

@@ -291,6 +291,32 @@ def test_whole_numbers_of_metres_and_degrees_are_no_raw_integers(tmp_path: Path)
     assert recording.notes == ()
 
 
+@pytest.mark.parametrize(("length", "width", "speed"), [("12", "2.55", "6.00"), ("12.0", "3.0", "6.0")])
+def test_what_is_written_with_a_decimal_point_is_not_raw_beside_raw_positions(
+    tmp_path: Path, length: str, width: str, speed: str
+) -> None:
+    metres = {"speed": speed, "vehicle_length": length, "vehicle_width": width, "heading": "75.0"}
+    columns: Columns = {**RAW, **{name: lambda m, text=text: text for name, text in metres.items()}}  # type: ignore[misc]
+    log = read_cam_csv(write(tmp_path / "cam.csv", table(drive(speed=6.0), columns))).log
+    found = (log.speed_mps[0], log.length_m[0], log.width_m[0], log.heading_deg[0])
+    assert found == tuple(map(float, (speed, length, width, "75.0")))
+
+
+def test_length_and_width_are_of_one_unit_and_so_are_the_axes_of_an_ellipse(tmp_path: Path) -> None:
+    columns: Columns = {**CANONICAL, "vehicle_length": lambda m: "47", "vehicle_width": lambda m: "18"}
+    axes: Columns = {"semi_major": lambda m: "120", "semi_minor": lambda m: "90"}
+    log = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), {**columns, **axes}))).log
+    assert (log.length_m[0], log.width_m[0], log.semi_major_95_m[0], log.semi_minor_95_m[0]) == (4.7, 1.8, 1.2, 0.9)
+
+
+def test_points_behind_all_whole_numbers_tell_nothing(tmp_path: Path, log: CamLog) -> None:
+    names = ["latitude", "longitude", "heading", "speed", "vehicle_length", "vehicle_width", "altitude"]
+    rows = table(drive(), RAW)
+    places = [rows[0].index(name) for name in names]
+    rows[1:] = [[f"{cell}.0" if i in places else cell for i, cell in enumerate(row)] for row in rows[1:]]
+    assert_same(read_cam_csv(write(tmp_path / "cam.csv", rows)).log, log)
+
+
 @pytest.mark.parametrize("columns", [CANONICAL, RAW], ids=["degrees", "raw"])
 @pytest.mark.parametrize(
     ("column", "code", "field"),
