@@ -133,7 +133,7 @@ def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], optio
     messages = _of_station(recorded.log, options.station, cam)
     with _naming(cam):
         check_overlap(messages, *span_ns)
-        world = world_around(messages.between(*span_ns), options.crs)
+        world = world_around(messages.between(*span_ns, options.core.match.clock_sigma_s), options.crs)
     read = read_lane_map(lane_map, world, options.map_crs) if lane_map is not None else None
     files = {str(path): sha256(path) for path in (cam, lane_map) if path is not None}
     return Drive(cam, messages, read, files, recorded.notes + (read.notes if read is not None else ()))

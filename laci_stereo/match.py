@@ -67,7 +67,7 @@ class MatchTask(Task):
         """Lay the detections on the ground, and match the vehicle's tracks."""
         options = self.options
         first_ns, last_ns = self.detections.span_ns
-        messages = self.drive.messages.between(first_ns, last_ns)
+        messages = self.drive.messages.between(first_ns, last_ns, options.core.match.clock_sigma_s)
         world = world_around(messages, options.crs)
         vehicles = vehicles_of(messages, world, first_ns, options.point)
         seen = observe_detections(self.detections, self.axes, options.core, self.level_m)

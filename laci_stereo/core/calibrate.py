@@ -65,7 +65,7 @@ def calibrate(
     """
     settings = settings or Settings()
     epoch_ns = source.span_ns[0]
-    messages = messages.between(*source.span_ns)
+    messages = messages.between(*source.span_ns, settings.match.clock_sigma_s)
     world = world_around(messages, crs)
     vehicles = vehicles_of(messages, world, epoch_ns, reference)
     seen = on_the_road(observe(source, settings), source, vehicles, settings)

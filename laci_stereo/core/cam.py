@@ -73,9 +73,13 @@ class CamLog(Columns):
         ids, counts = np.unique(self.station_id, return_counts=True)
         return [int(station) for station in ids[np.argsort(-counts, kind="stable")]]
 
-    def between(self, first_ns: int, last_ns: int) -> CamLog:
-        """Return the messages from just before to just after an interval, so that its ends can be interpolated."""
-        margin_ns = int(MAX_GAP_S * 1e9)
+    def between(self, first_ns: int, last_ns: int, clock_sigma_s: float = 0.0) -> CamLog:
+        """Return the messages from just before to just after an interval, so that its ends can be interpolated.
+
+        That is whatever the offset between their clock and that of the interval is found to be: up to three times its
+        standard deviation (`MatchSettings`).
+        """
+        margin_ns = int((MAX_GAP_S + 3.0 * clock_sigma_s) * 1e9)
         return self[(self.stamps_ns >= first_ns - margin_ns) & (self.stamps_ns <= last_ns + margin_ns)]
 
     def of(self, station: int) -> CamLog:

@@ -171,8 +171,11 @@ def place(
             f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are {most_m:.2f} m: "
             f"{advice}"
         )
-    frames = sum(map(len, drives))
-    left_out = {"unknown": sightings - frames, "bare": frames - fit.frames}
+    known = sum(
+        int(drive.vehicle.at(drive.stamps_s + offset_s)[2].sum())
+        for drive, offset_s in zip(drives, fit.time_offsets_s, strict=True)
+    )
+    left_out = {"unknown": sightings - known, "bare": known - fit.frames}
     contradicted = _contradicted(fit, drives, names)
     return Placement(
         match=fit.match,

@@ -75,6 +75,15 @@ def test_a_change_of_speed_does(made: Scene, by_s: float) -> None:
     assert found.time_sigma_s < 0.1
 
 
+@pytest.mark.parametrize(("last_s", "lost"), [(12.0, 0), (4.5, 15)])
+def test_messages_are_known_as_far_as_clocks_may_be_apart(last_s: float, lost: int) -> None:
+    by_s = 2.4
+    log = late(cam_log(ULM, BRAKING.vehicle, last_s, first_s=-5.0), by_s)
+    left_out = calibrate(BRAKING.recording, log, UNKNOWN_CLOCK).quality.left_out
+    assert "bare" not in left_out
+    assert left_out.get("unknown", 0) == pytest.approx(lost, abs=1)
+
+
 @pytest.mark.slow
 def test_one_that_follows_at_the_same_speed_cannot_be_told_apart() -> None:
     made = follower(4.4)

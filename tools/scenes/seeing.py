@@ -62,7 +62,7 @@ def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
     settings = settings or Settings()
     if way == "detections":
         log = detect(scene)
-        vehicles, world = _senders(scene, log.span_ns)
+        vehicles, world = _senders(scene, log.span_ns, settings)
         return Seen(observe_detections(log, scene.axes, settings), vehicles, world)
     if way == "rendered":
         with tempfile.TemporaryDirectory() as folder:
@@ -71,12 +71,12 @@ def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
 
 
 def _watched(scene: Scene, source: PointCloudSource, settings: Settings) -> Seen:
-    vehicles, world = _senders(scene, source.span_ns)
+    vehicles, world = _senders(scene, source.span_ns, settings)
     return Seen(on_the_road(observe(source, settings), source, vehicles, settings), vehicles, world)
 
 
-def _senders(scene: Scene, span_ns: tuple[int, int]) -> tuple[dict[int, VehicleTrack], World]:
-    messages = scene.messages.between(*span_ns)
+def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> tuple[dict[int, VehicleTrack], World]:
+    messages = scene.messages.between(*span_ns, settings.match.clock_sigma_s)
     world = world_around(messages, scene.crs)
     return vehicles_of(messages, world, span_ns[0], FRONT), world
 
