@@ -31,7 +31,7 @@ _WRITERS: Mapping[Format, Callable[[CamRecording], str]] = {
 @click.option("--out", type=PATH, help="File for the conversion; without --to, for a map (PNG).")
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there already.")
 def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> None:
-    """Show what a log of messages says, before any run, or convert it.
+    """Show what a log of messages says, and whether a run could use it, or convert it.
 
     LOG is CSV, a packet capture (pcap, pcapng), a ROS or MCAP bag, lines of hexadecimal CAMs, V2AIX's JSON, NMEA or
     GPX; its content tells which.

@@ -89,9 +89,10 @@ def calibrate(
 ) -> Job:
     """Calibrate a stereo camera.
 
-    LEFT and RIGHT are folders of images whose names, or a timestamps.txt among them, tell the time. CAM is a CSV log
-    of Cooperative Awareness Messages with the columns timestamp, station_id, latitude, longitude, heading, speed,
-    vehicle_length and vehicle_width.
+    LEFT and RIGHT are folders of images whose names, or a timestamps.txt among them, tell the time. CAM is a log of
+    Cooperative Awareness Messages: CSV with the columns timestamp, station_id, latitude, longitude, heading, speed,
+    vehicle_length and vehicle_width, or any other that `laci-stereo cam` reads: a packet capture, a ROS or MCAP bag,
+    hexadecimal lines, V2AIX's JSON, or positions of a receiver in NMEA or GPX, which need --cam-reference.
     """
     options = Options(
         **vars(asked.drive(parse_background(background))),
@@ -137,8 +138,9 @@ def match(
 
     DETECTIONS is a CSV file with the columns timestamp, x, y, z, yaw, length, width and height, optionally track_id
     and radial_speed, in the sensor's frame, in metres and radians; with --level, timestamp, x and y suffice. CAM is a
-    CSV log of Cooperative Awareness Messages with the columns timestamp, station_id, latitude, longitude, heading,
-    speed, vehicle_length and vehicle_width.
+    log of Cooperative Awareness Messages: CSV with the columns timestamp, station_id, latitude, longitude, heading,
+    speed, vehicle_length and vehicle_width, or any other that `laci-stereo cam` reads: a packet capture, a ROS or MCAP
+    bag, hexadecimal lines, V2AIX's JSON, or positions of a receiver in NMEA or GPX, which need --cam-reference.
     """
     options = MatchOptions(**vars(asked.drive(None)), axes=parse_axes(axes), box_origin=box_origin, level_m=level)
     return prepare_match(detections, cam, options)

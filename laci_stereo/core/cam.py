@@ -256,8 +256,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     TrackError
         If the vehicle stands still.
     """
-    located = np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)
-    log = log[located]
+    log = log[world.holds(log.latitude_deg, log.longitude_deg)] if len(log) else log
     if len(log) < 2:
         raise CamError(f"{len(log)} CAMs with a position while it is recorded; needed are at least 2")
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)

@@ -10,7 +10,7 @@ from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError
 
 from laci_stereo.core.errors import CamError, SettingError
-from laci_stereo.core.frames import FloatArray, rigid
+from laci_stereo.core.frames import BoolArray, FloatArray, rigid
 
 MAX_ZONES_APART = 2
 """A grid may be continued into the zone beside its own, which on Svalbard has a number two away."""
@@ -86,6 +86,14 @@ class World:
         east, north = utm.T.tolist()
         longitude, latitude = self._transformer.transform(east, north, direction="INVERSE")
         return np.column_stack([latitude, longitude])
+
+    def holds(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
+        """Tell which positions are in the world, shape (n,): not those that are missing, or half the Earth away."""
+        told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
+        latitude, longitude = np.where(told, latitude_deg, 0.0), np.where(told, longitude_deg, 0.0)
+        yaw = self.yaw_from_heading(np.zeros(len(told)), latitude, longitude)
+        held: BoolArray = told & np.isfinite(self.from_geodetic(latitude, longitude)).all(axis=1) & np.isfinite(yaw)
+        return held
 
     def yaw_from_heading(
         self, heading_deg: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray

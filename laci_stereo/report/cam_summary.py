@@ -6,13 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from laci_stereo.core.cam import MAX_GAP_S, CamLog
+from laci_stereo.core.calibrate import world_around
+from laci_stereo.core.cam import MAX_GAP_S, CamLog, vehicle_track
+from laci_stereo.core.errors import LaciError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.stamps import iso_text
 
 MOST_STATIONS = 5
 """A car park sends hundreds; whoever drove through the scene is among those with most messages."""
+
+MOST_CHECKED = 6000
+"""Messages of ten minutes: nobody is in view for longer, and what is wrong with all of a log is wrong with these."""
 
 _METRES_PER_DEG = 111_195.0
 
@@ -48,6 +53,25 @@ def _stations(recording: CamRecording) -> Iterator[str]:
         yield _line("  Speed", _range(log.speed_mps, "m/s", 2))
         yield _line("  Vehicle", _sizes(log.length_m, log.width_m))
         yield _line("  Accuracy", f"{_sizes(log.semi_major_95_m, log.semi_minor_95_m)}, axes of the 95 % ellipse")
+        yield from (_line("  Check", found) for found in _found(log))
+
+
+def _found(log: CamLog) -> Iterator[str]:
+    """Yield what a calibration would say of one station's messages."""
+    part = f" (of the first {MOST_CHECKED} messages)" if len(log) > MOST_CHECKED else ""
+    log = log[np.arange(min(len(log), MOST_CHECKED))]
+    located = np.count_nonzero(np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg))
+    if located < 2:
+        yield f"of no use{part}: {located} messages with a position; needed are at least 2"
+        return
+    try:
+        track = vehicle_track(log, world_around(log), int(log.stamps_ns[0]))
+    except LaciError as error:
+        yield f"of no use{part}: {error}"
+        return
+    yield from (f"{found}{part}" for found in dict.fromkeys((*track.doubts, *track.remarks)))
+    if not track.doubts:
+        yield f"{len(track.stamps_s)} of {len(log)} messages follow from one another by speed and heading{part}"
 
 
 def _line(label: str, text: str) -> str:

@@ -81,9 +81,10 @@ def calibrate(
     """Calibrate a LiDAR.
 
     SCANS is a folder of PCD, PLY, LAS, LAZ, KITTI .bin, .npy or .npz files whose names, or a timestamps.txt among
-    them, tell the time; or a ROS 1 bag, a ROS 2 bag or an MCAP file. CAM is a CSV log of Cooperative Awareness
-    Messages with the columns timestamp, station_id, latitude, longitude, heading, speed, vehicle_length and
-    vehicle_width.
+    them, tell the time; or a ROS 1 bag, a ROS 2 bag or an MCAP file. CAM is a log of Cooperative Awareness
+    Messages: CSV with the columns timestamp, station_id, latitude, longitude, heading, speed, vehicle_length and
+    vehicle_width, or any other that `laci-stereo cam` reads: a packet capture, a ROS or MCAP bag, hexadecimal lines,
+    V2AIX's JSON, or positions of a receiver in NMEA or GPX, which need --cam-reference.
     """
     options = LidarOptions(
         **vars(asked.drive(parse_background(background))),

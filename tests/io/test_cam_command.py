@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -41,6 +42,37 @@ def test_it_tells_what_a_log_holds(tmp_path: Path):
     assert "note: timestamp: generationDeltaTime" in text
     assert "note: ETSI integers of latitude 1e-7 deg" in text
     assert list(tmp_path.iterdir()) == [path]
+
+
+def wrong_speed(log: CamLog) -> CamLog:
+    return replace(log, speed_mps=3.6 * log.speed_mps)
+
+
+def counter_clockwise(log: CamLog) -> CamLog:
+    return replace(log, heading_deg=(90.0 - log.heading_deg) % 360.0)
+
+
+def exchanged(log: CamLog) -> CamLog:
+    return replace(log, length_m=log.width_m, width_m=log.length_m)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (wrong_speed, "of no use: the messages of station 3725855973 contradict one another"),
+        (wrong_speed, "likely: speed is in km/h"),
+        (counter_clockwise, "likely: they are counter-clockwise from east"),
+        (exchanged, "exceeds its length, 1.80 m; exchanged?"),
+        (lambda log: log[np.array([0])], "of no use: 1 messages with a position; needed are at least 2"),
+        (lambda log: log, "60 of 60 messages follow from one another by speed and heading"),
+    ],
+)
+def test_it_says_what_a_calibration_would(tmp_path: Path, change: Callable[[CamLog], CamLog], words: str):
+    (tmp_path / "cam.csv").write_text(to_csv(change(drive())))
+    ran = run(["cam", str(tmp_path / "cam.csv")], tmp_path)
+    assert ran.code == 0
+    (check,) = (line for line in ran.out.splitlines() if line.startswith("  Check"))
+    assert words in check
 
 
 def test_it_writes_a_map_and_replaces_none(tmp_path: Path):
@@ -89,6 +121,24 @@ def test_a_map_is_written_under_no_other_name_than_a_picture(tmp_path: Path):
     assert (ran.code, ran.out) == (2, "")
     assert "cam.csv: the picture's name ends in .csv; needed is .png" in ran.err
     assert list(tmp_path.iterdir()) == [path]
+
+
+anything = st.one_of(st.just(float("nan")), st.floats(0.0, 1e3))
+degrees = st.floats(-90.0, 90.0)
+
+
+@fuzz
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 10**10), st.just(7), degrees, degrees, *([anything] * 8)), min_size=1, max_size=12
+    )
+)
+def test_whatever_a_log_holds_is_said(rows: list[tuple[float, ...]]):
+    rows = sorted({row[0]: row for row in rows}.values())
+    stamps = START_NS + np.array([row[0] for row in rows], dtype=np.int64)
+    values = [np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)][2:]
+    said = summarise_log(CamRecording(CamLog(stamps, np.full(len(rows), 7), *values), ()), "a")
+    assert "  Check" in said
 
 
 numbers = st.one_of(st.just(float("nan")), st.floats(0.5, 1.5))
