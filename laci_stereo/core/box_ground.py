@@ -294,7 +294,8 @@ def _check(heights: _Heights, ground: GroundPlane, axes: Axes, settings: GroundS
             "find the ground; record more traffic, or say --level HEIGHT"
         )
     up = np.asarray(axes.up, dtype=np.float64)
-    if not can_be_ground((-ground.normal / ground.height_m)[None], up / np.linalg.norm(up), settings)[0]:
+    too_near = ground.height_m < settings.min_height_m
+    if too_near or not can_be_ground((-ground.normal / ground.height_m)[None], up / np.linalg.norm(up), settings)[0]:
         tilt_deg = np.degrees(np.arccos(np.clip(ground.normal @ up, -1.0, 1.0)))
         raise GroundError(
             f"plane below the boxes: {tilt_deg:.1f} deg from up, {ground.height_m:.2f} m below found, "

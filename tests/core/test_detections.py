@@ -182,6 +182,14 @@ def test_a_plane_that_can_be_no_ground_is_refused(limits: GroundSettings) -> Non
         observe_detections(made.detections, made.axes, Settings(ground=limits))
 
 
+def test_boxes_at_the_sensors_own_height_stand_on_no_ground() -> None:
+    made = traffic(4, 12)
+    log = made.detections
+    flat = np.column_stack([log.points_sensor[:, :2], log.above_ground_m])
+    with pytest.raises(GroundError, match=r"plane below the boxes: .* deg from up, -?0.00 m below found, .* --level"):
+        observe_detections(replace(log, points_sensor=flat), made.axes)
+
+
 def test_a_level_sensor_needs_no_third_coordinate() -> None:
     made = traffic(6, 8)
     log = made.detections
