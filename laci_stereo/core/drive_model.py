@@ -11,8 +11,8 @@ from laci_stereo.core import mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
-from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import FloatArray, IntArray, along_line, dot_xy, rotate_xy, turned
+from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
+from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
 from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
@@ -26,9 +26,6 @@ _PARTIAL = _SHAPE + len(outline.SHAPE)
 _GROWTH = _PARTIAL + 1
 _KNOTS = _GROWTH + 2
 
-SAME_VIEW_M = 0.5
-"""What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
-
 GRAZING = 0.3
 """Where rays touch a corner, its noise, not their angle, tells how ranges differ: about sqrt(2 x 0.03 m / 0.5 m)."""
 
@@ -37,7 +34,13 @@ TAIL = 4.0
 that err together must not pull the messages with them."""
 
 KNOTS_PER_TIME = 4
-"""Knots of an error's course in the time over which it decays."""
+"""Knots of an error's course in the time, or on the way, over which it decays."""
+
+ALIKE = 0.5
+"""Of the variance of two receivers' errors at one time, and of one receiver's here and there. Satellites' orbits and
+clocks and the air above are the same for both, what walls reflect is not: the former is most of it without corrections,
+the latter with them. With half, no number of receivers is taken for better than it is by more than the square root of
+two."""
 
 SAME_ERROR_M = 10.0
 """A matcher errs by texture, by gloss and by what is behind an edge, and so alike until the vehicle is seen from
@@ -75,9 +78,19 @@ def position_sigma_m(vehicle: VehicleTrack, settings: JointSettings) -> float:
     return max(told, FINEST_M) if np.isfinite(told) else settings.position_sigma_m
 
 
-def decay(knots_s: FloatArray, settings: JointSettings) -> FloatArray:
-    """Return how errors of positions at knots, shape (k,), are correlated, shape (k, k)."""
-    correlation: FloatArray = np.exp(-np.abs(knots_s[:, None] - knots_s) / settings.bias_time_s)
+def decay(stamps_s: FloatArray, way_m: FloatArray, settings: JointSettings) -> FloatArray:
+    """Return how one receiver's errors at some times and places of its way, shape (k,), are correlated, shape (k, k).
+
+    All of an error changes with the time; what walls reflect also with the way, and while it stands no faster.
+    """
+    reflected = (1.0 - ALIKE) * np.exp(-np.abs(way_m[:, None] - way_m) / settings.bias_way_m)
+    correlation: FloatArray = in_time(stamps_s, settings) * (ALIKE + reflected)
+    return correlation
+
+
+def in_time(stamps_s: FloatArray, settings: JointSettings) -> FloatArray:
+    """Return how errors at some times, shape (k,), are correlated by these alone, shape (k, k)."""
+    correlation: FloatArray = np.exp(-np.abs(stamps_s[:, None] - stamps_s) / settings.bias_time_s)
     return correlation
 
 
@@ -268,18 +281,21 @@ class DriveModel:
         self.centre = centre
         self.settings = settings
         self.size = (drive.vehicle.length_m, drive.vehicle.width_m)
-        first, last = drive.stamps_s[[0, -1]] if len(drive) else (0.0, 0.0)
-        knots = max(2, int(np.ceil((last - first) * KNOTS_PER_TIME / settings.bias_time_s)) + 1)
-        self.knots_s = np.linspace(first, max(last, first + 1e-3), knots)
-        self.hat = np.maximum(
-            0.0, 1.0 - np.abs(drive.stamps_s[:, None] - self.knots_s) / (self.knots_s[1] - self.knots_s[0])
+        passed_s = drive.stamps_s - drive.stamps_s[:1]
+        course = drive.way_m / settings.bias_way_m + passed_s / settings.bias_time_s
+        end = max(float(course.max(initial=0.0)), 1e-3)
+        knots = max(2, int(np.ceil(end * KNOTS_PER_TIME)) + 1)
+        at = np.linspace(0.0, end, knots)
+        self.hat = np.maximum(0.0, 1.0 - np.abs(course[:, None] - at) / at[1])
+        self.knots_s, self.knots_m = (
+            np.interp(at, course, each) if len(drive) else np.zeros(knots) for each in (drive.stamps_s, drive.way_m)
         )
         self.own = _KNOTS - FIRST_OWN + 2 * knots
-        self.block = ((drive.stamps_s - first) // settings.block_s).astype(int)
+        self.block = _blocks(drive, settings.block_s)
         self.worth = _worth(drive, SAME_VIEW_M)
         self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
         self.border_worth = _worth(drive, SAME_BORDER_M)
-        self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, settings)
+        self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, self.knots_m, settings)
         self.base_sigmas = np.array(
             [
                 with_turn(settings.clock_sigma_s, drive.turn_s) if turns else settings.clock_sigma_s,
@@ -445,7 +461,7 @@ class DriveModel:
         total: FloatArray = np.zeros((size, size))
         if self.drive.window_rad == 0.0 or not len(self.drive.points):
             return total
-        way = _way_m(self.drive)
+        way = self.drive.way_m
         alike = np.exp(-np.abs(way[:, None] - way) / SAME_ERROR_M) - np.eye(len(way))
         pulls = fitness.jacobian * (fitness.precision * fitness.jacobian[:, BIAS])[:, None]
         for side in range(outline.SIDES):
@@ -724,7 +740,7 @@ def _worth(drive: Evidence, alike_m: float) -> FloatArray:
     """
     if not len(drive):
         return np.ones(0)
-    way = _way_m(drive) / alike_m
+    way = drive.way_m / alike_m
     total = np.append(0.0, np.cumsum(way))
     first, last, own = np.searchsorted(way, way - 1.0), np.searchsorted(way, way + 1.0), np.arange(len(way))
     before = (own - first) * (1.0 - way) + total[own] - total[first]
@@ -733,9 +749,12 @@ def _worth(drive: Evidence, alike_m: float) -> FloatArray:
     return worth
 
 
-def _way_m(drive: Evidence) -> FloatArray:
-    """Return how far the vehicle has come at each frame, shape (m,)."""
-    return along_line(drive.vehicle.at(drive.stamps_s)[0])
+def _blocks(drive: Evidence, block_s: float) -> IntArray:
+    """Return which frames, shape (m,), say one thing together: those of one time, and of all in which it stands."""
+    seconds = (drive.stamps_s - drive.stamps_s[:1]) // block_s
+    first, own = np.unique(seconds, return_index=True, return_inverse=True)[1:]
+    blocks: IntArray = (drive.way_m[first] // SAME_VIEW_M).astype(np.int64)[own.reshape(-1)]
+    return blocks
 
 
 def mean_overlap(extent: FloatArray) -> FloatArray:

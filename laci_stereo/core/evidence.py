@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,6 +12,12 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
+
+SAME_VIEW_M = 0.5
+"""What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
+
+FRAMES_PER_PLACE = 10
+"""Frames of one place tell no more than one of them, but for noise, which so many make a third."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +67,11 @@ class Evidence:
         return len(self.stamps_s)
 
     @cached_property
+    def way_m(self) -> FloatArray:
+        """How far the vehicle has come at each frame by its messages, shape (m,)."""
+        return way_driven(self.vehicle.at(self.stamps_s)[0], SAME_VIEW_M)
+
+    @cached_property
     def frames_late_s(self) -> FloatArray:
         """How much later than in the mean a scanner that turns counter-clockwise sees each frame's middle, (m,)."""
         turned = np.unwrap(np.arctan2(self.middles[:, 1], self.middles[:, 0]))
@@ -96,8 +108,34 @@ class Evidence:
         return self.beside_rad * (self.turn_s / (2 * np.pi))
 
     def thinned(self, rows: int) -> Evidence:
-        """Return about so many of the points, spread evenly over all frames."""
-        keep = np.arange(0, len(self.points), max(1, len(self.points) // max(1, rows)))
+        """Return about so many of the points, spread evenly over all frames, but for most in which the vehicle stands.
+
+        At any place `FRAMES_PER_PLACE` are left, from the first to the last.
+        """
+        drive = self._moving()
+        keep = np.arange(0, len(drive.points), max(1, len(drive.points) // max(1, rows)))
+        return drive._with_points(keep)
+
+    def _moving(self) -> Evidence:
+        place = np.unique(self.way_m // SAME_VIEW_M, return_inverse=True)[1].reshape(-1)
+        count = np.bincount(place)
+        rank = np.arange(len(self)) - (np.cumsum(count) - count)[place]
+        # Those at which the next of nine equal steps from the first to the last has begun.
+        step = (rank * (FRAMES_PER_PLACE - 1)) // np.maximum(count[place] - 1, 1)
+        kept = (count[place] <= FRAMES_PER_PLACE) | (np.diff(step, prepend=-1) != 0) | (rank == 0)
+        if kept.all():
+            return self
+        drive = self._with_points(np.flatnonzero(kept[self.frame]))
+        return replace(
+            drive,
+            stamps_s=self.stamps_s[kept],
+            middles=self.middles[kept],
+            lacking_m=self.lacking_m[kept],
+            frame=(np.cumsum(kept) - 1)[drive.frame],
+            borders=None if self.borders is None else self.borders[kept],
+        )
+
+    def _with_points(self, keep: IntArray) -> Evidence:
         return replace(
             self,
             points=self.points[keep],
@@ -106,6 +144,21 @@ class Evidence:
             sigma_across_m=self.sigma_across_m[keep],
             sigma_z_m=self.sigma_z_m[keep],
         )
+
+
+def way_driven(xy: FloatArray, still_m: float) -> FloatArray:
+    """Return how far something has come at each of its places, shape (m,); the places' shape is (m, 2).
+
+    What comes no farther than ``still_m`` from where it was, and back, stands: its way is how far it came once.
+    """
+    way_m = np.zeros(len(xy))
+    begin, before_m, farthest_m = xy[:1].ravel().tolist(), 0.0, 0.0
+    for i, at in enumerate(xy.tolist()):
+        farthest_m = max(farthest_m, math.dist(begin, at))
+        way_m[i] = before_m + farthest_m
+        if farthest_m >= still_m:
+            begin, before_m, farthest_m = at, float(way_m[i]), 0.0
+    return way_m
 
 
 def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidence:

@@ -113,6 +113,8 @@ class JointFit:
         Of the points that the outline explains.
     frames : int
         That have such points.
+    standing : int
+        Frames that were left out, since the vehicle stood there in enough others.
     explained : float
         Share of the points that the outline explains, at the surface or behind it.
     bodies : tuple of VehicleTrack
@@ -136,6 +138,7 @@ class JointFit:
     bodies: tuple[VehicleTrack, ...] = ()
     turn: float = 0.0
     turn_probability: float = 1.0
+    standing: int = 0
 
 
 def fit_jointly(
@@ -190,10 +193,11 @@ def fit_jointly(
         its_log_likely, its_best = _Problem(coarse, begin, centre, wrong, turn, at_once).reached(best)
         if its_log_likely + log_prior > log_likely:
             log_likely, best, settings = its_log_likely + log_prior, its_best, wrong
+    standing = sum(map(len, drives)) - sum(map(len, fine))
     problem = _Problem(fine, begin, centre, settings, turn, at_once)
     solved = problem.solve(best)
     if not turn.possible:
-        return _fit(problem, solved, centre, expected)
+        return _fit(problem, solved, centre, expected, standing)
     turned = [_turned(problem, solved, each) for each in TURNS]
     likeliest = max(turned, key=lambda each: each.log_probability)
     problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), at_once)
@@ -204,7 +208,7 @@ def fit_jointly(
     off = np.array([each.x - likeliest.x for each in turned])
     within = [solved.covariance if each is likeliest else each.covariance for each in turned]
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
-    fit = _fit(problem, replace(solved, covariance=covariance), centre, expected)
+    fit = _fit(problem, replace(solved, covariance=covariance), centre, expected, standing)
     return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
 
 
@@ -328,7 +332,9 @@ class _Problem:
         self.drifts = None
         if recordings.shared:
             sigmas_m = [position_sigma_m(drive.vehicle, settings) for drive in drives]
-            self.drifts = recordings.drifts([model.knots_s for model in self.models], sigmas_m, settings)
+            self.drifts = recordings.drifts(
+                [model.knots_s for model in self.models], [model.knots_m for model in self.models], sigmas_m, settings
+            )
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
@@ -522,7 +528,9 @@ def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
     return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
 
 
-def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray]) -> JointFit:
+def _fit(
+    problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray], standing: int
+) -> JointFit:
     weights = sum(each.weight for each in solved.fitness)
     squares = sum(each.squares for each in solved.fitness)
     after = np.sqrt(np.diag(solved.covariance))
@@ -545,4 +553,5 @@ def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Seque
         frames=sum(each.frames for each in solved.fitness),
         explained=sum(each.explained for each in solved.fitness) / max(1, sum(each.rows for each in solved.fitness)),
         bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, solved.own, strict=True)),
+        standing=standing,
     )

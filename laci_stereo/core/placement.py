@@ -175,7 +175,8 @@ def place(
         int(drive.vehicle.at(drive.stamps_s + offset_s)[2].sum())
         for drive, offset_s in zip(drives, fit.time_offsets_s, strict=True)
     )
-    left_out = {"unknown": sightings - known, "bare": known - fit.frames}
+    bare = max(0, known - fit.standing - fit.frames)
+    left_out = {"unknown": sightings - known, "standing": fit.standing, "bare": bare}
     contradicted = _contradicted(fit, drives, names)
     return Placement(
         match=fit.match,

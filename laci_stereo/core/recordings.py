@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from laci_stereo.core.drive_model import decay
+from laci_stereo.core.drive_model import ALIKE, decay, in_time
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.settings import JointSettings
 
@@ -14,11 +15,6 @@ SENDER_S, SENDER_SHARE = 0.005, 0.5
 """Of what is not known of the clocks' offset, each sender's own part, one standard deviation: GNSS sets their clocks to
 far better, but what they tell is a position that was worked out some milliseconds earlier, and stamped as well as their
 software does. It is no more than half of the offset's own: who knows that better knows how senders stamp."""
-
-ALIKE = 0.5
-"""Of the variance of two receivers' errors at one time. Satellites' orbits and clocks and the air above are the same
-for both, what walls reflect is not: the former is most of it without corrections, the latter with them. With half, no
-number of receivers is taken for better than it is by more than the square root of two."""
 
 
 class Recordings:
@@ -52,20 +48,27 @@ class Recordings:
         tied: FloatArray = np.linalg.inv(self._same * np.outer(sensors, sensors) + np.diag(own))
         return tied
 
-    def drifts(self, knots_s: Sequence[FloatArray], sigmas_m: Sequence[float], settings: JointSettings) -> FloatArray:
+    def drifts(
+        self,
+        knots_s: Sequence[FloatArray],
+        knots_m: Sequence[FloatArray],
+        sigmas_m: Sequence[float],
+        settings: JointSettings,
+    ) -> FloatArray:
         """Return the precision of the errors of positions at all drives' knots, on either axis, shape (k, k).
 
         Parameters
         ----------
-        knots_s : sequence of ndarray
-            When each drive's are.
+        knots_s, knots_m : sequence of ndarray
+            When each drive's are, and where on its way.
         sigmas_m : sequence of float
             How exact each drive's positions are.
         settings : JointSettings
         """
         drive = np.repeat(np.arange(len(knots_s)), [len(each) for each in knots_s])
         sigma_m = np.array(sigmas_m)[drive]
-        alike = self._same * np.where(np.eye(len(knots_s), dtype=bool), 1.0, ALIKE)
-        covariance = np.outer(sigma_m, sigma_m) * decay(np.concatenate(knots_s), settings) * alike[drive][:, drive]
+        common = ALIKE * self._same[drive][:, drive] * in_time(np.concatenate(knots_s), settings)
+        own = block_diag(*(decay(at_s, at_m, settings) for at_s, at_m in zip(knots_s, knots_m, strict=True)))
+        covariance = np.outer(sigma_m, sigma_m) * np.where(np.equal.outer(drive, drive), own, common)
         precision: FloatArray = np.linalg.inv(covariance)
         return precision

@@ -12,7 +12,7 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import KNOTS_PER_TIME, Correction, decay, position_sigma_m
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
-from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, along_line, rotate_xy
 from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.pieces import seen_share
@@ -88,7 +88,7 @@ def resemblance(
         return Resemblance()
     step_s = max(FREE_S, float(np.ptp(drive.stamps_s)) / MOST_KNOTS)
     clocks = replace(settings, clock_sigma_s=with_turn(settings.clock_sigma_s, drive.turn_s))
-    free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, heading_sigma_deg=FREE_DEG)
+    free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, bias_way_m=math.inf, heading_sigma_deg=FREE_DEG)
     try:
         rough = fit_roughly(drive, start, time_offset_s, free)
         if np.linalg.eigvalsh(rough.information)[-1] < FREE_M**-2:  # noise hides the outline: boxes tell more
@@ -129,7 +129,7 @@ def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: J
     speed_mps = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum()) / span_s
     other = (SPEED_SPREAD * speed_mps) ** 2 * np.outer(apart_s, apart_s)
     other += USUAL_MPS2**2 / 4 * np.outer(apart_s**2, apart_s**2)
-    owns = [max(exact, told_m) ** 2 * decay(fit.knots_s, settings) for exact in (told_m, *EXACT_M)]
+    owns = [max(exact, told_m) ** 2 * decay(fit.knots_s, along_line(xy), settings) for exact in (told_m, *EXACT_M)]
     senders = [_most_likely(fit, own) for own in owns]
     sender = np.logaddexp.reduce([value for value, _ in senders])
     stranger = np.logaddexp.reduce([_most_likely(fit, own + other)[0] for own in owns])

@@ -259,7 +259,10 @@ class JointSettings:
         Of positions whose accuracy the messages do not tell: that of a receiver with carrier-phase corrections, the
         only kind that a calibration is worth being made with.
     bias_time_s : float
-        Time over which a receiver's error decays: multipath at the speed of a car.
+        Time over which a receiver's error decays, moving or not: satellites move on, and with them what reaches an
+        antenna through the air and by way of walls, in minutes (Rankin, ION GPS-94).
+    bias_way_m : float
+        Way over which what walls reflect is another thing: 10 s in a town's traffic, as receivers' filters hold it.
     shared_variance_share : float
         Of the variance of points, what those on one side in one frame have in common: half of the standard deviation,
         more than on the road (`GroundSettings`), of which more windows of a matcher or more layers tell.
@@ -275,7 +278,8 @@ class JointSettings:
     lever_sigma_m: float = 0.05
     size_sigma_m: float = 0.05
     position_sigma_m: float = 0.02
-    bias_time_s: float = 10.0
+    bias_time_s: float = 300.0
+    bias_way_m: float = 100.0
     shared_variance_share: float = 0.25
     bias_noise_share: float = GroundSettings.shared_noise_share
     block_s: float = 1.0

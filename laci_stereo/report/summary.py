@@ -12,6 +12,7 @@ LEFT_OUT = {
     "thin": "too thin",
     "unknown": "without CAMs that tell where it stands",
     "bare": "without a point of the outline",
+    "standing": "standing where it is seen in others",
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,23 @@ CIRCLE, ROUNDABOUT = (Drive((-16.0, 50.0), -60.0, ((200.0, turn_deg),), start_s=
 
 STRAIGHT = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 7.0),))
 BRAKING = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 9.0), (5.0, 5.0)))
+
+
+@dataclass(frozen=True)
+class Stopping(Drive):
+    """A drive that brakes before its third second, stands, and goes on as it would have."""
+
+    stop_s: float = 0.0
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        begin, end, brake_s = 2.0, 4.0 + self.stop_s, 2.0
+        braking, starting = (np.clip((times_s - since) / brake_s, 0.0, 1.0) for since in (begin, end))
+        gone_s = np.minimum(times_s, begin) + brake_s * (braking - braking**2 / 2 + starting**2 / 2)
+        return super().at(gone_s + np.maximum(times_s - end - brake_s, 0.0))
+
+
+def stopping(drive: Drive, stop_s: float) -> Stopping:
+    return Stopping(drive.start, drive.yaw_deg, drive.legs, drive.speeds, drive.start_s, stop_s)
 
 
 def rectangle_points(origin: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
@@ -117,6 +134,20 @@ def without_messages(vehicle: VehicleTrack, first_s: float, last_s: float) -> Ve
     """Return a track that lost its messages between two times."""
     kept = (vehicle.stamps_s <= first_s) | (vehicle.stamps_s >= last_s)
     return replace(vehicle, stamps_s=vehicle.stamps_s[kept], xy=vehicle.xy[kept], yaw_rad=vehicle.yaw_rad[kept])
+
+
+def boxed(seen: Evidence, centres: FloatArray) -> Evidence:
+    """Return what a detector tells that gives boxes with such centres, level, in the same frames."""
+    per_point = ("points", "frame", "sigma_along_m", "sigma_across_m", "sigma_z_m")
+    return replace(seen, middles=centres, **{name: getattr(seen, name)[:0] for name in per_point})
+
+
+def lasting(xy: FloatArray, over_m: float, rng: np.random.Generator, columns: int = 1) -> FloatArray:
+    """Return errors with a variance of 1 that decay over so much of a way, shape (m, columns)."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+    alike = np.exp(-np.abs(way[:, None] - way) / over_m) + 1e-9 * np.eye(len(way))
+    errors: FloatArray = np.linalg.cholesky(alike) @ rng.normal(size=(len(way), columns))
+    return errors
 
 
 def lacking(drive: Evidence, first_s: float, last_s: float) -> Evidence:

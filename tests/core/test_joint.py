@@ -7,15 +7,28 @@ from functools import cache
 import numpy as np
 import pytest
 
-from laci_stereo.core.drive_model import BIAS, FIRST_OWN, SWEEP, DriveModel, mean_overlap
+from laci_stereo.core.drive_model import BIAS, FIRST_OWN, KNOTS_PER_TIME, SWEEP, DriveModel, mean_overlap
 from laci_stereo.core.errors import MatchError
-from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.evidence import FRAMES_PER_PLACE, Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.outline import FACES, SHAPE, SIDES
 from laci_stereo.core.settings import JointSettings
-from tests.core.outlines import BRAKING, CIRCLE, STRAIGHT, TRUTH, TURN, evidence, lacking, told, with_borders
+from tests.core.outlines import (
+    BRAKING,
+    CIRCLE,
+    STRAIGHT,
+    TRUTH,
+    TURN,
+    boxed,
+    evidence,
+    lacking,
+    lasting,
+    stopping,
+    told,
+    with_borders,
+)
 from tests.simulated import Drive
 
 UNKNOWN_CLOCK = JointSettings(clock_sigma_s=1.0)
@@ -98,10 +111,7 @@ def test_errors_of_a_matcher_that_last_are_in_the_covariance(drive: Drive) -> No
     squared = []
     for seed in range(40):
         plain = replace(evidence(drive, seed=seed, sigma_m=0.3, per_frame=30), window_rad=0.005)
-        xy = plain.vehicle.at(plain.stamps_s)[0]
-        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
-        alike = np.exp(-np.abs(way[:, None] - way) / 10.0) + 1e-9 * np.eye(len(way))
-        common = np.linalg.cholesky(alike) @ np.random.default_rng([seed, 3]).normal(size=len(way))
+        common = lasting(plain.vehicle.at(plain.stamps_s)[0], 10.0, np.random.default_rng([seed, 3]))[:, 0]
         off_m = np.sqrt(JointSettings().shared_variance_share) * plain.sigma_along_m * common[plain.frame]
         sensor = np.array([0.0, 0.0, plain.height_m])
         sight = plain.points - sensor
@@ -196,19 +206,29 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     rng = np.random.default_rng(5)
     xy, _ = TURN.at(drive.stamps_s)
     centres = rotate_xy(-TRUTH.yaw_rad, xy - TRUTH.shift) + rng.normal(0.0, 0.1, xy.shape)
-    empty = replace(drive.thinned(1), middles=centres)
-    empty = replace(
-        empty,
-        **{
-            name: getattr(empty, name)[:0]
-            for name in ("points", "frame", "sigma_along_m", "sigma_across_m", "sigma_z_m")
-        },
-    )
+    empty = boxed(drive, centres)
     fit = fit_jointly([empty], off_by(2.0, 0.5, 0.5, empty))
     yaw, x, y = error(fit)
     assert np.hypot(x, y) < min(0.15, 3 * np.sqrt(np.trace(fit.covariance[1:, 1:])))
     assert abs(np.degrees(yaw)) < 0.3
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
+
+
+def test_an_error_of_positions_stays_while_the_vehicle_stands() -> None:
+    settings = JointSettings(position_sigma_m=0.5)
+    seen = (evidence(stopping(TURN, stop_s), per_frame=10, last_s=11.0 + stop_s) for stop_s in (0.0, 120.0))
+    moving, stopped = (fit_jointly([one], TRUTH, settings=settings, close=True).covariance for one in seen)
+    assert (np.sqrt(np.diag(stopped)[1:]) > 0.85 * np.sqrt(np.diag(moving)[1:])).all()
+
+
+def test_a_long_stop_makes_the_problem_hardly_larger() -> None:
+    seen = [evidence(stopping(TURN, stop_s), per_frame=4, last_s=11.0 + stop_s) for stop_s in (0.0, 900.0)]
+    moving, stopped = (DriveModel(one.thinned(10_000), np.zeros(2), JointSettings()) for one in seen)
+    assert len(stopped.drive) < len(moving.drive) + 2 * FRAMES_PER_PLACE
+    assert len(np.unique(stopped.block)) < len(np.unique(moving.block)) + 3
+    assert len(stopped.knots_s) <= len(moving.knots_s) + KNOTS_PER_TIME * 900.0 / JointSettings().bias_time_s
+    fit = fit_jointly([seen[1]], TRUTH, close=True)
+    assert fit.frames + fit.standing == len(seen[1])
 
 
 @pytest.mark.parametrize("index", range(FIRST_OWN + 4 + len(SHAPE)))
