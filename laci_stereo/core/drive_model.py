@@ -13,6 +13,7 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
+from laci_stereo.core.scatter import LEAST_LEFT
 from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
@@ -62,6 +63,9 @@ BEGIN_SIGMA = 1.0
 
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 """A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
+
+FOLLOWED = 1.5
+"""Of the independent errors of boxes along each of two axes, so many are taken for the sensor's yaw and position."""
 
 BORDER_SIGMA = 12**-0.5
 """A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
@@ -294,6 +298,7 @@ class DriveModel:
         self.block = _blocks(drive, settings.block_s)
         self.worth = _worth(drive, SAME_VIEW_M)
         self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
+        self.error_worth = _worth(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
         self.border_worth = _worth(drive, SAME_BORDER_M)
         self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, self.knots_m, settings)
         self.base_sigmas = np.array(
@@ -659,7 +664,11 @@ class DriveModel:
         )
 
     def _centre_rows(self, x: FloatArray, poses: Poses) -> Rows:
-        """Return how far a detector's centres are from the vehicle's, along and across it."""
+        """Return how far a detector's centres are from the vehicle's, along and across it.
+
+        Of their errors a part lasts while the vehicle is seen from one side, so that many weigh no more than a few
+        (Kish's design effect, as in `choose`); which part, the boxes tell.
+        """
         frame = np.flatnonzero(poses.known)
         arm = self.drive.middles[frame] - self.centre
         late_s = self.drive.frames_late_s[frame]
@@ -667,6 +676,10 @@ class DriveModel:
         shape = x[_SHAPE:_PARTIAL]
         middle = np.array([(shape[0] - shape[1]) / 2, shape[3]])
         nearer = np.sign(origin) * self.drive.lacking_m[frame] / 2
+        distances = (xy - middle - x[_PARTIAL] * nearer).T
+        worth = self.error_worth[frame]
+        variances, lasting = _course(distances, self.drive.way_m[frame], worth)
+        variances = np.maximum(variances, outline.OUTLINE_SIGMA_M**2)
         parts = []
         by_shape = np.zeros((2, len(outline.SHAPE)))
         by_shape[0, :2], by_shape[1, 3] = (0.5, -0.5), 1.0
@@ -675,20 +688,17 @@ class DriveModel:
             jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, normal)
             jacobian[:, _SHAPE:_PARTIAL] = -moved
             jacobian[:, _PARTIAL] = -nearer[:, axis]
-            distance = xy[:, axis] - middle[axis] - x[_PARTIAL] * nearer[:, axis]
-            spread = 1.4826 * np.median(np.abs(distance - np.median(distance))) if len(distance) else 0.0
-            variance = np.full(len(frame), max(spread, outline.OUTLINE_SIGMA_M) ** 2)
             parts.append(
                 Rows(
-                    distance=distance,
-                    variance=variance,
+                    distance=distances[axis],
+                    variance=np.full(len(frame), variances[axis]),
                     cos=np.ones(len(frame)),
                     jacobian=jacobian,
                     by_time=by_time(poses.now, frame, xy, yaw, normal),
                     late_s=late_s,
                     face=np.full(len(frame), axis),
                     frame=frame,
-                    share=np.ones(len(frame)),
+                    share=1.0 / (1.0 + (1.0 / worth - 1.0) * lasting[axis]),
                     point=frame + axis * len(self.drive),
                 )
             )
@@ -731,6 +741,43 @@ def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> 
     """
     message_s = float(np.median(np.diff(drive.vehicle.stamps_s)))
     return heading_noise(drive.vehicle, otherwise_rad) ** 2 * max(1.0, message_s / frame_s)
+
+
+def _course(distances: FloatArray, way_m: FloatArray, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return of boxes' errors on each axis the variance, shape (2,), and what share of it lasts from frame to frame.
+
+    Parameters
+    ----------
+    distances : ndarray, shape (2, m)
+        Metres.
+    way_m, worth : ndarray, shape (m,)
+        Where on the way; how much each tells.
+    """
+    if len(worth) < 3:
+        return np.zeros(2), np.ones(2)
+    between = np.minimum(worth[1:], worth[:-1])
+    centred = distances - np.average(distances, axis=1, weights=worth)[:, None]
+    scatter = np.array([_variance(each, worth) for each in centred])
+    steps = np.array([_variance(np.diff(each), between) for each in distances]) / 2.0
+    # A step has so much of what lasts, and the scatter lacks as much of it as the fit has followed.
+    newer = 1.0 - float(np.average(np.exp(-np.diff(way_m) / SAME_ERROR_M), weights=between))
+    left = max(1.0 - FOLLOWED / float(worth.sum()) - newer, LEAST_LEFT)
+    # A few independent errors tell their variance badly; so those along and across do it together.
+    lasting = float(np.maximum(scatter - steps, 0.0).mean()) / left
+    variance = lasting + np.maximum(steps - newer * lasting, 0.0)
+    return variance, lasting / np.maximum(variance, 1e-12)
+
+
+def _variance(errors: FloatArray, weight: FloatArray) -> float:
+    """Return the mean square, shape (), of errors about 0; what is a mistake counts as if at the edge of tolerances."""
+    most = (TAIL * 1.4826 * _median(np.abs(errors), weight)) ** 2
+    return float(np.average(np.minimum(errors**2, most), weights=weight))
+
+
+def _median(values: FloatArray, weight: FloatArray) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(share, share[-1] / 2.0)])
 
 
 def _worth(drive: Evidence, alike_m: float) -> FloatArray:

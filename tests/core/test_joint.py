@@ -214,6 +214,22 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.parametrize("stop_s", [0.0, 30.0])
+@pytest.mark.parametrize(("own_m", "lasting_m"), [(0.02, 0.15), (0.08, 0.08), (0.1, 0.0)])
+def test_errors_of_boxes_that_last_are_in_the_covariance(own_m: float, lasting_m: float, stop_s: float) -> None:
+    drive, squared, claimed = stopping(TURN, stop_s), [], []
+    for seed in range(10):
+        seen = evidence(drive, per_frame=1, last_s=11.0 + stop_s)
+        xy, rng = drive.at(seen.stamps_s)[0], np.random.default_rng([seed, 7])
+        off_m = lasting_m * lasting(xy, 10.0, rng, 2) + own_m * rng.normal(size=xy.shape)
+        fit = fit_jointly([boxed(seen, rotate_xy(-TRUTH.yaw_rad, xy + off_m - TRUTH.shift))], TRUTH, close=True)
+        squared.append(error(fit) @ np.linalg.solve(fit.covariance, error(fit)))
+        claimed.append(np.sqrt(np.trace(fit.covariance[1:, 1:])))
+    # Chi-square of three degrees of freedom, ten times.
+    assert np.mean(squared) < 6.0
+    assert np.median(claimed) < (0.25 if lasting_m else 0.08)
+
+
 def test_an_error_of_positions_stays_while_the_vehicle_stands() -> None:
     settings = JointSettings(position_sigma_m=0.5)
     seen = (evidence(stopping(TURN, stop_s), per_frame=10, last_s=11.0 + stop_s) for stop_s in (0.0, 120.0))
