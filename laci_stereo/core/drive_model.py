@@ -13,7 +13,6 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
-from laci_stereo.core.scatter import LEAST_LEFT
 from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
@@ -64,8 +63,9 @@ BEGIN_SIGMA = 1.0
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 """A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
 
-FOLLOWED = 1.5
-"""Of the independent errors of boxes along each of two axes, so many are taken for the sensor's yaw and position."""
+FOLLOWED, LEAST_TELLING = 1.5, 0.25
+"""Of the independent errors of boxes along each of two axes, so many are taken for the sensor's yaw and position. Of
+two each, one of four is left to tell how large they are, and fewer are not taken to tell less."""
 
 BORDER_SIGMA = 12**-0.5
 """A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
@@ -761,7 +761,7 @@ def _course(distances: FloatArray, way_m: FloatArray, worth: FloatArray) -> tupl
     steps = np.array([_variance(np.diff(each), between) for each in distances]) / 2.0
     # A step has so much of what lasts, and the scatter lacks as much of it as the fit has followed.
     newer = 1.0 - float(np.average(np.exp(-np.diff(way_m) / SAME_ERROR_M), weights=between))
-    left = max(1.0 - FOLLOWED / float(worth.sum()) - newer, LEAST_LEFT)
+    left = max(1.0 - FOLLOWED / float(worth.sum()) - newer, LEAST_TELLING)
     # A few independent errors tell their variance badly; so those along and across do it together.
     lasting = float(np.maximum(scatter - steps, 0.0).mean()) / left
     variance = lasting + np.maximum(steps - newer * lasting, 0.0)
