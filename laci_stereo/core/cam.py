@@ -133,9 +133,7 @@ class VehicleTrack:
     doubts : tuple of str
         Why the messages may be wrong as a whole.
     slope : Slope or None
-        Of the ground, where altitudes tell one; positions and yaws are then along the ground, not on the level map.
-    altitude_told : bool
-        Without altitudes nothing is known of a slope.
+        Of the ground, where altitudes tell it; positions and yaws are then along the ground, not on the level map.
     """
 
     stamps_s: FloatArray
@@ -150,7 +148,6 @@ class VehicleTrack:
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     slope: Slope | None = None
-    altitude_told: bool = False
 
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
@@ -272,7 +269,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
-    slope = slope_of(xy_reference, log.altitude_m)
+    slope = slope_of([(xy_reference, log.altitude_m)])
     if slope is not None:
         xy_reference, yaw = slope.along_ground(xy_reference), slope.yaw_along_ground(yaw)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
@@ -289,7 +286,6 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         remarks=remarks,
         doubts=doubts,
         slope=slope,
-        altitude_told=bool(np.isfinite(log.altitude_m).any()),
     )
     if not track.folded.any():
         return track

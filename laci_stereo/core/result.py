@@ -154,18 +154,16 @@ class Calibration:
 
     @property
     def slope(self) -> Slope | None:
-        """Of the ground, where the messages' altitudes tell one."""
+        """Of the ground, which may be level; None where the messages' altitudes do not tell it."""
         return self.vehicle.slope
 
     @property
     def T_enu_sensor(self) -> FloatArray | None:
-        """The transform into east, north and up against gravity, shape (4, 4); None where no altitudes were told.
+        """The transform into east, north and up against gravity, shape (4, 4); None where no slope is known.
 
         Its origin is the world's. On a level road it is ``T_world_sensor``.
         """
-        if self.slope is not None:
-            return self.slope.T_enu_world @ self.T_world_sensor
-        return self.T_world_sensor if self.vehicle.altitude_told else None
+        return None if self.slope is None else self.slope.T_enu_world @ self.T_world_sensor
 
     @property
     def remarks(self) -> tuple[str, ...]:

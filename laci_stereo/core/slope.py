@@ -1,7 +1,8 @@
-"""Whether the road slopes, by the altitudes of a drive, and what that does to distances on the map."""
+"""Whether the road slopes, by the altitudes of drives, and what that does to distances on the map."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,14 @@ from scipy.special import chdtri
 from laci_stereo.core.frames import FloatArray, rigid
 
 ALONG_SIGMA, ACROSS_SIGMA = 0.10, 0.025
-"""What slopes are usual: 10 % along a road is steep; across it falls by 2.5 % to drain."""
+"""What slopes are usual: 10 % along a road is steep; across it falls by 2.5 % to drain. Altitudes in which as much
+would not show do not tell that a road is level."""
 
 ALTITUDE_SIGMA_M = 0.05
 """Of altitudes against those around them, at the least: receivers with corrections."""
+
+HEIGHT_SIGMA_M = 1000.0
+"""Of a receiver's own height: nothing is known of it."""
 
 STRETCH_M = 10.0
 """Altitudes nearer to one another than that err together."""
@@ -21,10 +26,16 @@ STRETCH_M = 10.0
 FALSE_ALARM = 0.003
 """So seldom is a level road taken for a slope: three sigma."""
 
+HUBER, TUKEY = 1.345, 4.685
+"""Standard deviations at which 95 % of least squares' exactness is left where nothing strays (Huber 1981, Tukey)."""
+
+HUBER_STEPS, TUKEY_STEPS = 30, 10
+"""Each of the former takes a stray's pull down by a factor at least, from hundreds of metres to Huber's few sigma."""
+
 
 @dataclass(frozen=True)
 class Slope:
-    """A sloping ground plane.
+    """A ground plane, sloping or level.
 
     The world's x and y are true along the ground. On the map, which is level, what lies uphill is nearer by the cosine
     of the slope's angle: 7 cm in 60 m at 5 %. Both agree at ``pivot``.
@@ -32,11 +43,11 @@ class Slope:
     Attributes
     ----------
     gradient : ndarray, shape (2,)
-        Metres of altitude per metre on the map, towards grid east and north.
+        Metres of altitude per metre on the map, towards grid east and north; 0 where the road is level.
     covariance : ndarray, shape (2, 2)
         Of the gradient.
     pivot : ndarray, shape (2,)
-        In the world: the middle of the drive.
+        In the world.
     """
 
     gradient: FloatArray
@@ -48,12 +59,15 @@ class Slope:
         """The tangent of the slope's angle."""
         return float(np.hypot(*self.gradient))
 
+    @property
+    def _longer(self) -> float:
+        """By what a metre on the map is longer along the ground, straight uphill."""
+        return float(np.hypot(1.0, self.steepness))
+
     def along_ground(self, xy_map: FloatArray) -> FloatArray:
         """Return where positions on the map, shape (n, 2), metres, are along the ground."""
-        ahead = xy_map - self.pivot
-        uphill = self.gradient / self.steepness
-        stretch = np.hypot(1.0, self.steepness) - 1.0
-        along: FloatArray = xy_map + stretch * (ahead @ uphill)[:, None] * uphill
+        rise = (xy_map - self.pivot) @ self.gradient
+        along: FloatArray = xy_map + rise[:, None] * self.gradient / (1.0 + self._longer)
         return along
 
     def yaw_along_ground(self, yaw_map_rad: FloatArray) -> FloatArray:
@@ -68,49 +82,62 @@ class Slope:
     def T_enu_world(self) -> FloatArray:
         """The transform, shape (4, 4), into grid east, grid north and up against gravity, with the world's origin.
 
-        It turns about the pivot, where z is 0 on the ground.
+        It turns about the pivot, where z is 0 on the ground. On the ground it leads back to the map.
         """
-        cos = 1.0 / np.hypot(1.0, self.steepness)
-        sin = self.steepness * cos
-        x, y = self.gradient / self.steepness
-        from_uphill = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
-        tilted = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
-        R = from_uphill @ tilted @ from_uphill.T
+        R = np.eye(3)
+        R[:2, :2] -= np.outer(self.gradient, self.gradient) / (self._longer * (1.0 + self._longer))
+        R[:2, 2], R[2, :2], R[2, 2] = -self.gradient / self._longer, self.gradient / self._longer, 1.0 / self._longer
         pivot = np.append(self.pivot, 0.0)
         return rigid(R, pivot - R @ pivot)
 
 
-def slope_of(xy_map: FloatArray, altitude_m: FloatArray) -> Slope | None:
-    """Return the slope of the ground below a drive; None where altitudes are not told, or tell no slope.
+def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
+    """Return the slope of the ground below some drives, which may be level; None where their altitudes tell none.
 
-    A drive tells the slope along itself; across, what is usual holds unless it turns.
+    A drive tells the slope along itself; across, what is usual holds unless it turns. Each receiver's altitudes count
+    from a height of its own, and those that do not follow from the others count little, then nothing.
 
     Parameters
     ----------
-    xy_map : ndarray, shape (n, 2)
-        Metres on the map.
-    altitude_m : ndarray, shape (n,)
-        NaN where not told.
+    drives : sequence of (ndarray, shape (n, 2); ndarray, shape (n,))
+        Where each was, metres on the map, and its altitudes there, metres; NaN where not told.
     """
-    told = np.isfinite(altitude_m)
-    if np.count_nonzero(told) < 3:
+    told = [(xy[known], z[known]) for xy, z in drives if (known := np.isfinite(z)).any()]
+    if not told:
         return None
-    xy, z = xy_map[told], altitude_m[told]
+    xy, z = (np.concatenate(each) for each in zip(*told, strict=True))
+    counts = [len(each) for _, each in told]
+    drive = np.repeat(np.arange(len(told)), counts)
+    driven_m = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each, _ in told])
+    worth = np.minimum(1.0, np.maximum(driven_m / STRETCH_M, 1.0) / counts)[drive]
+    spare = float(worth.sum()) - len(told) - 1.0  # beyond what the receivers' heights and the slope along take up
+    if spare <= 0.0:
+        return None
     pivot = xy.mean(axis=0)
-    _, _, axes = np.linalg.svd(xy - pivot, full_matrices=False)
-    prior = axes.T @ np.diag([ALONG_SIGMA**-2, ACROSS_SIGMA**-2]) @ axes
-    ahead = np.column_stack([np.ones(len(xy)), xy - pivot])
-    sigma = ALTITUDE_SIGMA_M
-    driven_m = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum())
-    worth = min(1.0, max(driven_m / STRETCH_M, 1.0) / len(xy))
-    for _ in range(3):  # the noise is told by what remains
-        information = worth * ahead.T @ ahead / sigma**2
-        information[1:, 1:] += prior
-        level = np.median(z)
-        solution = np.linalg.solve(information, worth * ahead.T @ (z - level) / sigma**2)
-        rest = z - level - ahead @ solution
-        sigma = max(ALTITUDE_SIGMA_M, 1.4826 * float(np.median(np.abs(rest))))
-    gradient, covariance = solution[1:], np.linalg.inv(information)[1:, 1:]
-    if gradient @ np.linalg.solve(covariance, gradient) < chdtri(2, FALSE_ALARM):
-        return None
-    return Slope(gradient, np.asarray(covariance, dtype=np.float64), pivot)
+    _, _, axes = np.linalg.svd(np.concatenate([each - each.mean(axis=0) for each, _ in told]), full_matrices=False)
+    rows = np.column_stack([xy - pivot, np.eye(len(told))[drive]])
+    prior = np.eye(rows.shape[1]) / HEIGHT_SIGMA_M**2
+    prior[:2, :2] = axes.T @ np.diag([ALONG_SIGMA**-2, ACROSS_SIGMA**-2]) @ axes
+    z = z - np.array([np.median(each) for _, each in told])[drive]
+    weight = worth
+    for step in range(HUBER_STEPS + TUKEY_STEPS):
+        solution, _ = _solved(rows, z, weight / ALTITUDE_SIGMA_M**2, prior)
+        rest = np.abs(z - rows @ solution)
+        spread = 1.4826 * float(np.median(rest))
+        off = rest / max(ALTITUDE_SIGMA_M, spread)
+        kept = HUBER / np.maximum(off, HUBER) if step < HUBER_STEPS else np.maximum(1.0 - (off / TUKEY) ** 2, 0.0) ** 2
+        weight = worth * kept
+    sigma = max(ALTITUDE_SIGMA_M, spread * np.sqrt(worth.sum() / spare))
+    solution, covariance = _solved(rows, z, weight / sigma**2, prior)
+    gradient, covariance = solution[:2], covariance[:2, :2]
+    surely = chdtri(2, FALSE_ALARM)
+    if gradient @ np.linalg.solve(covariance, gradient) < surely:
+        if surely * (axes[0] @ covariance @ axes[0]) > ACROSS_SIGMA**2:
+            return None
+        gradient = np.zeros(2)
+    return Slope(gradient, covariance, pivot)
+
+
+def _solved(rows: FloatArray, z: FloatArray, weight: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    covariance: FloatArray = np.linalg.inv(rows.T @ (weight[:, None] * rows) + prior)
+    return covariance @ rows.T @ (weight * z), covariance

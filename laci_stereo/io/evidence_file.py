@@ -57,7 +57,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "message_stamps_s": ("f", ("messages",)),
     "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
     "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
-    "slope": ("f", (8,)),  # gradient, covariance xx, xy, yy, pivot; all 0 for none; 1 if altitudes were told
+    "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 where it is not known
     "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
     "window": ("f", ()),  # side of a matcher's, within which points have their noise in common, rad; 0 for none
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
@@ -255,15 +255,14 @@ def _to_arrays(passage: Passage) -> Arrays:
 
 
 def _of_slope(vehicle: VehicleTrack) -> FloatArray:
-    told = float(vehicle.altitude_told)
-    if vehicle.slope is None:
-        return np.append(np.zeros(7), told)
     slope = vehicle.slope
-    return np.concatenate([slope.gradient, slope.covariance[[0, 0, 1], [0, 1, 1]], slope.pivot, [told]])
+    if slope is None:
+        return np.zeros(7)
+    return np.concatenate([slope.gradient, slope.covariance[[0, 0, 1], [0, 1, 1]], slope.pivot])
 
 
 def _slope(row: npt.NDArray[Any]) -> Slope | None:
-    if not row[:2].any():
+    if not row.any():
         return None
     return Slope(row[:2], row[[2, 3, 3, 4]].reshape(2, 2), row[5:7])
 
@@ -300,7 +299,6 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
             position_sigma_m=sigma_m,
             guessed_m=(guessed[0], guessed[1]),
             slope=_slope(found["slope"]),
-            altitude_told=bool(found["slope"][7]),
         ),
         station_id=int(found["station_id"]),
         match=PlanarMatch(yaw, np.array([match_x, match_y])),

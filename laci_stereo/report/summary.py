@@ -59,7 +59,7 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
 
 
 def _slope(calibration: Calibration) -> str:
-    if calibration.slope is None:
+    if calibration.slope is None or not calibration.slope.steepness:
         return ""
     x, y = calibration.slope.gradient
     towards = np.degrees(np.arctan2(y, x))

@@ -96,13 +96,64 @@ def test_a_level_road_is_seldom_taken_for_a_slope(seed: int) -> None:
     rng = np.random.default_rng(seed)
     xy = np.column_stack([np.linspace(0.0, 60.0, 80), 3.0 * np.sin(np.linspace(0.0, 2.0, 80))])
     wandering = 0.04 * np.repeat(rng.normal(size=8), 10)
-    assert slope_of(xy, 230.0 + wandering + rng.normal(0.0, 0.01, 80)) is None
+    slope = slope_of([(xy, 230.0 + wandering + rng.normal(0.0, 0.01, 80))])
+    assert slope is not None
+    assert slope.steepness == 0.0
+    assert np.array_equal(slope.T_enu_world, np.eye(4))
+    assert np.array_equal(slope.along_ground(xy), xy)
+
+
+@pytest.mark.parametrize("percent", [3.0, 8.0])
+@pytest.mark.parametrize(
+    ("wrong", "off_m"),
+    [(slice(40, 41), -560.0), (slice(0, 1), 560.0), (slice(0, 5), -20.0), (slice(75, 80), 1.0), (slice(38, 42), 3.0)],
+)
+def test_altitudes_that_do_not_follow_from_the_others_count_for_nothing(
+    percent: float, wrong: slice, off_m: float
+) -> None:
+    rng = np.random.default_rng(0)
+    xy = np.column_stack([np.linspace(0.0, 60.0, 80), np.zeros(80)])
+    altitude_m = 560.0 + percent / 100 * xy[:, 0] + rng.normal(0.0, 0.02, 80)
+    altitude_m[wrong] += off_m
+    slope = slope_of([(xy, altitude_m)])
+    assert slope is not None
+    assert slope.gradient[0] == pytest.approx(percent / 100, abs=3 * np.sqrt(slope.covariance[0, 0]))
+    assert np.sqrt(slope.covariance[0, 0]) < 0.002
+
+
+def test_each_receivers_altitudes_count_from_a_height_of_its_own() -> None:
+    xy = np.column_stack([np.linspace(0.0, 40.0, 40), np.zeros(40)])
+    farther = xy + np.array([60.0, 0.0])
+    slope = slope_of([(xy, 560.0 + 0.05 * xy[:, 0]), (farther, 512.0 + 0.05 * farther[:, 0])])
+    assert slope is not None
+    assert slope.gradient == pytest.approx([0.05, 0.0], abs=1e-3)
+
+
+def test_a_receiver_that_tells_nonsense_does_no_harm() -> None:
+    xy = np.column_stack([np.linspace(0.0, 60.0, 60), np.zeros(60)])
+    nonsense = np.array([0.0, 9000.0, -400.0])
+    slope = slope_of([(xy, 560.0 + 0.05 * xy[:, 0]), (xy[:3], nonsense)])
+    assert slope is not None
+    assert slope.gradient == pytest.approx([0.05, 0.0], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("told", "way_m", "noise_m"),
+    [(slice(3, 4), 60.0, 0.0), (slice(0, 2), 60.0, 0.0), (slice(0, 80), 5.0, 0.02), (slice(0, 80), 60.0, 3.0)],
+    ids=["one", "two", "on a short way", "noisy"],
+)
+def test_altitudes_that_would_not_show_a_slope_tell_no_level_road(told: slice, way_m: float, noise_m: float) -> None:
+    rng = np.random.default_rng(0)
+    xy = np.column_stack([np.linspace(0.0, way_m, 80), np.zeros(80)])
+    altitude_m = np.full(80, np.nan)
+    altitude_m[told] = 560.0 + rng.normal(0.0, noise_m, 80)[told]
+    assert slope_of([(xy, altitude_m)]) is None
 
 
 def test_without_altitudes_nothing_is_known() -> None:
     level, _ = drive_on(ULM, TURN, 5.0, 0.0)
     track = vehicle_track(level, World.around(ULM.latitude_deg, ULM.longitude_deg), EPOCH_NS, CENTRE)
-    assert (track.slope, track.altitude_told) == (None, False)
+    assert track.slope is None
 
 
 @pytest.mark.slow

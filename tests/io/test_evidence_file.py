@@ -55,7 +55,6 @@ def passage() -> Passage:
         position_sigma_m=0.03,
         guessed_m=(0.4, 0.0),
         slope=SLOPE,
-        altitude_told=True,
     )
     track = Track(tuple(replace(each, turn_s=0.1, window_rad=0.011) for each in sightings))
     return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
