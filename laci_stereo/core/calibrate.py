@@ -11,6 +11,7 @@ import numpy as np
 from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
+from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import CalibrationError, CamError, TrackError
 from laci_stereo.core.frames import FloatArray
@@ -118,16 +119,16 @@ def locate(
             name=f"station {station}",
         )
 
-    own = passage(choice.station, choice.track)
+    others = [
+        passage(station, track)
+        for station, track in choice.others
+        if not _companion(choice, station, track, tracks, vehicles)[0]
+    ]
+    own, *others = along_ground([passage(choice.station, choice.track), *others])
     passages: tuple[Passage, ...] = (own,)
     if settings.method == "paper":
         placement = place_by_paper(own.track, own.vehicle, settings.match)
     else:
-        others = [
-            passage(station, track)
-            for station, track in choice.others
-            if not _companion(choice, station, track, tracks, vehicles)[0]
-        ]
         placement, passages = place_jointly(own, others, choice, settings)
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
     return conclude(passages, placement, settings)

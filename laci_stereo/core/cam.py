@@ -15,7 +15,7 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.folding import folded, longest_rigid
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy, wrap
-from laci_stereo.core.slope import Slope, slope_of
+from laci_stereo.core.slope import Slope
 from laci_stereo.core.tractrix import BodyYaw, body_yaw
 from laci_stereo.core.world import World
 
@@ -133,7 +133,9 @@ class VehicleTrack:
     doubts : tuple of str
         Why the messages may be wrong as a whole.
     slope : Slope or None
-        Of the ground, where altitudes tell it; positions and yaws are then along the ground, not on the level map.
+        Of the ground, where it is known; positions and yaws are then along the ground, not on the level map.
+    altitude_m : ndarray, shape (n,), or None
+        Of the messages, NaN where not told; None where none tells.
     """
 
     stamps_s: FloatArray
@@ -148,6 +150,7 @@ class VehicleTrack:
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     slope: Slope | None = None
+    altitude_m: FloatArray | None = None
 
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
@@ -233,7 +236,7 @@ def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> Callable[
 
 
 def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:
-    """Turn one station's messages into the track of the centre of its vehicle.
+    """Turn one station's messages into the track of the centre of its vehicle on the map.
 
     Parameters
     ----------
@@ -269,9 +272,6 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
-    slope = slope_of([(xy_reference, log.altitude_m)])
-    if slope is not None:
-        xy_reference, yaw = slope.along_ground(xy_reference), slope.yaw_along_ground(yaw)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     track = VehicleTrack(
         stamps_s=stamps_s,
@@ -285,7 +285,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
         doubts=doubts,
-        slope=slope,
+        altitude_m=log.altitude_m if np.isfinite(log.altitude_m).any() else None,
     )
     if not track.folded.any():
         return track

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from laci_stereo.core.agreement import LeftOut, fit_together
-from laci_stereo.core.common_ground import lay, merge_grounds
+from laci_stereo.core.common_ground import along_ground, lay, merge_grounds
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import EvidenceError, MatchError
 from laci_stereo.core.evidence import Evidence, evidence_of
@@ -87,7 +87,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     settings = _as_loose(settings or Settings(), passages)
     _check_alike(passages)
     ground = merge_grounds(passages)
-    laid = [lay(passage, ground, passages[0].world) for passage in passages]
+    laid = along_ground([lay(passage, ground, passages[0].world) for passage in passages])
     drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
     alone = [_fit_alone(*pair, settings) for pair in zip(laid, drives, strict=True)]
     together = fit_together(laid, drives, alone, settings.joint)

@@ -1,4 +1,4 @@
-"""Several drives past one sensor in one level frame: their grounds merged, and each drive laid onto that."""
+"""Several drives past one sensor in one level frame: their grounds merged, and each drive laid on and along that."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from itertools import combinations
 import numpy as np
 
 from laci_stereo.core.agreement import weighted_mean
+from laci_stereo.core.cam import MAX_GAP_S
 from laci_stereo.core.errors import CombineError
 from laci_stereo.core.frames import FloatArray, invert, planar
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
-from laci_stereo.core.laying import laid_background, laid_track
+from laci_stereo.core.laying import laid_background, laid_track, laid_vehicle, told_on_map
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.slope import slope_of
 from laci_stereo.core.world import World
 
 GROUND_GATE = 5.0
@@ -67,27 +69,50 @@ def _check_unmoved(passages: Sequence[Passage], values: FloatArray, covariances:
 
 
 def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
-    """Lay a drive into the level frame of another ground, and into another world of the same UTM zone."""
+    """Lay a drive into the level frame of another ground, and onto the map of another world of the same UTM zone."""
     T_own_sensor = passage.ground.T_level_sensor(passage.axes)
     T_level_sensor = ground.T_level_sensor(passage.axes)
     T_level_own = T_level_sensor @ invert(T_own_sensor)
     T_own_world_level = planar(passage.match.yaw_rad, passage.match.shift) @ invert(T_level_own)
     yaw = float(np.arctan2(T_own_world_level[1, 0], T_own_world_level[0, 0]))
-    shift = _between_worlds(T_own_world_level[None, :2, 3], passage.world, world)[0]
-    xy = _between_worlds(passage.vehicle.xy, passage.world, world)
-    slope = passage.vehicle.slope
-    if slope is not None:
-        slope = replace(slope, pivot=_between_worlds(slope.pivot[None], passage.world, world)[0])
+    shift = T_own_world_level[None, :2, 3]
+    if passage.vehicle.slope is not None:
+        shift = passage.vehicle.slope.on_map(shift)
+    xy, yaw_rad = told_on_map(passage.vehicle)
     return replace(
         passage,
         world=world,
         ground=ground,
         background=laid_background(T_level_own, passage.background),
         track=laid_track(T_level_own, passage.track),
-        vehicle=replace(passage.vehicle, xy=xy, slope=slope),
-        match=PlanarMatch(yaw, shift),
+        vehicle=laid_vehicle(passage.vehicle, _between_worlds(xy, passage.world, world), yaw_rad, None),
+        match=PlanarMatch(yaw, _between_worlds(shift, passage.world, world)[0]),
     )
 
 
 def _between_worlds(xy: FloatArray, own: World, world: World) -> FloatArray:
     return world.from_utm(own.to_utm(xy))
+
+
+def along_ground(passages: Sequence[Passage]) -> list[Passage]:
+    """Lay drives that are on the map of one world along their ground, which has one slope if altitudes tell any."""
+    slope = slope_of([_heights_in_view(passage) for passage in passages])
+    if slope is None:
+        return list(passages)
+    return [
+        replace(
+            passage,
+            vehicle=laid_vehicle(passage.vehicle, *told_on_map(passage.vehicle), slope),
+            match=replace(passage.match, shift=slope.along_ground(passage.match.shift[None])[0]),
+        )
+        for passage in passages
+    ]
+
+
+def _heights_in_view(passage: Passage) -> tuple[FloatArray, FloatArray]:
+    """Return what a drive's messages tell while it is seen, positions and altitudes: farther on the road may bend."""
+    vehicle = passage.vehicle
+    seen_s = np.array([sighting.stamp_s for sighting in passage.track.sightings]) + passage.time_offset_s
+    near = (vehicle.stamps_s >= seen_s.min() - MAX_GAP_S) & (vehicle.stamps_s <= seen_s.max() + MAX_GAP_S)
+    altitude_m = np.full(len(near), np.nan) if vehicle.altitude_m is None else vehicle.altitude_m
+    return told_on_map(vehicle)[0][near], altitude_m[near]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.frames import planar
 from laci_stereo.core.matching import PlanarMatch
@@ -23,10 +24,11 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
     Parameters
     ----------
     passages : sequence of Passage
-        In one level frame; the result's own drive first.
+        In one level frame and along one ground; the result's own drive first.
     placement : Placement
     settings : Settings
     """
+    passages, placement = _agreeing_with_the_map(passages, placement)
     bodies = placement.bodies or [None] * len(passages)
     own, *others = (replace(each, body=body) for each, body in zip(passages, bodies, strict=True))
     T_level_sensor = own.ground.T_level_sensor(own.axes)
@@ -56,6 +58,28 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
         found=placement.remarks,
         others=tuple(replace(each, match=match, turn=placement.turn) for each in others),
         body=own.body,
+    )
+
+
+def _agreeing_with_the_map(passages: Sequence[Passage], placement: Placement) -> tuple[Sequence[Passage], Placement]:
+    """Let a sloping ground agree with the map in the middle of what the estimate was made from.
+
+    Along the ground another pivot is another origin, so that all positions move alike.
+    """
+    slope = passages[0].vehicle.slope
+    if slope is None:
+        return passages, placement
+    middle = placement.match(placement.middle_level)
+    pivot = slope.on_map(middle[None])[0]
+    shift, slope = pivot - middle, replace(slope, pivot=pivot)
+
+    def moved(vehicle: VehicleTrack) -> VehicleTrack:
+        return replace(vehicle, xy=vehicle.xy + shift, slope=slope)
+
+    return [replace(each, vehicle=moved(each.vehicle)) for each in passages], replace(
+        placement,
+        match=replace(placement.match, shift=placement.match.shift + shift),
+        bodies=tuple(map(moved, placement.bodies)),
     )
 
 

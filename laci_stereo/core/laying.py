@@ -1,4 +1,4 @@
-"""What was seen in the level frame of one ground, laid into that of another."""
+"""What was seen in the level frame of one ground, laid into that of another, and what was told on the map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 
 from laci_stereo.core.background import Background
 from laci_stereo.core.box import Box
-from laci_stereo.core.frames import FloatArray, transform, wrap
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.frames import FloatArray, rotate_xy, transform, wrap
+from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 
 
@@ -32,6 +34,22 @@ def laid_track(T_a_b: FloatArray, track: Track) -> Track:
             for sighting in track.sightings
         )
     )
+
+
+def told_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
+    """Return the positions of a vehicle's messages, shape (n, 2), and its yaws, shape (n,), on the map."""
+    xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(vehicle.reference, (len(vehicle.xy), 1)))
+    if vehicle.slope is None:
+        return xy, vehicle.yaw_rad
+    return vehicle.slope.on_map(xy), vehicle.slope.yaw_on_map(vehicle.yaw_rad)
+
+
+def laid_vehicle(vehicle: VehicleTrack, xy: FloatArray, yaw_rad: FloatArray, slope: Slope | None) -> VehicleTrack:
+    """Return a track with what `told_on_map` returned, along a sloping ground where there is one."""
+    if slope is not None:
+        xy, yaw_rad = slope.along_ground(xy), slope.yaw_along_ground(yaw_rad)
+    centre = xy - rotate_xy(yaw_rad, np.tile(vehicle.reference, (len(xy), 1)))
+    return replace(vehicle, xy=centre, yaw_rad=yaw_rad, slope=slope)
 
 
 def laid_background(T_a_b: FloatArray, background: Background) -> Background:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +47,7 @@ class Slope:
     covariance : ndarray, shape (2, 2)
         Of the gradient.
     pivot : ndarray, shape (2,)
-        In the world.
+        In the world: the middle of the vehicle's track, once that is known.
     """
 
     gradient: FloatArray
@@ -70,12 +70,25 @@ class Slope:
         along: FloatArray = xy_map + rise[:, None] * self.gradient / (1.0 + self._longer)
         return along
 
+    def on_map(self, xy_ground: FloatArray) -> FloatArray:
+        """Return where positions along the ground, shape (n, 2), metres, are on the map."""
+        rise = (xy_ground - self.pivot) @ self.gradient
+        on_map: FloatArray = xy_ground - rise[:, None] * self.gradient / (self._longer * (1.0 + self._longer))
+        return on_map
+
     def yaw_along_ground(self, yaw_map_rad: FloatArray) -> FloatArray:
         """Return directions on the map, shape (n,), as they are along the ground, unwrapped as they were."""
-        ahead = np.column_stack([np.cos(yaw_map_rad), np.sin(yaw_map_rad)])
-        along = self.along_ground(self.pivot + ahead) - self.pivot
-        beside = ahead[:, 0] * along[:, 1] - ahead[:, 1] * along[:, 0]
-        yaw: FloatArray = yaw_map_rad + np.arcsin(beside / np.linalg.norm(along, axis=1))
+        return self._turned(yaw_map_rad, self.along_ground)
+
+    def yaw_on_map(self, yaw_ground_rad: FloatArray) -> FloatArray:
+        """Return directions along the ground, shape (n,), as they are on the map, unwrapped as they were."""
+        return self._turned(yaw_ground_rad, self.on_map)
+
+    def _turned(self, yaw_rad: FloatArray, lay: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        ahead = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+        laid = lay(self.pivot + ahead) - self.pivot
+        beside = ahead[:, 0] * laid[:, 1] - ahead[:, 1] * laid[:, 0]
+        yaw: FloatArray = yaw_rad + np.arcsin(beside / np.linalg.norm(laid, axis=1))
         return yaw
 
     @property

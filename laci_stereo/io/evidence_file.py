@@ -35,7 +35,7 @@ from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-FORMAT = "laci-evidence/3"
+FORMAT = "laci-evidence/4"
 KINDS = ("stereo", "lidar", "detections")
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
@@ -56,6 +56,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "epoch_ns": ("i", ()),
     "message_stamps_s": ("f", ("messages",)),
     "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
+    "message_altitudes_m": ("f", ("messages", 1)),  # NaN: not told
     "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
     "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 where it is not known
     "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
@@ -73,7 +74,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
 }
 """Each drive's arrays: kind of number, and shape; what has the same name has the same length."""
 
-MAY_LACK = ("vehicle", "noise")
+MAY_LACK = ("message_altitudes_m", "vehicle", "noise")
 """In their last column NaN stands for what is not known."""
 
 
@@ -237,6 +238,7 @@ def _to_arrays(passage: Passage) -> Arrays:
         "epoch_ns": np.array(vehicle.epoch_ns, dtype=np.int64),
         "message_stamps_s": vehicle.stamps_s,
         "message_poses": np.column_stack([vehicle.xy, vehicle.yaw_rad]),
+        "message_altitudes_m": _of_altitudes(vehicle),
         "vehicle": np.array(size),
         "slope": _of_slope(vehicle),
         "turn": np.array([passage.track.turn_s, passage.turn]),
@@ -252,6 +254,10 @@ def _to_arrays(passage: Passage) -> Arrays:
         "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
         "low": np.concatenate([np.zeros((0, 5)), *low]).astype(np.float32),
     }
+
+
+def _of_altitudes(vehicle: VehicleTrack) -> FloatArray:
+    return np.full((len(vehicle.stamps_s), 1), np.nan) if vehicle.altitude_m is None else vehicle.altitude_m[:, None]
 
 
 def _of_slope(vehicle: VehicleTrack) -> FloatArray:
@@ -282,6 +288,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
     forward, up = (tuple(axis) for axis in found["axes"].tolist())
     length_m, width_m, x, y, *guessed, sigma_m = found["vehicle"].tolist()
     yaw, match_x, match_y, offset_s, clock_sigma_s = found["own"].tolist()
+    altitude_m = found["message_altitudes_m"][:, 0].astype(np.float64)
     return Passage(
         world=World(str(found["crs"]), (origin[0], origin[1]), scale),
         axes=Axes(forward, up),
@@ -299,6 +306,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
             position_sigma_m=sigma_m,
             guessed_m=(guessed[0], guessed[1]),
             slope=_slope(found["slope"]),
+            altitude_m=None if np.isnan(altitude_m).all() else altitude_m,
         ),
         station_id=int(found["station_id"]),
         match=PlanarMatch(yaw, np.array([match_x, match_y])),

@@ -8,25 +8,41 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import CENTRE, CamLog, vehicle_track
-from laci_stereo.core.frames import FloatArray, transform
+from laci_stereo.core.cam import CENTRE, FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.combine import combine
+from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.core.laying import laid_vehicle, told_on_map
+from laci_stereo.core.result import Calibration
 from laci_stereo.core.slope import slope_of
 from laci_stereo.core.world import World
-from tests.simulated import EPOCH_NS, LEFT_TURN, SYDNEY, ULM, Drive, Place, cam_log, car, lidar, scene
+from tests.simulated import (
+    EPOCH_NS,
+    LEFT_TURN,
+    STRAIGHT,
+    SYDNEY,
+    ULM,
+    Drive,
+    Place,
+    Scene,
+    cam_log,
+    car,
+    lidar,
+    scene,
+    together,
+)
 
 TURN = Drive((0.0, 0.0), 200.0, ((30.0, 0.0), (20.0, 90.0), (20.0, 0.0)), ((0.0, 8.0),))
-STRAIGHT = Drive((0.0, 0.0), 20.0, ((80.0, 0.0),), ((0.0, 8.0),))
+AHEAD = Drive((0.0, 0.0), 20.0, ((80.0, 0.0),), ((0.0, 8.0),))
 
 
 def tilted(log: CamLog, place: Place, percent: float, towards_deg: float, pivot: FloatArray) -> CamLog:
     """Lay a drive on a slope: what was along the ground becomes shorter on the map, and higher uphill."""
     world = World.around(place.latitude_deg, place.longitude_deg)
-    uphill = np.array([np.cos(np.radians(towards_deg)), np.sin(np.radians(towards_deg))])
+    uphill = direction(towards_deg)
     angle = np.arctan(percent / 100)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     up_m = (xy - pivot) @ uphill
-    east_north = xy + (np.cos(angle) - 1.0) * up_m[:, None] * uphill
-    latitude, longitude = world.to_geodetic(east_north).T
+    latitude, longitude = world.to_geodetic(shortened(xy, percent, towards_deg, pivot)).T
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
     shorter = ahead + (np.cos(angle) - 1.0) * (ahead @ uphill)[:, None] * uphill
@@ -38,6 +54,23 @@ def tilted(log: CamLog, place: Place, percent: float, towards_deg: float, pivot:
         heading_deg=log.heading_deg - np.degrees(turned),
         altitude_m=(560.0 + np.sin(angle) * up_m).round(2),
     )
+
+
+def direction(yaw_deg: float) -> FloatArray:
+    return np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
+
+
+def shortened(xy: FloatArray, percent: float, towards_deg: float, pivot: FloatArray) -> FloatArray:
+    """Return where places along the ground are on the map."""
+    uphill = direction(towards_deg)
+    return xy + (np.cos(np.arctan(percent / 100)) - 1.0) * ((xy - pivot) @ uphill)[:, None] * uphill
+
+
+def on_ground(log: CamLog, world: World, reference: ReferencePoint = CENTRE) -> VehicleTrack:
+    """Return a drive along the ground, as its own altitudes tell it."""
+    track = vehicle_track(log, world, EPOCH_NS, reference)
+    xy, yaw_rad = told_on_map(track)
+    return laid_vehicle(track, xy, yaw_rad, None if track.altitude_m is None else slope_of([(xy, track.altitude_m)]))
 
 
 def drive_on(place: Place, drive: Drive, percent: float, towards_deg: float) -> tuple[CamLog, CamLog]:
@@ -54,7 +87,7 @@ def drive_on(place: Place, drive: Drive, percent: float, towards_deg: float) -> 
 def test_distances_are_those_along_the_ground(place: Place, percent: float, towards_deg: float) -> None:
     level, sloping = drive_on(place, TURN, percent, towards_deg)
     world = World.around(place.latitude_deg, place.longitude_deg)
-    on_level, on_slope = (vehicle_track(log, world, EPOCH_NS, CENTRE) for log in (level, sloping))
+    on_level, on_slope = (on_ground(log, world) for log in (level, sloping))
     assert on_level.slope is None
     assert on_slope.slope is not None
     off = on_slope.slope.gradient - percent / 100 * np.array(
@@ -69,7 +102,7 @@ def test_distances_are_those_along_the_ground(place: Place, percent: float, towa
 
 def test_up_is_against_gravity() -> None:
     _, sloping = drive_on(ULM, TURN, 8.0, 70.0)
-    slope = vehicle_track(sloping, World.around(ULM.latitude_deg, ULM.longitude_deg), EPOCH_NS, CENTRE).slope
+    slope = on_ground(sloping, World.around(ULM.latitude_deg, ULM.longitude_deg)).slope
     assert slope is not None
     uphill = np.array([np.cos(np.radians(70.0)), np.sin(np.radians(70.0))])
     ahead = np.append(slope.pivot + 100.0 * uphill, 0.0)
@@ -84,8 +117,8 @@ def test_up_is_against_gravity() -> None:
 
 
 def test_a_straight_drive_tells_the_slope_along_it_only() -> None:
-    _, sloping = drive_on(ULM, STRAIGHT, 6.0, 20.0)
-    slope = vehicle_track(sloping, World.around(ULM.latitude_deg, ULM.longitude_deg), EPOCH_NS, CENTRE).slope
+    _, sloping = drive_on(ULM, AHEAD, 6.0, 20.0)
+    slope = on_ground(sloping, World.around(ULM.latitude_deg, ULM.longitude_deg)).slope
     assert slope is not None
     across = np.array([-np.sin(np.radians(20.0)), np.cos(np.radians(20.0))])
     assert np.sqrt(across @ slope.covariance @ across) == pytest.approx(0.025, rel=0.1)
@@ -152,8 +185,22 @@ def test_altitudes_that_would_not_show_a_slope_tell_no_level_road(told: slice, w
 
 def test_without_altitudes_nothing_is_known() -> None:
     level, _ = drive_on(ULM, TURN, 5.0, 0.0)
-    track = vehicle_track(level, World.around(ULM.latitude_deg, ULM.longitude_deg), EPOCH_NS, CENTRE)
-    assert track.slope is None
+    assert on_ground(level, World.around(ULM.latitude_deg, ULM.longitude_deg)).slope is None
+
+
+def test_what_is_along_the_ground_lies_where_it_was_told_on_the_map() -> None:
+    _, sloping = drive_on(ULM, TURN, 10.0, 130.0)
+    world = World.around(ULM.latitude_deg, ULM.longitude_deg)
+    track = vehicle_track(sloping, world, EPOCH_NS, FRONT)
+    laid = on_ground(sloping, world, FRONT)
+    assert np.abs(laid.xy - track.xy).max() > 0.05
+    assert laid.slope is not None
+    xy, yaw_rad = told_on_map(laid)
+    assert xy == pytest.approx(world.from_geodetic(sloping.latitude_deg, sloping.longitude_deg), abs=1e-6)
+    assert yaw_rad == pytest.approx(track.yaw_rad, abs=1e-12)
+    on_ground_3d = np.column_stack([laid.xy, np.zeros(len(laid.xy))])
+    assert transform(laid.slope.T_enu_world, on_ground_3d)[:, :2] == pytest.approx(laid.slope.on_map(laid.xy), abs=1e-9)
+    assert laid_vehicle(laid, xy, yaw_rad, None).xy == pytest.approx(track.xy, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -172,3 +219,101 @@ def test_a_sensor_above_a_slope() -> None:
     normal = T_enu_sensor[:3, :3] @ found.T_world_sensor[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     assert np.arccos(normal[2]) == pytest.approx(np.arctan(0.08), abs=3e-3)
     assert level.T_enu_sensor is None
+
+
+PERCENT, TOWARDS_DEG = 8.0, -55.0
+"""Along the straight ways of what follows."""
+
+
+def approaching() -> tuple[Scene, FloatArray]:
+    """Return a drive that is recorded over 300 m, of which the last 40 are seen, and these, metres in the scene."""
+    lead_m = 14.0 * 20.0 + 2.0 * 13.5
+    speeds = ((0.0, 20.0), (14.0, 20.0), (16.0, 7.0))
+    drive = Drive((30.0, 15.0 + lead_m), -90.0, ((8.0 + lead_m, 0.0), (11.0, -90.0)), speeds)
+    made = scene(drive, lidar(32, 160), last_s=22.0, frames_hz=5.0)
+    return made, made.recording.movers[0].drive.at(np.arange(16.5, 21.5, 0.1))[0]
+
+
+def misplaced(found: Calibration, made: Scene, xy: FloatArray, true_utm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far off on the map places on the ground are by ``T_utm_sensor``, and by ``T_enu_sensor``."""
+    sensor = transform(invert(made.recording.T_world_sensor), np.column_stack([xy, np.zeros(len(xy))]))
+    T_enu_sensor = found.T_world_sensor if found.T_enu_sensor is None else found.T_enu_sensor
+    rigid_utm, exact = transform(found.T_utm_sensor, sensor)[:, :2], transform(T_enu_sensor, sensor)[:, :2]
+    return rigid_utm - true_utm, found.world.to_utm(exact) - true_utm
+
+
+@pytest.mark.parametrize("log", ["untold", "plane", "hill"])
+def test_places_in_view_are_right_on_the_map_whatever_the_road_does_before(log: str) -> None:
+    made, seen = approaching()  # at 14 s 27 m of the straight are left before it brakes into the view
+    world = World.around(made.place.latitude_deg, made.place.longitude_deg)
+    seen_world = world.from_utm(made.place.to_utm(seen))
+    messages = tilted(made.messages, made.place, PERCENT, TOWARDS_DEG, seen_world.mean(axis=0))
+    before_m = 240.0 - 20.0 * (messages.stamps_ns - EPOCH_NS) / 1e9
+    if log == "hill":
+        messages = replace(messages, altitude_m=messages.altitude_m + 0.12 * np.maximum(before_m, 0.0))
+    elif log == "untold":
+        messages = replace(messages, altitude_m=np.full(len(messages), np.nan))
+    found = calibrate(made.recording, messages)
+    true_utm = world.to_utm(shortened(seen_world, PERCENT, TOWARDS_DEG, seen_world.mean(axis=0)))
+    rigid, exact = misplaced(found, made, seen, true_utm)
+    assert np.linalg.norm(rigid.mean(axis=0)) < 0.02
+    from_middle_m = np.linalg.norm(seen - seen.mean(axis=0), axis=1)
+    assert (np.linalg.norm(rigid, axis=1) < 0.02 + from_middle_m * (PERCENT / 100) ** 2 / 2).all()
+    if log != "untold":
+        assert found.slope is not None
+        assert found.slope.pivot == pytest.approx(found.centre_world[:2], abs=1e-9)
+        assert found.slope.steepness == pytest.approx(PERCENT / 100, abs=3e-3)
+        assert np.linalg.norm(exact, axis=1).max() < 0.02
+        ground_utm = found.world.to_utm(found.centre_world[None, :2])[0]
+        centre_sensor = transform(invert(found.T_world_sensor), found.centre_world[None])
+        assert transform(found.T_utm_sensor, centre_sensor)[0, :2] == pytest.approx(ground_utm, abs=1e-6)
+
+
+def on_one_slope(made: Scene, told: bool, towards_deg: float) -> CamLog:
+    world = World.around(made.place.latitude_deg, made.place.longitude_deg)
+    pivot = world.from_utm(made.place.to_utm(np.zeros((1, 2))))[0]
+    messages = tilted(made.messages, made.place, PERCENT, towards_deg, pivot)
+    return messages if told else replace(messages, altitude_m=np.full(len(messages), np.nan))
+
+
+def check_on_one_slope(found: Calibration, logs: dict[int, CamLog], towards_deg: float) -> None:
+    """Hold all drives of a result against where their messages are on the map, and against each other's ground."""
+    assert found.slope is not None
+    assert len(found.passages) == 2
+    for each in found.passages:
+        assert each.vehicle.slope is not None
+        assert each.vehicle.slope.pivot == pytest.approx(found.centre_world[:2], abs=1e-9)
+        assert each.vehicle.slope.gradient == pytest.approx(PERCENT / 100 * direction(towards_deg), abs=0.025)
+        assert np.array_equal(each.vehicle.slope.gradient, found.slope.gradient)
+        log = logs[each.station_id]
+        on_map = found.world.from_geodetic(log.latitude_deg, log.longitude_deg)
+        assert told_on_map(each.vehicle)[0] == pytest.approx(on_map, abs=2e-3)
+
+
+@pytest.mark.parametrize("told", [(True, False), (False, True)])
+def test_drives_with_and_without_altitudes_lie_along_one_ground(told: tuple[bool, bool]) -> None:
+    passages, logs = [], {}
+    for number, (drive, has) in enumerate(zip((LEFT_TURN, STRAIGHT), told, strict=True)):
+        made = scene(drive, lidar(32, 160), frames_hz=5.0, seed=number)
+        log = on_one_slope(made, has, TOWARDS_DEG)
+        logs[42 + number] = log = replace(log, station_id=log.station_id + number)
+        (passage,) = calibrate(made.recording, log).passages
+        epoch_ns = passage.vehicle.epoch_ns + number * 86_400_000_000_000
+        passages.append(replace(passage, name=f"{number}", vehicle=replace(passage.vehicle, epoch_ns=epoch_ns)))
+    found = combine(passages).calibration
+    check_on_one_slope(found, logs, TOWARDS_DEG)
+    world = World.around(made.place.latitude_deg, made.place.longitude_deg)
+    places = world.from_utm(made.place.to_utm(made.recording.movers[0].drive.at(np.arange(1.0, 5.0, 0.5))[0]))
+    pivot = world.from_utm(made.place.to_utm(np.zeros((1, 2))))[0]
+    true_utm = world.to_utm(shortened(places, PERCENT, TOWARDS_DEG, pivot))
+    _, exact = misplaced(found, made, made.recording.movers[0].drive.at(np.arange(1.0, 5.0, 0.5))[0], true_utm)
+    assert np.linalg.norm(exact, axis=1).max() < 0.05
+
+
+def test_senders_with_and_without_altitudes_lie_along_one_ground() -> None:
+    made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0, seed=5)
+    cars = car(STRAIGHT), car(Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),)), 4.6, 1.85)
+    logs = {42 + i: cam_log(made.place, each, 6.0, station=42 + i) for i, each in enumerate(cars)}
+    logs = {station: on_one_slope(replace(made, messages=log), station == 43, 90.0) for station, log in logs.items()}
+    found = calibrate(replace(made.recording, movers=cars), together(list(logs.values())))
+    check_on_one_slope(found, logs, 90.0)

@@ -55,6 +55,7 @@ def passage() -> Passage:
         position_sigma_m=0.03,
         guessed_m=(0.4, 0.0),
         slope=SLOPE,
+        altitude_m=np.where(made.vehicle.stamps_s < 1.0, np.nan, 560.0 + made.vehicle.stamps_s),
     )
     track = Track(tuple(replace(each, turn_s=0.1, window_rad=0.011) for each in sightings))
     return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
@@ -155,7 +156,7 @@ def test_detections_without_points(tmp_path: Path) -> None:
 def test_other_versions_are_named(tmp_path: Path) -> None:
     path = tmp_path / "evidence.npz"
     np.savez(path, **{**arrays(), "format": np.array("laci-evidence/2")})
-    refused(path, "laci-evidence/2", "needed is laci-evidence/3")
+    refused(path, "laci-evidence/2", "needed is laci-evidence/4")
 
 
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:
