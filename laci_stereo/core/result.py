@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.background import Background
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import Axes, FloatArray, invert, transform, wrap
+from laci_stereo.core.frames import Axes, FloatArray, wrap
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
@@ -149,8 +149,7 @@ class Calibration:
     @property
     def T_utm_sensor(self) -> FloatArray:
         """The best rigid transform into UTM around the track, shape (4, 4)."""
-        centre_sensor = transform(invert(self.T_world_sensor), self.centre_world[None])[0]
-        return self.world.utm_from_sensor(self.T_world_sensor, centre_sensor)
+        return self.world.utm_from_sensor(self.T_world_sensor, self.centre_world)
 
     @property
     def slope(self) -> Slope | None:

@@ -10,7 +10,7 @@ from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError
 
 from laci_stereo.core.errors import CamError, SettingError
-from laci_stereo.core.frames import BoolArray, FloatArray, rigid
+from laci_stereo.core.frames import BoolArray, FloatArray
 
 MAX_ZONES_APART = 2
 """A grid may be continued into the zone beside its own, which on Svalbard has a number two away."""
@@ -103,16 +103,20 @@ class World:
         yaw: FloatArray = np.radians(90.0 - heading_deg + np.asarray(convergence_deg))
         return yaw
 
-    def utm_from_sensor(self, T_world_sensor: FloatArray, centre_sensor: FloatArray) -> FloatArray:
-        """Return ``T_utm_sensor``, shape (4, 4): rigid, and exact in the plane at one point, shape (3,), in the sensor.
+    def grid_from_sensor(self, T_world_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
+        """Return the transform into grid metres from the origin, shape (4, 4): rigid, and exact at one place.
 
         The grid's scale cannot be part of a rigid transform, so it is spent where it matters: around the track.
         """
-        rotation, translation = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
-        centre_world = rotation @ centre_sensor + translation
-        shift = translation.copy()
-        shift[:2] += self.to_utm(centre_world[None, :2])[0] - centre_world[:2]
-        return rigid(rotation, shift)
+        T: FloatArray = T_world_sensor.copy()
+        T[:2, 3] += (self.grid_scale - 1.0) * centre_world[:2]
+        return T
+
+    def utm_from_sensor(self, T_world_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
+        """Return the same with UTM coordinates, shape (4, 4)."""
+        T = self.grid_from_sensor(T_world_sensor, centre_world)
+        T[:2, 3] += self.origin_utm
+        return T
 
 
 def _own_utm(latitude_deg: float, longitude_deg: float) -> str:

@@ -43,16 +43,12 @@ class Siting:
     @property
     def T_map_sensor(self) -> FloatArray:
         """Into grid metres from the world's origin, shape (4, 4): rigid, and exact in the plane at the centre."""
-        T: FloatArray = self.T_world_sensor.copy()
-        T[:2, 3] += (self.world.grid_scale - 1.0) * self.centre_world[:2]
-        return T
+        return self.world.grid_from_sensor(self.T_world_sensor, self.centre_world)
 
     @property
     def T_utm_sensor(self) -> FloatArray:
         """The same with UTM coordinates, shape (4, 4)."""
-        T = self.T_map_sensor
-        T[:2, 3] += self.world.origin_utm
-        return T
+        return self.world.utm_from_sensor(self.T_world_sensor, self.centre_world)
 
 
 def site(stored: StoredCalibration) -> Siting:
@@ -61,7 +57,7 @@ def site(stored: StoredCalibration) -> Siting:
 
 
 def rigid_in_grid(world: World, T_map_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
-    """Return ``T_world_sensor``, shape (4, 4), of what `Siting.T_map_sensor` returned."""
+    """Return ``T_world_sensor``, shape (4, 4), of what `World.grid_from_sensor` returned."""
     T: FloatArray = T_map_sensor.copy()
     T[:2, 3] -= (world.grid_scale - 1.0) * centre_world[:2]
     return T
