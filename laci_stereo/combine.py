@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from laci_stereo.check.images import Checked
-from laci_stereo.check.result import not_checked
 from laci_stereo.core.combine import Combined
 from laci_stereo.core.combine import combine as estimate
 from laci_stereo.core.errors import EvidenceError
@@ -66,10 +64,6 @@ class Origin:
     def draw(self, _calibration: Calibration) -> Iterator[tuple[str, Raster]]:
         """Draw nothing of the sensor's own: no image is kept."""
         yield from ()
-
-    def check(self, calibration: Calibration) -> Checked | None:
-        """Check nothing: no image is kept."""
-        return not_checked(calibration)
 
     def photograph(self, _calibration: Calibration) -> Photographs | None:
         """Return no images: they are with the results that were combined."""

@@ -7,14 +7,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 from laci_stereo.check.describe import check_document, check_line
 from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import MAP_SIGMA_M
-from laci_stereo.check.result import Checking, not_checked
+from laci_stereo.check.result import Checking, beside_map, not_checked
 from laci_stereo.core.calibrate import calibrate, world_around
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint
 from laci_stereo.core.cloud import PointCloudSource
@@ -237,7 +236,9 @@ class Task(ABC):
             If the recording cannot be read or does not determine a transform.
         """
         with _naming(self.drive.cam):
-            return Result(self.calibrate(watch), self)
+            found = self.calibrate(watch)
+        lanes = self.check(found)
+        return Result(found if lanes is None else beside_map(found, lanes.check), self, lanes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,9 +287,6 @@ class Origin(Protocol):
     def draw(self, calibration: Calibration, /) -> Iterator[tuple[str, Raster]]:
         """Draw the sensor's own pictures, each with its file name."""
 
-    def check(self, calibration: Calibration, /) -> Checked | None:
-        """Hold the map against what the sensor saw, where both are there."""
-
     def photograph(self, calibration: Calibration, /) -> Photographs | None:
         """Return some images of the drive, where the sensor takes images."""
 
@@ -303,11 +301,15 @@ class Result:
     Attributes
     ----------
     calibration : Calibration
+        Its verdict knows of the lanes.
     job : Origin
+    lanes : Checked or None
+        Whether the map's lines lie on the road's; it never enters the estimate.
     """
 
     calibration: Calibration
     job: Origin
+    lanes: Checked | None = None
 
     @property
     def summary(self) -> str:
@@ -315,11 +317,6 @@ class Result:
         provenance = self.job.provenance
         words = summarise(self.calibration, f"{provenance.name} ({provenance.frame})", self.job.read)
         return words if self.lanes is None else f"{words}\n{'Lanes':<11}{check_line(self.lanes.check)}"
-
-    @cached_property
-    def lanes(self) -> Checked | None:
-        """Whether the map's lines lie on the road's; it never enters the estimate."""
-        return self.job.check(self.calibration)
 
     def save(self, out: Path | str = "calibration", *, overwrite: bool = False, command: str | None = None) -> Path:
         """Write calibration.json, the report and the pictures into a folder, as a whole or not at all.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -186,3 +187,26 @@ def test_run_without_a_map_says_nothing_of_lanes(calibrated: Calibrated, tmp_pat
     assert "Does the map lie" not in (folder / "bare" / "report.html").read_text()
     assert not (folder / "bare" / "check.png").exists()
     assert document["T_world_sensor"] == calibrated.document["T_world_sensor"]  # the lanes never enter the estimate
+
+
+def test_map_that_contradicts_a_result_lowers_its_verdict(calibrated: Calibrated, tmp_path: Path) -> None:
+    """Whichever of them is wrong, everything that tells the verdict tells that."""
+    text = calibrated.site.root.joinpath("map.osm").read_text()
+    moved = tmp_path / "map.osm"
+    moved.write_text(re.sub(r'lat="([0-9.]+)"', lambda found: f'lat="{float(found[1]) + 4e-6:.9f}"', text))
+    out = tmp_path / "result"
+    ran = calibrated.site.run("--map", moved, out=out)
+    assert ran.code == 0, ran
+    document = json.loads((out / "calibration.json").read_text())
+    assert document["lane_check"]["verdict"] == "fail"
+    assert calibrated.document["quality"]["verdict"] == "pass"
+    assert document["quality"]["verdict"] == "warn"
+    (reason,) = document["quality"]["reasons"]
+    assert reason.startswith("the map contradicts it")
+    assert document["lane_check"]["reasons"][0] in reason
+    assert f"WARN: {reason}" in ran.out
+    page = (out / "report.html").read_text()
+    box = page[page.index("Verdict: warn") : page.index("Where the sensor stands")]
+    assert "before it is clear whether it or the map is wrong" in box
+    assert "the map contradicts it" in box
+    assert "can be used" not in box

@@ -62,8 +62,8 @@ class Verdict:
     todo: tuple[str, ...]
 
 
-def verdict_of(calibration: Calibration, has_image: bool) -> Verdict:
-    """Say in one sentence whether the result can be used, and what to do next."""
+def verdict_of(calibration: Calibration, has_image: bool, contradicted: bool) -> Verdict:
+    """Say in one sentence whether the result can be used, and what to do next; a map may contradict it."""
     quality = calibration.quality
     known = (
         f"objects on the vehicle's way are placed on the map to ±{quality.track_xy_sigma_m:.2f} m and the viewing "
@@ -74,6 +74,10 @@ def verdict_of(calibration: Calibration, has_image: bool) -> Verdict:
         "warn": f"Use this calibration with care: {known}, but there is something to check.",
         "fail": f"Do not use this calibration: {known}, which is not enough.",
     }
+    if contradicted and quality.verdict == "warn":
+        told["warn"] = (
+            f"Do not use this calibration before it is clear whether it or the map is wrong. It claims: {known}."
+        )
     look = (
         "Look at the image: the map's lines must lie on the road's, and both boxes on the vehicle."
         if has_image

@@ -100,6 +100,8 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
     provenance = made.provenance
     photo = None if made.photographs is None else draw_over(made.photographs, calibration, made.lane_map)
     plan = draw_plan(calibration, made.lane_map)
+    lane_check = document["lane_check"]
+    contradicted = lane_check is not None and lane_check["verdict"] == "fail"
     style, script = text_of("page.css"), text_of("page.js")
     return template("page.html.j2").render(
         policy=policy_for(style, script),
@@ -108,7 +110,7 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
         calibration=calibration,
         document=document,
         made=made,
-        verdict=facts.verdict_of(calibration, bool(photo and photo.shots)),
+        verdict=facts.verdict_of(calibration, bool(photo and photo.shots), contradicted),
         matrices=facts.matrices(calibration, provenance),
         place=facts.place_facts(calibration),
         doubt=facts.doubt_facts(calibration),
@@ -120,7 +122,7 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
         fitted=_fitted(calibration, document["config"]),
         photo=photo,
         plan=plan,
-        lanes=lane_facts(document["lane_check"]),
+        lanes=lane_facts(lane_check),
         lanes_picture=None if made.check is None else jpeg(made.check),
     )
 
