@@ -16,7 +16,7 @@ def check_document(check: LaneCheck, map_sigma_m: float) -> Document:
     return {
         "verdict": check.judgement.outcome,
         "reasons": list(check.judgement.reasons),
-        "lines_in_view": len(check.lines),
+        "lines_in_view": check.lines_sought,
         "lines_found": check.lines_found,
         "residual_m": check.residual_m,
         "residual_px": check.residual_px,
@@ -61,7 +61,9 @@ def check_line(check: LaneCheck) -> str:
     """Say in one line what was found."""
     residual = "" if check.residual_m is None else f", {100 * check.residual_m:.0f} cm off on the ground"
     pixels = "" if check.residual_px is None else f", {check.residual_px:.1f} px"
-    return f"{check.lines_found} of {len(check.lines)} lines of the map found{residual}{pixels}; {verdict_text(check)}"
+    return (
+        f"{check.lines_found} of {check.lines_sought} lines of the map found{residual}{pixels}; {verdict_text(check)}"
+    )
 
 
 def verdict_text(check: LaneCheck) -> str:
@@ -88,7 +90,7 @@ def _offsets(line: LineCheck) -> str:
 
 
 def _together(check: LaneCheck) -> Iterator[str]:
-    yield f"{'Lines':<11}{check.lines_found} of {len(check.lines)} in view found"
+    yield f"{'Lines':<11}{check.lines_found} of {check.lines_sought} in view found"
     if check.residual_m is not None:
         pixels = "" if check.residual_px is None else f", {check.residual_px:.1f} px"
         yield f"{'Residual':<11}{100 * check.residual_m:.1f} cm on the ground{pixels} (root mean square)"

@@ -116,6 +116,11 @@ class LaneCheck:
         """How many of the lines in view were found."""
         return sum(line.found for line in self.lines)
 
+    @property
+    def lines_sought(self) -> int:
+        """How many lines in view were found or should have been."""
+        return _sought(self.lines)
+
 
 @dataclass(frozen=True)
 class View:
@@ -180,13 +185,13 @@ def check_lanes(
     checked = tuple(
         _line_checked(lines[number], number, view, fitted, placed) for number in np.unique(view.sections.line).tolist()
     )
-    together = sum(line.found and not line.astray for line in checked)
+    astray = sum(line.astray for line in checked)
+    together = sum(line.found for line in checked) - astray
     rival = max(
         (other.share for other in alignment.rivals if _ends_elsewhere(other, fitted, view, placed, map_sigma_m)),
         default=0.0,
     )
-    expected = sum(line.found or line.kind not in MAYBE for line in checked)
-    judgement = judge(Evidence(expected, together, rival), None if fitted is None else fitted.error)
+    judgement = judge(Evidence(_sought(checked), together, rival, astray), None if fitted is None else fitted.error)
     if fitted is None:
         return LaneCheck(judgement, checked, None, None, None, None, view.hidden)
     left_m = fitted.offsets.left_m[fitted.together]
@@ -201,6 +206,10 @@ def check_lanes(
         hidden=view.hidden,
         astray=fitted.astray,
     )
+
+
+def _sought(lines: Sequence[LineCheck]) -> int:
+    return sum(line.found or line.kind not in MAYBE for line in lines)
 
 
 def _rms(values: FloatArray) -> float:

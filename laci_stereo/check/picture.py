@@ -103,7 +103,7 @@ def _draw_legend(canvas: Canvas, bottom: float, lines: Sequence[FloatArray]) -> 
 
 
 def _draw_caption(canvas: Canvas, top: float, check: LaneCheck) -> None:
-    found = f"{check.lines_found} of {len(check.lines)} lines found"
+    found = f"{check.lines_found} of {check.lines_sought} lines found"
     residual = "" if check.residual_m is None else f", {100 * check.residual_m:.0f} cm off (RMS)"
     text = f"{found}{residual}. {verdict_text(check)}"
     margin = MARGIN * canvas.unit_px

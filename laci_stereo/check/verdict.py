@@ -31,11 +31,22 @@ ONE_SIDED = float(-ndtri(ERROR_RATE))
 
 @dataclass(frozen=True)
 class Evidence:
-    """How much was found: lines that should be, lines that were, and how well they fit elsewhere (see `Alignment`)."""
+    """How much was found.
+
+    Attributes
+    ----------
+    in_view, found : int
+        Lines that should be found, and those that were, together.
+    rival : float
+        How well the lines fit elsewhere, see `Alignment`.
+    astray : int
+        Lines that were found off on their own.
+    """
 
     in_view: int
     found: int
     rival: float
+    astray: int = 0
 
 
 @dataclass(frozen=True)
@@ -53,9 +64,10 @@ def judge(evidence: Evidence, error: PlanarError | None) -> Judgement:
     excuses. *pass*: neither, and an error as large as that is ruled out. Otherwise the lines cannot tell.
     """
     lacking = _lacking(evidence)
+    wrong = "" if error is None else _wrong(error)
     if lacking or error is None:
-        return Judgement("cannot tell", (lacking or "nothing was found near the map's lines",))
-    wrong = _wrong(error)
+        doubted = (f"if what was found is theirs, {wrong}",) if wrong else ()
+        return Judgement("cannot tell", (lacking or "nothing was found near the map's lines", *doubted))
     if wrong:
         return Judgement("fail", (wrong,))
     possible = tuple(_not_ruled_out(error))
@@ -66,10 +78,15 @@ def _lacking(evidence: Evidence) -> str:
     if evidence.in_view == 0:
         return "none of the map's lines that can be seen is in view"
     found = f"{evidence.found} of {evidence.in_view} lines in view were found"
+    if evidence.astray:
+        found += f", and {evidence.astray} more off on their own"
+    why = "they may be worn, the map of another road, or the calibration wrong"
+    if evidence.found < min(FEWEST_LINES, evidence.in_view):
+        return f"{found}; needed are at least {FEWEST_LINES}: {why}"
     if evidence.found < FEWEST_LINES:
         return f"{found}; needed are at least {FEWEST_LINES}"
     if evidence.found < LEAST_SHARE * evidence.in_view:
-        return f"{found}; needed is at least half: they may be worn, or the map of another road"
+        return f"{found}; needed is at least half: {why}"
     if evidence.rival >= RIVAL_SHARE:
         return "the lines fit about as well elsewhere, as on a kerb beside them"
     return ""

@@ -12,6 +12,7 @@ import numpy as np
 from laci_stereo.check.images import paint_in_image
 from laci_stereo.check.lanes import LaneCheck, check_lanes
 from laci_stereo.check.placed import Placed
+from laci_stereo.check.sections import PAINTED
 from laci_stereo.core.frames import FloatArray, Raster, invert, planar, rigid, rotation_z, transform
 from laci_stereo.io.lane_map import LaneLine
 from laci_stereo.io.stereo_calibration import Lens
@@ -108,12 +109,13 @@ class Painted:
         lines: Sequence[LaneLine] | None = None,
         covariance: FloatArray = CLAIMED,
         map_sigma_m: float = 0.05,
+        kinds: Sequence[str] = PAINTED,
     ) -> LaneCheck:
         """Check a calibration that is off by a transform of the world."""
         T = self.T_world_camera if T_error is None else T_error @ self.T_world_camera
         placed = Placed(T, covariance, CENTRE, self.boxes)
         see = partial(paint_in_image, self.image, Camera(self.lens, invert(T)))
-        return check_lanes(self.lines if lines is None else lines, placed, see, map_sigma_m)
+        return check_lanes(self.lines if lines is None else lines, placed, see, map_sigma_m, kinds)
 
 
 def shift(east_m: float, north_m: float) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from laci_stereo.check.describe import check_document, check_line, describe_check
 from laci_stereo.check.lanes import check_lanes
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import OFFSETS_M, STEP_M
@@ -98,6 +99,28 @@ def test_map_of_another_place_tells_nothing() -> None:
 def test_map_of_another_road_tells_nothing() -> None:
     other = [line((x, 6.0), (x + 3.0, 30.0)) for x in (-9.0, -5.5, 1.2, 5.1)]
     assert crossing().check(lines=other).judgement.outcome == "cannot tell"
+
+
+def test_too_few_lines_that_are_off_may_be_the_calibrations_fault() -> None:
+    """Three quarters of a map of another place, and two lines that are 40 cm off."""
+    elsewhere = [line((x, 6.0), (x + 3.0, 30.0)) for x in (-9.0, -5.5, 1.2, 5.1, 8.0, 10.0)]
+    right, wrong = (
+        crossing().check(error, lines=[*CROSSING[:2], *elsewhere]) for error in (np.eye(4), shift(0.4, 0.4))
+    )
+    assert {right.judgement.outcome, wrong.judgement.outcome} == {"cannot tell"}
+    assert all("the calibration wrong" in check.judgement.reasons[0] for check in (right, wrong))
+    assert len(right.judgement.reasons) == 1
+    assert "the lines are" in wrong.judgement.reasons[1]
+    assert "chi-square" in wrong.judgement.reasons[1]
+
+
+def test_border_without_a_step_is_counted_in_no_total() -> None:
+    border = line((-14.0, 20.5), (14.0, 20.5), kind="road_border", name="border")
+    check = crossing().check(lines=[*CROSSING, border], kinds=("line_thin", "stop_line", "road_border"))
+    assert "border" in {each.id for each in check.lines}
+    assert check_document(check, 0.05)["lines_in_view"] == len(CROSSING)
+    assert f"{len(CROSSING)} of {len(CROSSING)} lines" in check_line(check)
+    assert f"{len(CROSSING)} of {len(CROSSING)} in view" in describe_check(check)
 
 
 def test_lines_that_run_one_way_leave_the_shift_along_them_open() -> None:
