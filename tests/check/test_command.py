@@ -68,6 +68,12 @@ def test_run_with_a_map_says_whether_it_lies_on_the_road(calibrated: Calibrated)
     assert cv2.imread(str(calibrated.result / "check.png")).shape == (360, 640, 3)
 
 
+def test_demonstrations_stop_lines_are_where_they_are_painted(calibrated: Calibrated) -> None:
+    stops = [line for line in calibrated.document["lane_check"]["lines"] if line["kind"] == "stop_line"]
+    assert len(stops) == 4
+    assert all(line["found"] and abs(line["offset_m"]) < 0.15 for line in stops)
+
+
 def test_check_says_the_same_again(calibrated: Calibrated, tmp_path: Path) -> None:
     picture, figures = tmp_path / "check.png", tmp_path / "check.json"
     ran = calibrated.check(calibrated.result, "--picture", picture, "--json", figures)
