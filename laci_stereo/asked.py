@@ -17,7 +17,7 @@ import click
 
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
-from laci_stereo.core.errors import SettingError
+from laci_stereo.core.errors import SettingError, VerdictError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
 from laci_stereo.io.output import check_output
@@ -184,13 +184,22 @@ def _carry_out(job: Task, asked: Asked) -> None:
 
 
 def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool, quiet: bool) -> None:
-    """Save a result and say what it is."""
+    """Save a result and say what it is.
+
+    Raises
+    ------
+    VerdictError
+        If it must not be used; it is saved to be looked at.
+    """
     result.save(out, overwrite=overwrite, command=_command())
     if not quiet:
         for note in (*result.calibration.found, *notes):
             click.echo(f"note: {note}", err=True)
         click.echo(result.summary)
         say_written(out)
+    quality = result.calibration.quality
+    if quality.verdict == "fail":
+        raise VerdictError(f"the verdict is fail: {'; '.join(quality.reasons)}; {out} shows what was found")
 
 
 def say_written(*written: Path | str, err: bool = False) -> None:

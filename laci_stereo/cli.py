@@ -47,8 +47,9 @@ from laci_stereo.stereo.settings import StereoSettings
 def cli() -> None:
     """Find where a roadside stereo camera stands and looks, from one connected vehicle that drives by.
 
-    Exit codes: 0 calibrated; 1 the input was read but does not determine a calibration; 2 the input cannot be read
-    or makes no sense; 130 interrupted.
+    Exit codes: 0 calibrated, with the verdict pass or warn; 1 the input was read but does not determine a calibration,
+    or its verdict is fail (the result is written, to be looked at); 2 the input cannot be read or makes no sense;
+    130 interrupted.
     """
 
 

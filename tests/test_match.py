@@ -196,6 +196,26 @@ def test_an_antennas_positions_need_its_place_on_the_vehicle(site: Site, write: 
     assert ran.code == 0, ran
 
 
+def test_result_that_must_not_be_used_is_written_and_no_success(tmp_path: Path) -> None:
+    """The paper's method on 2.5 s of boxes that are 0.4 m off."""
+    made = traffic(100, noise=Noise(position_m=0.4))
+    site = lay(tmp_path, made)
+    rows, stamps_ns = detection_rows(made), made.detections.stamps_ns
+    middle_ns = (made.messages.stamps_ns[0] + made.messages.stamps_ns[-1]) // 2
+    near = np.abs(stamps_ns - middle_ns) < 1_250_000_000
+    Rows(rows.header, [row for row, kept in zip(rows.rows, near, strict=True) if kept]).write(site.detections)
+    ran = run(site.arguments("--method", "paper"), site.root)
+    assert ran.code == NOT_CALIBRATED, ran
+    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    assert document["quality"]["verdict"] == "fail"
+    assert "Verdict    FAIL: " in ran.out
+    line = ran.err.splitlines()[-1]
+    assert line.startswith("laci-stereo: not calibrated: the verdict is fail: position along the track is known to ")
+    assert line.endswith(f"{site.out} shows what was found")
+    quiet = run(site.arguments("--method", "paper", "--quiet", "--overwrite"), site.root)
+    assert (quiet.code, quiet.out, quiet.err.splitlines()) == (NOT_CALIBRATED, "", [line])
+
+
 def test_what_makes_no_sense_for_detections_is_no_option(site: Site) -> None:
     offered = run(["match", "--help"], site.root).out
     for option in ("--box-origin", "--level", "--axes", "--station", "--cam-reference", "--crs", "--out", "--map"):

@@ -19,7 +19,8 @@ LaciError
     ├── TrackError        no vehicle, or one that stands still
     ├── MatchError        the two tracks do not fit on each other
     ├── OpenError         the drive leaves a direction open
-    └── CombineError      several drives that contradict one another
+    ├── CombineError      several drives that contradict one another
+    └── VerdictError      a result that is written, to be looked at, but must not be used
 
 A message is one line: the file, the quantity, the value found and the value needed.
 """
@@ -101,3 +102,7 @@ class OpenError(CalibrationError):
 
 class CombineError(CalibrationError):
     """Several drives contradict one another."""
+
+
+class VerdictError(CalibrationError):
+    """The result's own verdict is that it must not be used."""
