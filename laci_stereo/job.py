@@ -187,6 +187,8 @@ class Task(ABC):
         Images for the report.
     remarks : callable
         What is to be said of the sensor once the recording was read, one line each.
+    doubts : tuple of str
+        What of the inputs may have spoilt the result, one line each.
     """
 
     drive: Drive
@@ -197,6 +199,7 @@ class Task(ABC):
     check: Checking = not_checked
     photograph: Photographing = not_photographed
     remarks: Callable[[], tuple[str, ...]] = no_remarks
+    doubts: tuple[str, ...] = ()
 
     @abstractmethod
     def calibrate(self, watch: Watch) -> Calibration:
@@ -237,6 +240,7 @@ class Task(ABC):
         """
         with _naming(self.drive.cam):
             found = self.calibrate(watch)
+        found = replace(found, quality=found.quality.doubted(*self.doubts))
         lanes = self.check(found)
         return Result(found if lanes is None else beside_map(found, lanes.check), self, lanes)
 

@@ -13,7 +13,7 @@ from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import DetectionError, SettingError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, Raster
-from laci_stereo.core.result import Calibration, Verdict
+from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.detections import read_detections
 from laci_stereo.io.lane_map import find_lane_map
@@ -136,8 +136,7 @@ def _with_assumption(calibration: Calibration) -> Calibration:
         "the detections have no size and are taken for the vehicle's centre; if they are on its near side, the "
         f"position is off by up to {np.hypot(vehicle.length_m, vehicle.width_m) / 2:.1f} m"
     )
-    verdict: Verdict = "warn" if quality.verdict == "pass" else quality.verdict
-    return replace(calibration, quality=replace(quality, verdict=verdict, reasons=(*quality.reasons, reason)))
+    return replace(calibration, quality=quality.doubted(reason))
 
 
 def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:

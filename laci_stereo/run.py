@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.frames import Raster
@@ -25,6 +27,16 @@ from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
+
+SIMULTANEOUS_S = 0.001
+"""So far apart, left and right are told of: at 15 m/s a vehicle drives 1.5 cm, half a pixel at 30 m where the focal
+length is 1000, and the matcher errs by 0.2."""
+
+TRIGGERED_S = 0.010
+"""Beyond that, times are not those of one trigger: it is what clocks that follow each other are apart."""
+
+PASSING_MPS = 15.0
+"""A vehicle in a town."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +97,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
     recording, stereo = _recording(left, pairs, options)
     drive = read_drive(cam, options.lane_map or find_lane_map(left), recording.span_ns, options)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
+    apart = _apart(pairs, recording.rectification.baseline_m)
     return Job(
         recording=recording,
         drive=drive,
@@ -101,7 +114,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
                 **drive.files,
             },
             config=options.config(),
-            notes=_notes(pairs) + _understood(recording) + _assumed(recording) + drive.notes,
+            notes=_notes(pairs) + apart + _understood(recording) + _assumed(recording) + drive.notes,
             T_sensor_rectified=recording.rectification.T_sensor_rectified,
         ),
         inputs=f"{len(pairs)} image pairs ({unpaired} unpaired), {len(drive.messages)} CAMs",
@@ -109,6 +122,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         check=partial(_check, recording, drive.lane_map),
         photograph=partial(_photographs, recording),
         remarks=partial(_mask_words, recording),
+        doubts=apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else (),
     )
 
 
@@ -193,3 +207,17 @@ def _background(pairs: Pairs, asked: tuple[int, int] | Path | None) -> Sequence[
 def _notes(pairs: Pairs) -> tuple[str, ...]:
     unpaired = (("left", pairs.unpaired_left), ("right", pairs.unpaired_right))
     return tuple(f"{count} {side} images without a partner" for side, count in unpaired if count)
+
+
+def _apart(pairs: Pairs, baseline_m: float) -> tuple[str, ...]:
+    """Say how far apart the times of left and right images are, where that is told of."""
+    median_s, largest_s = np.median(pairs.apart_ns) / 1e9, pairs.apart_ns.max() / 1e9
+    if largest_s <= SIMULTANEOUS_S:
+        return ()
+    words = (
+        f"left and right images are {1e3 * median_s:.1f} ms apart by their times (median; {1e3 * largest_s:.1f} ms at "
+        f"most): a vehicle at {PASSING_MPS:g} m/s drives {PASSING_MPS * largest_s:.2f} m from one to the other, which "
+        f"counts as disparity, where the baseline is {baseline_m:.2f} m; give both one time if one trigger releases "
+        "both"
+    )
+    return (words,)

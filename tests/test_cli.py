@@ -110,6 +110,21 @@ def test_folders_that_are_no_stereo_recording_are_refused(site: Site, damage: Da
     site.refused(UNUSABLE, *words)
 
 
+@pytest.mark.parametrize(("later_ms", "told", "verdict"), [(0.9, False, "pass"), (4, True, "pass"), (30, True, "warn")])
+def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bool, verdict: str) -> None:
+    """By their times: the images are of one moment."""
+    for path in images(site.right):
+        path.rename(path.with_name(f"{int(path.stem) + round(later_ms * 1e6)}.jpg"))
+    ran = site.run()
+    assert ran.code == 0, ran
+    words = f"left and right images are {later_ms:.1f} ms apart by their times (median; {later_ms:.1f} ms at most)"
+    document = json.loads((site.out / "calibration.json").read_text())
+    assert (words in ran.err) == told
+    assert any(note.startswith(words) for note in document["notes"]) == told
+    assert document["quality"]["verdict"] == verdict
+    assert any(reason.startswith(words) for reason in document["quality"]["reasons"]) == (verdict == "warn")
+
+
 @pytest.mark.parametrize(("place", "name"), [(1, "x" * 300), (3, "cam.csv/deeper")])
 def test_paths_that_no_file_can_have_are_refused(site: Site, place: int, name: str) -> None:
     arguments = site.arguments()

@@ -11,7 +11,7 @@ import numpy as np
 from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
-from laci_stereo.core.result import Calibration, Verdict
+from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import boxes_in_world
 
 Checking: TypeAlias = Callable[[Calibration], Checked | None]
@@ -36,7 +36,5 @@ def beside_map(calibration: Calibration, check: LaneCheck) -> Calibration:
     """
     if check.judgement.outcome != "fail":
         return calibration
-    quality = calibration.quality
     reason = f"the map contradicts it, so one of them is wrong: {'; '.join(check.judgement.reasons)}"
-    verdict: Verdict = "warn" if quality.verdict == "pass" else quality.verdict
-    return replace(calibration, quality=replace(quality, verdict=verdict, reasons=(*quality.reasons, reason)))
+    return replace(calibration, quality=calibration.quality.doubted(reason))

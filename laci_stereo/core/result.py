@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -61,6 +61,11 @@ class Quality:
     frames_used: int
     frames_seen: int
     left_out: dict[str, int]
+
+    def doubted(self, *reasons: str) -> Quality:
+        """Return the same with what else may be wrong, if anything: it is then no pass."""
+        verdict: Verdict = "warn" if self.verdict == "pass" and reasons else self.verdict
+        return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
 
 @dataclass(frozen=True)

@@ -87,9 +87,19 @@ class StereoPair:
 
 @dataclass(frozen=True)
 class Pairs:
-    """The pairs of a stereo recording in the order of time, and how many images have no partner."""
+    """The pairs of a stereo recording in the order of time.
+
+    Attributes
+    ----------
+    pairs : tuple of StereoPair
+    apart_ns : ndarray of int64, shape (n,)
+        How far apart the times of their images are.
+    unpaired_left, unpaired_right : int
+        How many images have no partner.
+    """
 
     pairs: tuple[StereoPair, ...]
+    apart_ns: IntArray
     unpaired_left: int
     unpaired_right: int
 
@@ -122,7 +132,7 @@ def pair_images(left: ImageFolder, right: ImageFolder) -> Pairs:
             f"{len(pairs)} pairs are within half a frame period ({tolerance_ns / 1e6:.1f} ms); needed are at least "
             f"half of the images: {_span(left)}, {_span(right)}, difference {difference_s:.1f} s"
         )
-    return Pairs(pairs, len(left) - len(pairs), len(right) - len(pairs))
+    return Pairs(pairs, gap_ns[paired], len(left) - len(pairs), len(right) - len(pairs))
 
 
 def write_picture(path: Path, picture: Raster) -> None:
