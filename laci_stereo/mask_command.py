@@ -23,6 +23,7 @@ from laci_stereo.mask.picture import Cell, Crop
 from laci_stereo.mask.stage import outlines
 from laci_stereo.program import INTERRUPTED
 from laci_stereo.stereo.reader import EightBit
+from laci_stereo.stereo.recording import LOOK_FRAMES, spread
 
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 MASK_SHARE = 0.4
@@ -123,6 +124,7 @@ def mask(
 def looked_at(finder: NetworkFinder, files: tuple[Path, ...]) -> Iterator[Look]:
     """Run a network on whole images; those that cannot be read are named and left out."""
     eight_bit = EightBit()
+    eight_bit.learn_from(spread(files, LOOK_FRAMES))
     for path in files:
         try:
             colour = eight_bit.colour(read_image(path))

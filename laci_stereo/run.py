@@ -121,7 +121,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         draw=partial(_overlays, recording, drive.lane_map),
         check=partial(_check, recording, drive.lane_map),
         photograph=partial(_photographs, recording),
-        remarks=partial(_mask_words, recording),
+        remarks=partial(_words, recording),
         doubts=apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else (),
     )
 
@@ -181,10 +181,10 @@ def _pair_at(recording: StereoRecording, stamp_s: float) -> StereoPair:
     return min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
 
 
-def _mask_words(recording: StereoRecording) -> tuple[str, ...]:
-    """Say what a vehicle mask did, where there is one."""
+def _words(recording: StereoRecording) -> tuple[str, ...]:
+    """Say which images are brighter than was learnt, and what a vehicle mask did, where there is one."""
     told = () if recording.mask is None else recording.mask.tally.sentences()
-    return tuple(f"vehicle mask: {sentence}" for sentence in told)
+    return (*recording.reader.remarks(), *(f"vehicle mask: {sentence}" for sentence in told))
 
 
 def _check(recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:

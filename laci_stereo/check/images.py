@@ -84,6 +84,7 @@ def at_rest(files: Sequence[Path], reader: GreyReader) -> Raster:
         If more than a fifth of them cannot be read.
     """
     chosen = spread(files, FRAMES)
+    reader.eight_bit.learn_from(chosen)
     read = [image for image in map(reader.read, chosen) if image is not None]
     reader.check(len(chosen))
     if not read:

@@ -100,13 +100,15 @@ def read_compared(pairs: Sequence[StereoPair], number: int) -> Compared:
         If one of the pair cannot be read, or left and right are not of one size.
     """
     pair = pairs[number]
-    left, right = (EightBit().grey(read_image(path)) for path in (pair.left, pair.right))
+    eight_bit = EightBit()
+    eight_bit.learn_from((pair.left, pair.right))
+    left, right = (eight_bit.grey(read_image(path)) for path in (pair.left, pair.right))
     if left.shape != right.shape:
         (h, w), (right_h, right_w) = left.shape, right.shape
         raise ImageError(f"{pair.right}: the image is {right_w}x{right_h} pixels; needed are {w}x{h}, as the left one")
     later, later_s = None, 0.0
     if number + 1 < len(pairs):
-        following = EightBit().grey(read_image(pairs[number + 1].left))
+        following = eight_bit.grey(read_image(pairs[number + 1].left))
         later_s = (pairs[number + 1].stamp_ns - pair.stamp_ns) / 1e9
         later = following if following.shape == left.shape and later_s > 0 else None
     return Compared(left, right, later, later_s)

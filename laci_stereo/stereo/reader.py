@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
-from laci_stereo.io.images import read_image
+from laci_stereo.io.images import MOST_BITS, read_image
 from laci_stereo.io.stereo_calibration import StereoRig
 
 log = logging.getLogger(__name__)
@@ -23,10 +24,36 @@ FILLED_BITS = (10, 12, 14, 16)
 
 
 class EightBit:
-    """Brings the images of one camera to 8 bit; how many of 16 bits are filled, the first image tells."""
+    """Brings the images of one camera to 8 bit; how many of 16 bits are filled, the images that were learnt from tell.
+
+    Attributes
+    ----------
+    bits : int
+        How many; 0 before anything was learnt.
+    """
 
     def __init__(self) -> None:
-        self._scale: float | None = None
+        self.bits = 0
+
+    def learn(self, image: Raster) -> None:
+        """Learn from an image, in addition to others."""
+        if image.dtype != np.uint8:
+            self.bits = max(self.bits, next(bits for bits in FILLED_BITS if int(image.max()) < 2**bits))
+
+    def learn_from(self, paths: Iterable[Path]) -> None:
+        """Learn from files, as far as they can be read: a dark image alone does not tell how bright others are."""
+        for path in paths:
+            try:
+                image = read_image(path)
+            except ImageError:
+                continue
+            if image.dtype == np.uint8:
+                return
+            self.learn(image)
+
+    def exceeded_by(self, image: Raster) -> bool:
+        """Tell whether an image fills more bits than were learnt, so that its brightest parts are all white."""
+        return 0 < self.bits < MOST_BITS and image.dtype != np.uint8 and int(image.max()) >= 2**self.bits
 
     def grey(self, image: Raster) -> Raster:
         """Return an image as grey, uint8, shape (height, width)."""
@@ -39,9 +66,9 @@ class EightBit:
     def _scaled(self, image: Raster) -> Raster:
         if image.dtype == np.uint8:
             return image
-        if self._scale is None:
-            self._scale = 255.0 / next(2**bits - 1 for bits in FILLED_BITS if int(image.max()) < 2**bits)
-        return cv2.convertScaleAbs(image, alpha=self._scale)
+        if self.bits == 0:
+            self.learn(image)
+        return cv2.convertScaleAbs(image, alpha=255.0 / (2**self.bits - 1))
 
 
 class GreyReader:
@@ -52,12 +79,26 @@ class GreyReader:
     skipped : dict of Path to str
         The images that could not be used, each with the reason, in one line.
     eight_bit : EightBit
+    brighter : dict of Path to int
+        Images that fill more bits than were learnt, and what their brightest pixel has.
     """
 
     def __init__(self, rig: StereoRig) -> None:
         self.skipped: dict[Path, str] = {}
         self._sizes = {rig.left.size, rig.right.size}
         self.eight_bit = EightBit()
+        self.brighter: dict[Path, int] = {}
+
+    def remarks(self) -> tuple[str, ...]:
+        """Say which images fill more bits than were learnt."""
+        if not self.brighter:
+            return ()
+        first = min(self.brighter)
+        words = (
+            f"{first}: the brightest pixel is {self.brighter[first]}, and in the images that were looked at first none "
+            f"is above {2**self.eight_bit.bits - 1}, which is taken for white; {len(self.brighter)} images are like it"
+        )
+        return (words,)
 
     def read(self, path: Path) -> Raster | None:
         """Return an image as grey, uint8, shape (height, width); None, and a line in `skipped`, if it is unusable."""
@@ -74,6 +115,8 @@ class GreyReader:
                 log.info("%s", error)
             self.skipped[path] = str(error)
             return None
+        if self.eight_bit.exceeded_by(image):
+            self.brighter[path] = int(image.max())
         return image
 
     def colour(self, path: Path) -> Raster:

@@ -202,6 +202,7 @@ class StereoRecording:
     @cached_property
     def _scene(self) -> Scene:
         candidates = spread(self.pairs if self._background is None else self._background, LOOK_FRAMES)
+        self.reader.eight_bit.learn_from(pair.left for pair in spread(self.pairs, LOOK_FRAMES))
         read = [(pair, self._shrunken(pair)) for pair in candidates]
         self.reader.check(len(candidates))
         usable = [(pair, image) for pair, image in read if image is not None]

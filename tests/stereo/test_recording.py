@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import ImageError, RigError, SettingError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.images import StereoPair
-from laci_stereo.stereo.recording import QUIET_FRAMES, StereoRecording, spread
+from laci_stereo.stereo.recording import LOOK_FRAMES, QUIET_FRAMES, StereoRecording, spread
 from laci_stereo.stereo.settings import StereoSettings
 from tests.stereo.render import Box, Mounting, View, render
 from tests.stereo.rigs import RIGS, SIZE
@@ -162,6 +163,30 @@ def test_depth_and_colour_of_the_images_do_not_matter(bits: int, colour: bool, t
     assert drawn.shape == (SIZE[1], SIZE[0], 3)
     assert drawn.dtype == np.uint8
     assert 60 < drawn.mean() < 180
+
+
+def test_a_dark_first_image_does_not_tell_how_deep_the_others_are(tmp_path: Path) -> None:
+    gains = [0.2, *[1.0] * (len(MOVERS) - 1)]
+    pairs = write_pairs(tmp_path, exposed(frames("ideal"), gains=gains, bits=12))
+    dark, bright = (cv2.imread(str(pair.left), cv2.IMREAD_UNCHANGED) for pair in pairs[:2])
+    assert dark.max() < 2**10 < 2**11 < bright.max()
+    recording = StereoRecording(pairs, RIGS["ideal"])
+    list(recording)
+    assert recording.reader.eight_bit.bits == 12
+    assert abs(recording.reader.read(pairs[1].left).astype(float) - bright * (255 / 4095)).max() <= 0.5
+    assert recording.reader.remarks() == ()
+
+
+def test_images_that_are_brighter_than_those_looked_at_are_told(tmp_path: Path) -> None:
+    """Of 40 pairs two, between those that are looked at first."""
+    skipped = sorted(set(range(40)) - set(spread(range(40), LOOK_FRAMES)))[:2]
+    gains = [1.0 if number in skipped else 0.2 for number in range(40)]
+    pairs = write_pairs(tmp_path, exposed([views("ideal", None)] * 40, gains=gains, bits=12))
+    recording = StereoRecording(pairs, RIGS["ideal"])
+    list(recording)
+    (remark,) = recording.reader.remarks()
+    assert remark.startswith(f"{pairs[skipped[0]].left}: the brightest pixel is ")
+    assert "none is above 1023, which is taken for white; 4 images are like it" in remark
 
 
 def test_images_that_are_rectified_need_no_rectification(ideal: list[StereoPair], clouds: list[PointCloud]) -> None:
