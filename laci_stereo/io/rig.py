@@ -34,6 +34,9 @@ LARGEST_COEFFICIENT = 1e4
 """Of a distortion: it multiplies powers of a position in focal lengths, of which a wide image reaches one; those of the
 rational model, which nearly cancel, come to some hundred."""
 
+OFF_MIDDLE = 0.1
+"""Of half an image: lenses sit nearer to the middle of their sensors."""
+
 _MAX_ROTATION_ERROR = 1e-3
 
 
@@ -176,6 +179,26 @@ def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
     raise RigError(
         f"{name}: the image size is {found}; the images are {needed} pixels, needed is a calibration for these"
         + (f" (were they scaled by {factor:g}?)" if scaled else "")
+    )
+
+
+def check_resolution(name: str, rig: StereoRig) -> None:
+    """Refuse a calibration that tells no image size, and has every principal point where other images' middle would be.
+
+    Raises
+    ------
+    RigError
+    """
+    shares = np.array([(lens.K[:2, 2] + 0.5) / np.array(lens.size) for lens in (rig.left, rig.right)])
+    factor = 2.0 * float(shares.mean())
+    off = np.abs(2.0 * shares - 1.0).min() > OFF_MIDDLE
+    if not (factor > 0.0 and off and np.abs(2.0 * shares / factor - 1.0).max() <= OFF_MIDDLE):
+        return
+    (cx, cy), (width, height) = rig.left.K[:2, 2], rig.left.size
+    raise RigError(
+        f"{name}: the principal point is {cx:g}, {cy:g}, at {100 * factor / 2:.0f} % of the width and height of "
+        f"the {width} x {height} images, and the file tells no image size; needed is a calibration for these, or their "
+        f"size in the file (is it of another resolution, about {factor * width:.0f} x {factor * height:.0f}?)"
     )
 
 

@@ -18,6 +18,7 @@ from laci_stereo.io.rig import (
     Model,
     Size,
     StereoRig,
+    check_resolution,
     check_rig,
     check_size,
     with_baseline,
@@ -149,11 +150,26 @@ def read_rig(files: Path | Sequence[Path], images: ForImages) -> StereoRig:
         )
     documents = [read_document(path) for path in paths]
     with np.errstate(all="ignore"):  # huge numbers become infinite ones, which are refused
-        rig = next(rig for rig in (read(documents, images) for read in _FORMATS) if rig is not None)
+        rig = _read(documents, images)
         if images.baseline_m is not None:
             rig = with_baseline(_names(paths), rig, images.baseline_m)
+        if images.size is not None and rig.left.size == images.size and not _tells_size(documents, images):
+            check_resolution(_names(paths), rig)
         check_rig(_names(paths), rig)
         return rig if rig.rectified is None or _usable(rig.rectified) else replace(rig, rectified=None)
+
+
+def _read(documents: Sequence[Document], images: ForImages) -> StereoRig:
+    return next(rig for rig in (read(documents, images) for read in _FORMATS) if rig is not None)
+
+
+def _tells_size(documents: Sequence[Document], images: ForImages) -> bool:
+    """Tell whether the images' size is in the files."""
+    try:
+        _read(documents, replace(images, size=None))
+    except RigError:
+        return False
+    return True
 
 
 def _usable(rig: StereoRig) -> bool:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -50,6 +51,29 @@ def assert_is_the_rig(rig: StereoRig) -> None:
         assert (lens.size, lens.model) == (SIZE, "pinhole")
     np.testing.assert_array_equal(rig.R_right_left, R)
     np.testing.assert_array_equal(rig.t_right_left_m, T)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 1.5, 2.5])
+def test_calibration_of_another_resolution_is_refused_without_an_image_size(tmp_path: Path, factor: float) -> None:
+    to_scale = np.diag([factor, factor, 1.0])
+    entries = {**ENTRIES, "K1": to_scale @ K_LEFT, "K2": to_scale @ K_RIGHT}
+    width, height = round(factor * SIZE[0]), round(factor * SIZE[1])
+    with pytest.raises(RigError, match="is it of another resolution, about ") as refused:
+        read_stereo_calibration(write(tmp_path / "stereo.yaml", entries), SIZE)
+    about = [int(number) for number in re.findall(r"about (\d+) x (\d+)", str(refused.value))[0]]
+    assert about == pytest.approx([width, height], rel=0.02)
+    assert f"at {50 * factor:.0f} % of the width and height of the 1280 x 720 images" in str(refused.value)
+    read_stereo_calibration(write(tmp_path / "right.yaml", entries), (width, height))
+
+
+@pytest.mark.parametrize(("cx", "cy"), [(900.0, 359.5), (900.0, 250.0), (690.0, 390.0)])
+def test_principal_point_off_the_middle_is_no_other_resolution(tmp_path: Path, cx: float, cy: float) -> None:
+    """Off along one axis, both ways, or a little."""
+    entries = {**ENTRIES, **{f"K{side}": np.array([[1100, 0, cx], [0, 1100, cy], [0, 0, 1]]) for side in (1, 2)}}
+    read_stereo_calibration(write(tmp_path / "stereo.yaml", entries), SIZE)
+    cropped = {"image_width": SIZE[0], "image_height": SIZE[1], **ENTRIES}
+    cropped["K1"] = cropped["K2"] = np.array([[1100.0, 0, 960], [0, 1100, 540], [0, 0, 1]])
+    read_stereo_calibration(write(tmp_path / "cropped.yaml", cropped), SIZE)
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "yml", "json", "xml"])
