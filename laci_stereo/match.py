@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from laci_stereo.core.box_ground import HEIGHT_SIGMA_M, height_by_boxes
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import DetectionError, SettingError
@@ -18,6 +19,9 @@ from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.detections import read_detections
 from laci_stereo.io.lane_map import find_lane_map
 from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
+
+CONTRADICTION = 4.0
+"""Standard deviations beyond which two heights are not one."""
 
 BoxOrigin = Literal["centre", "bottom"]
 
@@ -147,6 +151,7 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
             raise SettingError(f"--level is {options.level_m} m; needed is a number above 0")
         if no_z and options.axes.up[2] == 0.0:
             raise DetectionError(f"{path} lacks z, but {_in_words(options.axes)}; needed is z, or other --axes")
+        _check_level(path, log, options.level_m, options.axes)
         return
     if no_z:
         raise DetectionError(f"{path} lacks z; needed is z to find the ground below the boxes, or --level HEIGHT")
@@ -154,6 +159,19 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
         raise DetectionError(
             f"{path} lacks height; needed is height to find the ground below the boxes' centres, --box-origin bottom, "
             "or --level HEIGHT"
+        )
+
+
+def _check_level(path: Path, log: DetectionLog, level_m: float, axes: Axes) -> None:
+    """Raise if the boxes stand elsewhere than so far below the sensor."""
+    known = np.isfinite(log.points_sensor).all(axis=1) & np.isfinite(log.above_ground_m)
+    if not known.any():
+        return
+    height_m, sigma_m = height_by_boxes(log.points_sensor[known], log.above_ground_m[known], axes)
+    if abs(height_m - level_m) > CONTRADICTION * np.hypot(sigma_m, HEIGHT_SIGMA_M):
+        raise DetectionError(
+            f"{path}: the boxes stand {height_m:.1f} m below the sensor, give or take {sigma_m:.1f} m, by their z and "
+            f"height; --level is {level_m:g} m: needed is one height (see --box-origin and --axes), or boxes without z"
         )
 
 

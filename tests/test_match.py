@@ -106,8 +106,19 @@ def test_exact_boxes_give_the_exact_transform(tmp_path: Path) -> None:
         assert calibration.quality.verdict == "pass"
 
 
+def levelled(made: Traffic, height_m: float) -> Traffic:
+    """Return the same traffic, seen by a sensor that is level."""
+    level = np.eye(4)
+    level[:2, :2] = made.T_world_sensor[:2, :2] / np.linalg.norm(made.T_world_sensor[:2, 0])
+    level[:2, 1] = [-level[1, 0], level[0, 0]]
+    level[2, 3] = height_m
+    world = made.detections.points_sensor @ made.T_world_sensor[:3, :3].T + made.T_world_sensor[:3, 3]
+    points = (world - level[:3, 3]) @ level[:3, :3]
+    return replace(made, T_world_sensor=level, detections=replace(made.detections, points_sensor=points))
+
+
 def test_another_yaw_of_the_sensor_is_another_yaw_of_the_result(tmp_path: Path) -> None:
-    made = traffic(3, 8)
+    made = levelled(traffic(3, 8), 6.0)
     turned_rad = 0.7
     c, s = np.cos(turned_rad), np.sin(turned_rad)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -120,6 +131,20 @@ def test_another_yaw_of_the_sensor_is_another_yaw_of_the_result(tmp_path: Path) 
     # The files hold tenths of millimetres.
     assert there[:3, :3] @ R == pytest.approx(here[:3, :3], abs=1e-5)
     assert there[:3, 3] == pytest.approx(here[:3, 3], abs=1e-3)
+
+
+@pytest.mark.parametrize("position_m", [0.0, 0.3])
+def test_level_that_the_boxes_contradict_is_refused(tmp_path: Path, position_m: float) -> None:
+    """The road rises by 4 % across the sensor's way; what is told is right, or 2 m too low."""
+    made = levelled(traffic(6, 10, Noise(position_m=position_m)), 6.0)
+    points = made.detections.points_sensor.copy()
+    points[:, 2] += 0.04 * points[:, 0]
+    site = lay(tmp_path, replace(made, detections=replace(made.detections, points_sensor=points)))
+    words = ("detections.csv: the boxes stand 6.", "m below the sensor", "--level is 4 m: needed is one height")
+    site.refused(UNUSABLE, *words, options=("--level", "4"))
+    assert match(site.detections, site.cam, MatchOptions(level_m=6.0)).calibration.height_m == 6.0
+    detection_rows(made).without("z").write(site.detections)
+    assert match(site.detections, site.cam, MatchOptions(level_m=4.0)).calibration.height_m == 4.0
 
 
 def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
@@ -135,14 +160,7 @@ def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
 
 def test_a_radar_with_neither_size_nor_height(tmp_path: Path) -> None:
     """Level, 5 m high, and what it detects is the vehicle's middle; that this cannot be known is said."""
-    made = traffic(6, 10, Noise(position_m=0.3))
-    level = np.eye(4)
-    level[:2, :2] = made.T_world_sensor[:2, :2] / np.linalg.norm(made.T_world_sensor[:2, 0])
-    level[:2, 1] = [-level[1, 0], level[0, 0]]
-    level[2, 3] = 5.0
-    world = made.detections.points_sensor @ made.T_world_sensor[:3, :3].T + made.T_world_sensor[:3, 3]
-    points = (world - level[:3, 3]) @ level[:3, :3]
-    radar = replace(made, T_world_sensor=level, detections=replace(made.detections, points_sensor=points))
+    radar = levelled(traffic(6, 10, Noise(position_m=0.3)), 5.0)
     site = lay(tmp_path, radar)
     rows = detection_rows(radar).without("z", "yaw", "length", "width", "height", "track_id")
     rows.write(site.detections)

@@ -27,12 +27,18 @@ LEVEL_SIGMA_DEG = 0.25
 HEIGHT_SIGMA_M = 0.05
 """What is meant by a sensor's height where a person tells it: measured from its middle, by tape, to the decimetre."""
 
+SLOPE_SIGMA = 0.03
+"""How steep a road is where a sensor stands level above it: 6 % are two standard deviations."""
+
 BENT_PER_M = 1.0 / 2100.0
 """How much a road is bent along its way: the tightest crest for 50 km/h has a radius of 700 m, which is taken for three
 standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m for each percent of slope)."""
 
 _GATE = 3.0
 """Boxes within so many standard deviations stand on the plane; of normal noise that is all but 0.3 %."""
+
+_NORMAL = 1.4826
+"""Standard deviation of normal noise over the median of its size."""
 
 _CELL_M = 1.0
 """All boxes of one object within this distance count once, so that a vehicle that waits does not outweigh the rest."""
@@ -60,6 +66,36 @@ def level_ground(height_m: float, axes: Axes) -> GroundPlane:
     tilt = np.radians(LEVEL_SIGMA_DEG) ** 2
     ground = GroundPlane(up / np.linalg.norm(up), height_m, np.zeros((4, 4)), 0.0, 0, 0.0, 0.0, 0.0)
     return replace(ground, covariance_sensor=_in_sensor(np.diag([tilt, tilt, HEIGHT_SIGMA_M**2]), ground, axes))
+
+
+def height_by_boxes(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> tuple[float, float]:
+    """Return how high a level sensor stands by the boxes' own heights, metres, and one standard deviation.
+
+    The road may rise, and bend up to where the boxes are; and boxes may all err alike, as one of them does.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Of each box, sensor frame, metres; at least one.
+    above_ground_m : ndarray, shape (n,)
+        How high that point is above the ground.
+    axes : Axes
+    """
+    up = np.asarray(axes.up, dtype=np.float64)
+    up /= np.linalg.norm(up)
+    below_m = above_ground_m - points @ up
+    across = np.linalg.svd(up[None])[2][1:]
+    plan = np.column_stack([np.ones(len(points)), points @ across.T])
+    prior = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
+    value = np.array([np.median(below_m), 0.0, 0.0])
+    for _ in range(_STEPS):
+        off_m = np.abs(below_m - plan @ value)
+        noise_m = max(float(np.median(off_m)) * _NORMAL, _EXACT_M)
+        near = off_m <= _GATE * noise_m
+        information = plan[near].T @ plan[near] / noise_m**2 + prior
+        value = np.linalg.solve(information, plan[near].T @ below_m[near] / noise_m**2)
+    bent_m = BENT_PER_M / 2 * float(np.median((plan[:, 1:] ** 2).sum(axis=1)))
+    return float(value[0]), float(np.sqrt(noise_m**2 + bent_m**2 + np.linalg.inv(information)[0, 0]))
 
 
 def plane_below(
