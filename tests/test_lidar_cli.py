@@ -171,6 +171,19 @@ def test_files_in_and_the_true_transform_out(
     assert f"{'Height':<11}{found['height_m']:.2f} m above the ground" in ran.out
 
 
+def test_sweep_that_contradicts_the_points_own_times_is_refused(
+    site: Site, made: Scene, columns: list[dict[str, Array]]
+) -> None:
+    for path, scan in zip(site.files(), columns, strict=True):
+        path.unlink()
+        write_pcd(path, scan | {"time": np.linspace(0.0, 0.1, len(scan["x"]), dtype=np.float32)})
+    words = ("scans: the points have times of their own, and --sweep tells others", "needed is no --sweep")
+    site.refused(UNUSABLE, *words, options=("--sweep", "start,cw,10"))
+    ran = site.run("--sweep", "none")
+    assert ran.code == 0, ran
+    assert errors(made, np.array(document(site)["T_utm_sensor"]))[0] < 0.03
+
+
 # ------------------------------------------------------------------------------------- scans that are none
 
 Damage = Callable[[Path, Mapping[str, Array]], Any]

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from laci_lidar.check import check_scans
+from laci_lidar.errors import ScanError
 from laci_lidar.recording import LidarRecording
 from laci_lidar.scans import open_scans
 from laci_lidar.sequence import ScanSequence
-from laci_lidar.settings import LidarSettings
+from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.frames import Raster
@@ -19,6 +21,10 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
+from laci_stereo.stereo.recording import spread
+
+LOOKED_AT = 5
+"""Scans that are read to see whether points have times; the others are of the same driver."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +76,8 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
     """
     options = options or LidarOptions()
     sequence = open_scans(scans, options.topic)
+    if isinstance(options.scanner.sweep, Sweep):
+        _check_untimed(sequence)
     recording = LidarRecording(
         sequence,
         options.scanner,
@@ -95,6 +103,23 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
         check=partial(_check, sequence, drive.lane_map),
         remarks=recording.remarks,
     )
+
+
+def _check_untimed(scans: ScanSequence) -> None:
+    """Raise if points have times, which a sweep that the user tells would contradict.
+
+    Raises
+    ------
+    ScanError
+    """
+    looked_at = spread(range(len(scans)), LOOKED_AT)
+    # Not to its end, where the sequence raises if many are unusable.
+    for scan in islice(scans.read(looked_at, 1), len(looked_at)):
+        if scan is not None and scan.offset_s is not None:
+            raise ScanError(
+                f"{scans.path}: the points have times of their own, and --sweep tells others; needed is no --sweep, or "
+                "--sweep none where scans were motion-compensated"
+            )
 
 
 def _background(asked: tuple[int, int] | Path | None) -> ScanSequence | range | None:
