@@ -17,7 +17,7 @@ import click
 
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
-from laci_stereo.core.errors import SettingError, VerdictError
+from laci_stereo.core.errors import GroundError, SettingError, VerdictError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
 from laci_stereo.io.output import check_output
@@ -136,7 +136,10 @@ _ASKED = (
     click.option(
         "--clock-sigma", type=float, metavar="S", help="How far apart their clocks are, one standard deviation, s."
     ),
-    click.option("--name", help="What you call the sensor [default: the folder around the recording]."),
+    click.option(
+        "--name",
+        help="What you call the sensor [default: the folder around the images or detections; of scans, their own].",
+    ),
 )
 
 
@@ -179,7 +182,12 @@ def _carry_out(job: Task, asked: Asked) -> None:
     if not asked.quiet:
         for note in job.provenance.notes:
             click.echo(f"note: {note}", err=True)
-    result = job.run(lambda source: source if asked.quiet else WithProgress(source))
+    try:
+        result = job.run(lambda source: source if asked.quiet else WithProgress(source))
+    except GroundError as error:
+        if asked.height is None:
+            raise
+        raise GroundError(f"{error}; --height is {asked.height:g} m, which is taken give or take a third") from error
     deliver(result, (*job.remarks(), *job.skipped), asked.out, overwrite=asked.overwrite, quiet=asked.quiet)
 
 

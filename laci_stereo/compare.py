@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -35,6 +36,8 @@ DIGITS = {"deg": 3, "m": 3}
 
 LEAST_SIGMA = 1e-6
 """Radians and metres: what a result claims to know better is no doubt but a rounding."""
+
+OBJECTS = "objects on the tracks"
 
 Outcome = Literal["agree", "contradict", "cannot tell"]
 
@@ -212,7 +215,7 @@ def _objects(T_apart: FloatArray, track: FloatArray, centre: FloatArray, covaria
     variances = [
         np.trace(_about(covariance, centre, point)[3:5, 3:5]) for point in points[:: max(len(points) // 50, 1)]
     ]
-    return Difference("objects on the tracks", apart_m, float(np.sqrt(np.mean(variances))), "m")
+    return Difference(OBJECTS, apart_m, float(np.sqrt(np.mean(variances))), "m")
 
 
 def _turn(rotation: FloatArray, covariance: FloatArray) -> Difference:
@@ -245,6 +248,26 @@ def to_table(comparison: Comparison) -> str:
         in_sigmas = f"{sigma:>16}{each.value / each.sigma:>11.1f}" if np.isfinite(each.sigma) else f"{'unknown':>16}"
         lines.append(f"{each.name:<24}{value:>14}{in_sigmas}")
     lines.append(f"{'Verdict':<11}{_VERDICTS[comparison.outcome]}: {chance(comparison)}")
+    return "\n".join(lines)
+
+
+def to_summary(comparisons: Sequence[Comparison]) -> str:
+    """Return for each of more than two results how it lies to the others, in lines; nothing for two."""
+    if len(comparisons) < 2:
+        return ""
+    counts = Counter(one.outcome for one in comparisons)
+    told = ", ".join(f"{counts[outcome]} {words.lower()}" for outcome, words in _VERDICTS.items() if counts[outcome])
+    results = list(dict.fromkeys(name for one in comparisons for name in (one.first, one.second)))
+    width = max(map(len, results)) + 2
+    lines = [
+        f"{len(results)} results, {len(comparisons)} pairs: {told}",
+        f"{'':<{width}}{'contradicts':>12}{'objects apart: median':>23}{'most':>9}",
+    ]
+    for name in results:
+        own = [one for one in comparisons if name in (one.first, one.second)]
+        apart_m = [each.value for one in own for each in one.differences if each.name == OBJECTS]
+        contradicts = f"{sum(one.outcome == 'contradict' for one in own)} of {len(own)}"
+        lines.append(f"{name:<{width}}{contradicts:>12}{np.median(apart_m):>21.3f} m{max(apart_m):>7.3f} m")
     return "\n".join(lines)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from laci_stereo.asked import PATH, say_written
-from laci_stereo.compare import SHARED, Comparison, chance, compare, to_csv, to_table
+from laci_stereo.compare import SHARED, Comparison, chance, compare, to_csv, to_summary, to_table
 from laci_stereo.io.output import check_files, write_file
 from laci_stereo.report.page.compare import Pair, Row, write_compare_page
 
@@ -36,7 +36,8 @@ def compare_command(
     check_files(files, overwrite=overwrite)
     comparisons = compare(results, renamed=renamed)
     click.echo("\n\n".join(map(to_table, comparisons)))
-    click.echo(f"\n{SHARED}")
+    for words in filter(None, (to_summary(comparisons), SHARED)):
+        click.echo(f"\n{words}")
     if csv_file is not None:
         write_file(csv_file, to_csv(comparisons).encode())
     if page_file is not None:

@@ -125,6 +125,15 @@ def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bo
     assert any(reason.startswith(words) for reason in document["quality"]["reasons"]) == (verdict == "warn")
 
 
+def test_height_that_the_ground_contradicts_is_named(site: Site) -> None:
+    words = (
+        "not calibrated: ",
+        "13.3333 to 26.6667 m below the sensor",
+        "--height is 20 m, which is taken give or take",
+    )
+    site.refused(NOT_CALIBRATED, *words, options=("--height", "20", "--quiet"))
+
+
 @pytest.mark.parametrize(("place", "name"), [(1, "x" * 300), (3, "cam.csv/deeper")])
 def test_paths_that_no_file_can_have_are_refused(site: Site, place: int, name: str) -> None:
     arguments = site.arguments()

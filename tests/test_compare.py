@@ -162,6 +162,18 @@ def test_far_result_contradicts(tmp_path: Path) -> None:
     assert "CONTRADICT" in ended.output
 
 
+def test_several_results_are_summed_up_and_the_odd_one_is_seen(tmp_path: Path) -> None:
+    sigma_z = np.sqrt(np.array(original()["covariance"])[5, 5])
+    far = moved(np.array([0.0, 0.0, 0.0, 0.3, 0.0, 8 * np.sqrt(2) * sigma_z]))
+    paths = [written(tmp_path, name, each) for name, each in (("a", original()), ("b", far), ("c", original()))]
+    output = run(*paths).output
+    assert "3 results, 3 pairs: 1 agree, 2 contradict each other" in output
+    lines = {line.split()[0]: line.split()[1:] for line in output[output.index("3 results") :].splitlines()[2:5]}
+    assert lines[str(paths[0])] == ["1", "of", "2", "0.150", "m", "0.300", "m"]
+    assert lines[str(paths[1])] == ["2", "of", "2", "0.300", "m", "0.300", "m"]
+    assert "pairs" not in run(*paths[:2]).output
+
+
 def test_shares_are_percentages_that_people_read(tmp_path: Path) -> None:
     paths = written(tmp_path, "a", original()), written(tmp_path, "b", original())
     assert "so far apart in 100 % of cases" in run(*paths).output

@@ -236,7 +236,9 @@ def test_scans_that_are_none_are_refused(site: Site, columns: list[dict[str, Arr
         path.unlink()
         damage(path, columns[0])
     first = str(site.files()[0])
-    site.refused(UNUSABLE, "scans are unusable", "needed are at least 80% usable", first, *words)
+    site.refused(
+        UNUSABLE, "of what was read so far, ", "scans are unusable", "needed are at least 80% usable", first, *words
+    )
 
 
 @posix

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -115,11 +116,16 @@ def check_same(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -
         Naming what differs.
     """
     for name in sorted({*found, *asked}):
-        if found.get(name) != asked.get(name):
-            raise OutputError(
-                f"{path}: the checkpoint's {name} is {found.get(name, 'not set')}, asked for is now "
-                f"{asked.get(name, 'not set')}; needed is the same, another --out, or --overwrite to start afresh"
-            )
+        if found.get(name) == asked.get(name):
+            continue
+        values = [of.get(name, "not set") for of in (found, asked)]
+        differs = f"is {values[0]}, asked for is now {values[1]}"
+        if all(re.fullmatch(r"[0-9a-f]{64}", value) for value in values):
+            differs = "is another one than that which is asked for now, by its content"
+        raise OutputError(
+            f"{path}: the checkpoint's {name} {differs}; needed is the same, another --out, or --overwrite to start "
+            "afresh"
+        )
 
 
 def _parsed(document: Mapping[str, Any], settings: TrackSettings) -> State:

@@ -138,7 +138,7 @@ class GreyReader:
         """
         if len(self.skipped) > MAX_BAD_SHARE * attempted:
             raise ImageError(
-                f"{len(self.skipped)} of {attempted} frames are unusable; needed are at least "
+                f"of what was read so far, {len(self.skipped)} of {attempted} frames are unusable; needed are at least "
                 f"{1 - MAX_BAD_SHARE:.0%} usable ones; the first: {self.first_complaint()}"
             )
 

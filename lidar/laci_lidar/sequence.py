@@ -70,6 +70,6 @@ def counted(results: Iterable[tuple[str, Scan | ScanError]], skipped: dict[str, 
         yield None
     if len(failed) > MAX_BAD_SHARE * attempted:
         raise ScanError(
-            f"{len(failed)} of {attempted} scans are unusable; needed are at least {1 - MAX_BAD_SHARE:.0%} usable; "
-            f"the first: {failed[0]}"
+            f"of what was read so far, {len(failed)} of {attempted} scans are unusable; needed are at least "
+            f"{1 - MAX_BAD_SHARE:.0%} usable; the first: {failed[0]}"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 
 from laci_stereo.core.errors import ImageError, OutputError
 from laci_stereo.core.settings import TrackSettings
-from laci_stereo.monitor.checkpoint import read_state, write_state
+from laci_stereo.monitor.checkpoint import check_same, read_state, write_state
 from laci_stereo.monitor.run import Monitor
 from tests.monitor.support import COARSE, Killed, Traffic, drive, gone_through, lane, one_by_one, plan, traffic
 from tests.simulated import Drive, car
@@ -126,6 +127,16 @@ def test_checkpoint_of_another_calibration_is_refused(whole: Monitor, tmp_path: 
         match=r"state\.json: the checkpoint's calibration is a, asked for is now b; needed is .*--overwrite",
     ):
         gone_through(SOURCE, other, tmp_path / "out")
+
+
+def test_contents_that_differ_are_not_told_by_their_hashes(tmp_path: Path) -> None:
+    path, (one, other) = tmp_path / "state.json", [hashlib.sha256(word).hexdigest() for word in (b"one", b"other")]
+    check_same(path, {"calibration": one}, {"calibration": one})
+    with pytest.raises(OutputError, match="the checkpoint's calibration is another one than that which is") as refused:
+        check_same(path, {"calibration": one}, {"calibration": other})
+    assert one not in str(refused.value)
+    with pytest.raises(OutputError, match="the checkpoint's mask is not set, asked for is now "):
+        check_same(path, {}, {"mask": other})
 
 
 def test_checkpoint_of_another_recording_is_refused(tmp_path: Path) -> None:
