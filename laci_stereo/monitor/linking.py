@@ -12,7 +12,7 @@ import numpy.typing as npt
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import Settings, TrackSettings
 from laci_stereo.core.sighting import NOTHING_LOW, Sighting, dense
-from laci_stereo.core.tracking import FILTERED, Moving, assign, backwards, blind_s, strain
+from laci_stereo.core.tracking import FILTERED, STRAY, Moving, assign, backwards, blind_s, strain
 
 REMEMBERED = 5
 """Sightings at the end of a track whose sizes the assignment looks at."""
@@ -175,19 +175,23 @@ class Linker:
                     self._join(live, settings.track)
 
     def _join(self, live: Live, settings: TrackSettings) -> None:
-        """Put a track behind one that was lost before, where the velocities agree with the way in between."""
-        part = Moving(live.head[0], settings)
-        part.sightings = list(live.head)
-        begin = backwards(part.sightings, settings)
-        strains = [np.inf]
-        for one in self.lost:
-            gap_s = live.first_s - one.last_s
-            near = 0.0 < gap_s <= settings.max_lost_s
-            strains.append(strain(one.moving, begin, gap_s, settings) if near else np.inf)
-        best = int(np.argmin(strains))
-        if strains[best] < 1.0:
-            before = self.lost.pop(best - 1)
-            live.head, live.kept = (before.head + live.head)[:FILTERED], before.kept + live.kept
+        """Put a track behind one that was lost before, where the velocities agree with the way in between.
+
+        Where a body fell apart for a frame, its next track begins with a piece of it while the last one goes on: what
+        was seen at once with that is not its continuation, but what follows may be.
+        """
+        strains = {}
+        for stray in range(min(2, len(live.head))):
+            begin = backwards(live.head[stray:], settings)
+            for number, one in enumerate(self.lost):
+                gap_s = live.head[stray].stamp_s - one.last_s
+                if 0.0 < gap_s <= settings.max_lost_s:
+                    surely = stray == 0 or live.first_s <= one.last_s
+                    strains[number, stray] = strain(one.moving, begin, gap_s, settings) + (0.0 if surely else STRAY)
+        if strains and min(strains.values()) < 1.0:
+            number, stray = min(strains, key=lambda pair: strains[pair])
+            before = self.lost.pop(number)
+            live.head, live.kept = (before.head + live.head[stray:])[:FILTERED], before.kept + live.kept[stray:]
 
     def _over(self, now_s: float, settings: TrackSettings) -> list[Live]:
         """Return the lost tracks that nothing can continue any more."""
