@@ -121,7 +121,7 @@ def check_same(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -
         values = [of.get(name, "not set") for of in (found, asked)]
         differs = f"is {values[0]}, asked for is now {values[1]}"
         if all(re.fullmatch(r"[0-9a-f]{64}", value) for value in values):
-            differs = "is another one than that which is asked for now, by its content"
+            differs = f"is {values[0][:8]}..., asked for is now {values[1][:8]}... (SHA-256), so it is another one"
         raise OutputError(
             f"{path}: the checkpoint's {name} {differs}; needed is the same, another --out, or --overwrite to start "
             "afresh"
