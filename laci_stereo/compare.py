@@ -162,8 +162,7 @@ def compare_two(
     track_one, track_other : ndarray, shape (n, 2)
         Where objects matter, each in its own world.
     """
-    centre_utm = other.world.to_utm(other.centre_world[None, :2])
-    shift = np.append(one.world.from_utm(centre_utm)[0] - other.centre_world[:2], 0.0)
+    shift = _origin_of(other, one)
     T_one, T_other = one.T_world_sensor, other.T_world_sensor.copy()
     T_other[:3, 3] += shift
     centre = (one.centre_world + other.centre_world + shift) / 2
@@ -172,7 +171,7 @@ def compare_two(
     covariance = _about(one.covariance, one.centre_world, centre)
     covariance += _about(other.covariance, other.centre_world + shift, centre) + LEAST_SIGMA**2 * np.eye(6)
     chi_square = float(six @ np.linalg.solve(covariance, six))
-    track = np.concatenate([track_one, one.world.from_utm(other.world.to_utm(track_other))])
+    track = np.concatenate([track_one, track_other + shift[:2]])
     differences = (
         *_angles(one, other, covariance),
         *_shifts(T_other[:3, 3] - T_one[:3, 3], _about(covariance, centre, T_one[:3, 3])),

@@ -108,23 +108,6 @@ def test_world_in_which_a_result_is_given_does_not_matter(tmp_path: Path) -> Non
         assert (other.value, other.sigma) == pytest.approx((one.value, one.sigma), rel=1e-5, abs=1e-7)
 
 
-def test_the_scale_of_the_world_does_not_matter(tmp_path: Path) -> None:
-    """Both put the middle of the track at one place of the map, whatever they know of the altitude there."""
-    high = deepcopy(original())
-    high["world"] |= {
-        "grid_scale": original()["world"]["grid_scale"] / (1.0 + 2240.0 / 6_371_000.0),
-        "altitude_m": 2240,
-    }
-    centre = np.array(original()["covariance_centre_world"])
-    shift = centre * (original()["world"]["grid_scale"] / high["world"]["grid_scale"] - 1.0)
-    assert np.linalg.norm(shift) > 0.005
-    T = np.array(high["T_world_sensor"])
-    T[:3, 3] += shift
-    high |= {"T_world_sensor": T.tolist(), "covariance_centre_world": (centre + shift).tolist()}
-    (comparison,) = compare([written(tmp_path, "a", original()), written(tmp_path, "b", high)])
-    assert [each.value for each in comparison.differences] == pytest.approx([0.0] * 8, abs=1e-6)
-
-
 def test_chi_square_is_that_of_six_where_both_are_as_good_as_they_claim(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     covariance = np.array(original()["covariance"])

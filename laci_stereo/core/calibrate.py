@@ -163,7 +163,7 @@ def _companion(
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:
-    """Lay the world around where the messages are: around the medians, for some may be wrong by far.
+    """Lay the world around where the messages are: around the median, for some positions may be wrong by far.
 
     Raises
     ------
@@ -175,9 +175,7 @@ def world_around(messages: CamLog, crs: str | None = None) -> World:
         raise CamError("0 CAMs with a position fall into the recording's time; needed is a drive that was recorded")
     east_deg = (located.longitude_deg - located.longitude_deg[0] + 180.0) % 360.0 - 180.0
     longitude_deg = (float(located.longitude_deg[0] + np.median(east_deg)) + 180.0) % 360.0 - 180.0
-    told_m = located.altitude_m[np.isfinite(located.altitude_m)]
-    altitude_m = float(np.median(told_m)) if len(told_m) else None
-    return World.around(float(np.median(located.latitude_deg)), longitude_deg, crs, altitude_m)
+    return World.around(float(np.median(located.latitude_deg)), longitude_deg, crs)
 
 
 def vehicles_of(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:

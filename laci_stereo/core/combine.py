@@ -87,8 +87,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     settings = _as_loose(settings or Settings(), passages)
     _check_alike(passages)
     ground = merge_grounds(passages)
-    world = next((each.world for each in passages if each.world.altitude_m is not None), passages[0].world)
-    laid = along_ground([lay(passage, ground, world) for passage in passages])
+    laid = along_ground([lay(passage, ground, passages[0].world) for passage in passages])
     drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
     alone = [_fit_alone(*pair, settings) for pair in zip(laid, drives, strict=True)]
     together = fit_together(laid, drives, alone, settings.joint)

@@ -19,10 +19,6 @@ BAND_DEG = 8.0
 """It may be continued across the equator, too, by one of its bands."""
 
 
-EARTH_RADIUS_M = 6_371_000.0
-"""Within 0.5 % of the ellipsoid's curvature anywhere: 3 mm in 1 km at an altitude of 4 km."""
-
-
 @dataclass(frozen=True)
 class World:
     """A metric frame on the map: UTM = ``origin_utm`` + ``grid_scale`` * world.
@@ -34,22 +30,15 @@ class World:
     origin_utm : tuple of float
         East and north of the origin, whole metres.
     grid_scale : float
-        Grid metres per true metre: UTM's point scale at the origin (0.9996 to 1.0010), and less the higher the ground
-        is, for the grid is that of the ellipsoid: by 1.6 cm in 100 m for each kilometre.
-    altitude_m : float or None
-        Of the ground, as ``grid_scale`` takes it into account; None where it is not known, and taken for 0. Whether it
-        counts from the ellipsoid or from the sea, which are at most 110 m apart, is 2 mm in 100 m.
+        UTM's point scale at the origin (0.9996 to 1.0010): grid metres per true metre.
     """
 
     crs: str
     origin_utm: tuple[float, float]
     grid_scale: float
-    altitude_m: float | None = None
 
     @classmethod
-    def around(
-        cls, latitude_deg: float, longitude_deg: float, crs: str | None = None, altitude_m: float | None = None
-    ) -> World:
+    def around(cls, latitude_deg: float, longitude_deg: float, crs: str | None = None) -> World:
         """Lay the frame around a position, in its own UTM zone and hemisphere unless ``crs`` names another.
 
         Raises
@@ -64,8 +53,7 @@ class World:
         proj = Proj(code)
         east, north = proj(longitude_deg, latitude_deg)
         scale = float(proj.get_factors(longitude_deg, latitude_deg).meridional_scale)
-        scale /= 1.0 + (altitude_m or 0.0) / EARTH_RADIUS_M
-        return cls(code, (float(round(east)), float(round(north))), scale, altitude_m)
+        return cls(code, (float(round(east)), float(round(north))), scale)
 
     # PROJ's Python side takes arrays of one element for scalars before its version 3.7.2; lists it takes as they are.
 

@@ -87,7 +87,6 @@ def to_document(calibration: Calibration, provenance: Provenance, lane_check: Do
             "crs": calibration.world.crs,
             "origin_utm": list(calibration.world.origin_utm),
             "grid_scale": calibration.world.grid_scale,
-            "altitude_m": calibration.world.altitude_m,
         },
         "T_world_sensor": calibration.T_world_sensor.tolist(),
         "T_utm_sensor": calibration.T_utm_sensor.tolist(),

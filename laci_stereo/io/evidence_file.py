@@ -45,7 +45,7 @@ MAX_BYTES = 1 << 28
 LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "name": ("U", ()),
     "crs": ("U", ()),
-    "world": ("f", (4,)),  # origin east and north, grid scale, altitude (NaN: not known)
+    "world": ("f", (3,)),  # origin east and north, grid scale
     "axes": ("f", (2, 3)),  # forward, up
     "ground_plane": ("f", (4,)),  # normal, height
     "ground_covariance": ("f", (4, 4)),
@@ -74,7 +74,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
 }
 """Each drive's arrays: kind of number, and shape; what has the same name has the same length."""
 
-MAY_LACK = ("world", "message_altitudes_m", "vehicle", "noise")
+MAY_LACK = ("message_altitudes_m", "vehicle", "noise")
 """In their last column NaN stands for what is not known."""
 
 
@@ -219,7 +219,7 @@ def _to_arrays(passage: Passage) -> Arrays:
     ground, vehicle, sightings = passage.ground, passage.vehicle, passage.track.sightings
     support = (ground.inlier_share, ground.support_cells, ground.support_share, ground.support_area_m2)
     static = [(*_row(each.box), each.height_m) for each in passage.background.boxes]
-    noise = [(each.sigma_m, _or_nan(each.radial_mps)) for each in sightings]
+    noise = [(each.sigma_m, np.nan if each.radial_mps is None else each.radial_mps) for each in sightings]
     counts = [(each.count, len(each.points), FLAWS.index(each.flaw), len(each.low.points)) for each in sightings]
     sigmas = [np.column_stack([each.sigma_along_m, each.sigma_across_m]) for each in sightings]
     low = [np.column_stack([each.low.points, each.low.sigma_along_m, each.low.sigma_across_m]) for each in sightings]
@@ -227,7 +227,7 @@ def _to_arrays(passage: Passage) -> Arrays:
     return {
         "name": np.array(passage.name),
         "crs": np.array(passage.world.crs),
-        "world": np.array([*passage.world.origin_utm, passage.world.grid_scale, _or_nan(passage.world.altitude_m)]),
+        "world": np.array([*passage.world.origin_utm, passage.world.grid_scale]),
         "axes": np.array([passage.axes.forward, passage.axes.up], dtype=np.float64),
         "ground_plane": np.append(ground.normal, ground.height_m),
         "ground_covariance": ground.covariance_sensor,
@@ -254,10 +254,6 @@ def _to_arrays(passage: Passage) -> Arrays:
         "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
         "low": np.concatenate([np.zeros((0, 5)), *low]).astype(np.float32),
     }
-
-
-def _or_nan(value: float | None) -> float:
-    return np.nan if value is None else value
 
 
 def _of_altitudes(vehicle: VehicleTrack) -> FloatArray:
@@ -288,13 +284,13 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
         for name, (kind, shape) in LAYOUT.items()
     }
     _check(path, found)
-    *origin, scale, altitude = found["world"].tolist()
+    *origin, scale = found["world"].tolist()
     forward, up = (tuple(axis) for axis in found["axes"].tolist())
     length_m, width_m, x, y, *guessed, sigma_m = found["vehicle"].tolist()
     yaw, match_x, match_y, offset_s, clock_sigma_s = found["own"].tolist()
     altitude_m = found["message_altitudes_m"][:, 0].astype(np.float64)
     return Passage(
-        world=World(str(found["crs"]), (origin[0], origin[1]), scale, None if np.isnan(altitude) else altitude),
+        world=World(str(found["crs"]), (origin[0], origin[1]), scale),
         axes=Axes(forward, up),
         ground=_ground(found),
         background=_background(found),

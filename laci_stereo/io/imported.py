@@ -115,8 +115,8 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
     _check_place(path, T_utm_sensor, told)
     if kind == "stereo":
         _check_sight(path, T_utm_sensor)
-    world = _world(crs, T_utm_sensor, told, options.origin)
-    world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale, altitude_m=None)
+    world = _world(crs, T_utm_sensor, told)
+    world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale)
     siting = Siting(
         options.name or (told.name if told else path.absolute().stem),
         kind,
@@ -261,14 +261,14 @@ def _check_sight(path: Path, T_utm_sensor: FloatArray) -> None:
         )
 
 
-def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None, origin: tuple[float, ...] | None) -> World:
+def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None) -> World:
     if told is not None and told.world.crs == crs:
         return told.world
     to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     longitude, latitude = to_degrees.transform(float(T_utm_sensor[0, 3]), float(T_utm_sensor[1, 3]))
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         raise CalibrationFileError(f"{crs} knows no latitude at UTM {T_utm_sensor[0, 3]:.0f}, {T_utm_sensor[1, 3]:.0f}")
-    return World.around(latitude, longitude, crs, None if origin is None or len(origin) < 3 else origin[2])
+    return World.around(latitude, longitude, crs)
 
 
 def _centre(
@@ -318,7 +318,6 @@ def imported_document(imported: Imported, inputs: dict[str, str], options: dict[
             "crs": siting.world.crs,
             "origin_utm": list(siting.world.origin_utm),
             "grid_scale": siting.world.grid_scale,
-            "altitude_m": siting.world.altitude_m,
         },
         "T_world_sensor": siting.T_world_sensor.tolist(),
         "T_utm_sensor": siting.T_utm_sensor.tolist(),

@@ -97,7 +97,6 @@ def statement(siting: Siting) -> dict[str, Any]:
         "crs": siting.world.crs,
         "origin_utm": list(siting.world.origin_utm),
         "grid_scale": siting.world.grid_scale,
-        "altitude_m": siting.world.altitude_m,
         "centre_world": siting.centre_world.tolist(),
     }
 
@@ -127,14 +126,10 @@ def find_statement(text: str) -> Statement | None:
     try:
         told, _ = json.JSONDecoder().raw_decode(text, found.end())
         east, north = (float(value) for value in told["origin_utm"])
-        altitude_m = told.get("altitude_m")
-        altitude_m = None if altitude_m is None else float(altitude_m)
-        world = World(str(told["crs"]), (east, north), float(told["grid_scale"]), altitude_m)
+        world = World(str(told["crs"]), (east, north), float(told["grid_scale"]))
         centre = np.array(told["centre_world"], dtype=np.float64).reshape(3)
         said = Statement(str(told["name"]), str(told["kind"]), str(told["frame"]), world, centre)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return None
-    sound = (
-        np.abs([east, north, *centre, altitude_m or 0.0]).max() < 1e8 and 0.9 < world.grid_scale < 1.1
-    )  # which NaN is not, either
+    sound = np.abs([east, north, *centre]).max() < 1e8 and 0.9 < world.grid_scale < 1.1  # which NaN is not, either
     return said if sound else None

@@ -103,18 +103,12 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
     images: Document = stereo if isinstance(stereo, dict) else {}
     baseline_m = images.get("baseline_m")
     east, north = world["origin_utm"]
-    altitude_m = world.get("altitude_m")
     return StoredCalibration(
         path=path,
         name=sensor["name"],
         kind=sensor["kind"],
         frame=sensor["frame"],
-        world=World(
-            world["crs"],
-            (float(east), float(north)),
-            float(world["grid_scale"]),
-            None if altitude_m is None else float(altitude_m),
-        ),
+        world=World(world["crs"], (float(east), float(north)), float(world["grid_scale"])),
         T_world_sensor=np.array(document["T_world_sensor"], dtype=np.float64),
         covariance=_covariance(document["covariance"]),
         centre_world=np.array(document["covariance_centre_world"], dtype=np.float64),
@@ -136,7 +130,7 @@ def _check(stored: StoredCalibration) -> None:
         utm_code(stored.world.crs)
     except SettingError as problem:
         raise CalibrationFileError(f"{stored.path}: {problem}") from problem
-    grid = (*stored.world.origin_utm, stored.world.grid_scale, stored.world.altitude_m or 0.0)
+    grid = (*stored.world.origin_utm, stored.world.grid_scale)
     if not all(np.isfinite(each).all() for each in (stored.T_world_sensor, stored.centre_world, stored.boxes, grid)):
         raise CalibrationFileError(f"{stored.path} holds a number that is not finite; needed are finite ones")
     rotation = stored.T_world_sensor[:3, :3]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from laci_stereo.core.result import Calibration, Quality
-from laci_stereo.core.world import World
 
 LEFT_OUT = {
     "cut": "cut by the border of the field of view",
@@ -57,13 +56,6 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
         ("Verdict", ": ".join([quality.verdict.upper(), "; ".join(quality.reasons)]).rstrip(": ")),
     ]
     return "\n".join(f"{name:<11}{text}" for name, text in lines)
-
-
-def scale_words(world: World) -> str:
-    """Say of which altitude the grid's scale is."""
-    if world.altitude_m is None:
-        return "as at sea level, for no altitude was told: each km above it makes 1.6 cm in 100 m"
-    return f"at an altitude of {world.altitude_m:.0f} m"
 
 
 def _slope(calibration: Calibration) -> str:

@@ -36,7 +36,6 @@ from laci_stereo.report.style import (
     Stroke,
     lane_strokes,
 )
-from laci_stereo.report.summary import scale_words
 
 SIZE = (1600, 1200)
 PLOT: Rect = (105.0, 60.0, 1105.0, 1050.0)
@@ -320,7 +319,7 @@ def _draw_caption(canvas: Canvas, calibration: Calibration) -> None:
     world = calibration.world
     text = (
         f"World frame: metres east and north of E {world.origin_utm[0]:.0f} m, N {world.origin_utm[1]:.0f} m in "
-        f"{world.crs} (UTM); grid scale {world.grid_scale:.6f}, {scale_words(world)}. Times since the first frame."
+        f"{world.crs} (UTM); grid scale {world.grid_scale:.6f}. Times since the first frame."
     )
     size = canvas.fitting(text, SIDE_RIGHT - PLOT[0], SMALL)
     canvas.text(text, (PLOT[0], SIZE[1] - 1.2 * TEXT * canvas.unit_px), BLACK, size=size)

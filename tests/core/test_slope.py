@@ -279,7 +279,6 @@ def on_one_slope(made: Scene, told: bool, towards_deg: float) -> CamLog:
 def check_on_one_slope(found: Calibration, logs: dict[int, CamLog], towards_deg: float) -> None:
     """Hold all drives of a result against where their messages are on the map, and against each other's ground."""
     assert found.slope is not None
-    assert found.world.altitude_m == pytest.approx(560.0, abs=3.0)
     assert len(found.passages) == 2
     for each in found.passages:
         assert each.vehicle.slope is not None

@@ -1,18 +1,14 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pyproj import Geod, Transformer
 
-from laci_stereo.core.calibrate import world_around
 from laci_stereo.core.errors import CamError, SettingError
 from laci_stereo.core.frames import FloatArray, rigid, rotation_z, transform
 from laci_stereo.core.world import World
-from tests.simulated import scene
 
 GEOD = Geod(ellps="WGS84")
 ULM = (48.42, 9.94)
@@ -130,32 +126,6 @@ def test_metres_are_true(latitude: float, longitude: float, azimuth: float, metr
     origin = world.from_geodetic(np.array([latitude]), np.array([longitude]))[0]
     distance = np.linalg.norm(step(world, latitude, longitude, azimuth, metres) - origin)
     assert distance == pytest.approx(metres, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("latitude", "longitude", "altitude_m"),
-    [(48.42, 9.94, 480.0), (19.43, -99.13, 2240.0), (-16.5, -68.13, 3640.0), (31.77, 35.5, -420.0)],
-    ids=["Ulm", "Mexico City", "La Paz", "Dead Sea"],
-)
-def test_metres_are_true_at_any_altitude(latitude: float, longitude: float, altitude_m: float) -> None:
-    to_earth = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
-    world = World.around(latitude, longitude, altitude_m=altitude_m)
-    latitudes, longitudes = latitude + np.array([0.0, 9e-4, 0.0]), longitude + np.array([0.0, 0.0, 9e-4])
-    earth = np.column_stack(to_earth.transform(longitudes.tolist(), latitudes.tolist(), [altitude_m] * 3))
-    xy = world.from_geodetic(latitudes, longitudes)
-    for i in (1, 2):
-        assert np.linalg.norm(xy[i] - xy[0]) == pytest.approx(np.linalg.norm(earth[i] - earth[0]), rel=1e-5)
-
-
-@pytest.mark.parametrize("wrong_m", [0.0, 8000.0, np.nan])
-def test_the_altitude_is_what_most_messages_tell(wrong_m: float) -> None:
-    messages = scene().messages
-    assert world_around(messages).altitude_m is None
-    told_m = np.full(len(messages), 2240.0)
-    told_m[:20] = wrong_m
-    world = world_around(replace(messages, altitude_m=told_m))
-    assert world.altitude_m == 2240.0
-    assert world_around(messages).grid_scale / world.grid_scale == pytest.approx(1.000351, abs=2e-6)
 
 
 @given(st.floats(-3.0, 3.0), st.tuples(*[st.floats(-80.0, 80.0)] * 3), st.tuples(*[st.floats(-80.0, 80.0)] * 3))

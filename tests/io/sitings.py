@@ -11,7 +11,7 @@ from laci_stereo.core.world import World
 from laci_stereo.io.siting import Siting
 
 ULM = World.around(48.4226, 9.9434)
-CAPE_TOWN = World.around(-33.918, 18.423, altitude_m=640.0)
+CAPE_TOWN = World.around(-33.918, 18.423)
 FIJI = World.around(-17.8, -179.9)  # near the other end of the northings, at the edge of the last zone
 CONTINUED = World.around(48.4226, 9.9434, "EPSG:32631")  # a grid that goes on into the zone beside its own
 

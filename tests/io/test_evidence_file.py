@@ -58,15 +58,11 @@ def passage() -> Passage:
         altitude_m=np.where(made.vehicle.stamps_s < 1.0, np.nan, 560.0 + made.vehicle.stamps_s),
     )
     track = Track(tuple(replace(each, turn_s=0.1, window_rad=0.011) for each in sightings))
-    world = replace(made.world, altitude_m=560.0)
-    return replace(made, world=world, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
+    return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
 
 
 def kept() -> Kept:
-    world = replace(passage().world, altitude_m=None)
-    other = replace(
-        passage(), world=world, station_id=43, vehicle=replace(passage().vehicle, position_sigma_m=float("nan"))
-    )
+    other = replace(passage(), station_id=43, vehicle=replace(passage().vehicle, position_sigma_m=float("nan")))
     return Kept("mast 7", "stereo", "raw left camera", np.eye(4), (passage(), other))
 
 

@@ -192,26 +192,6 @@ def test_an_altitude_is_counted_from_the_ground(tmp_path: Path) -> None:
         taken(path)
     found = taken(path, origin=(0.0, 0.0, 478.0)).siting
     assert found.T_world_sensor[2, 3] == pytest.approx(6.5)
-    assert found.world.altitude_m == 478.0
-    assert found.world.grid_scale == pytest.approx(taken_at_sea(path, T_utm) / (1.0 + 478.0 / 6_371_000.0), abs=1e-9)
-
-
-def taken_at_sea(path: Path, T_utm: FloatArray) -> float:
-    T_sea = T_utm.copy()
-    T_sea[2, 3] -= 478.0
-    path.write_text(rows(T_sea))
-    return taken(path).siting.world.grid_scale
-
-
-@pytest.mark.parametrize("form", ["opencv", "matrix"])
-def test_the_altitude_comes_back(tmp_path: Path, form: str) -> None:
-    imported = import_pose(exported(tmp_path, SITINGS[1], form), ImportOptions())
-    world = SITINGS[1].world
-    assert world.altitude_m is not None
-    assert imported.siting.world == world
-    result = tmp_path / "calibration.json"
-    result.write_text(to_text(imported_document(imported, {}, {})))
-    assert read_calibration(result).world == world
 
 
 def test_of_several_transforms_one_is_named(tmp_path: Path) -> None:

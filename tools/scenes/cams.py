@@ -10,7 +10,7 @@ import numpy as np
 
 from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
-from tools.scenes.places import ALTITUDE_M, Place
+from tools.scenes.places import Place
 from tools.scenes.traffic import Mover
 
 EPOCH_NS = 1_760_000_000_000_000_000
@@ -148,7 +148,7 @@ def cam_log(
         longitude,
         heading % 360.0,
         speed,
-        np.full(len(times), ALTITUDE_M),
+        np.full(len(times), 560.0),
         np.full(len(times), _rounded(mover.length_m, flaws.rounding)),
         np.full(len(times), _rounded(width, flaws.rounding)),
         semi,

@@ -9,12 +9,8 @@ import numpy as np
 from pyproj import Geod, Proj
 
 from laci_stereo.core.frames import FloatArray, rigid, rotate_xy, rotation_z
-from laci_stereo.core.world import EARTH_RADIUS_M
 
 GEOD = Geod(ellps="WGS84")
-
-ALTITUDE_M = 560.0
-"""Of every scene."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +46,12 @@ class Place:
 
     @cached_property
     def scale(self) -> float:
-        """Grid metres per true metre, by a geodesic of 100 m to the east and one to the north, and the altitude."""
+        """Grid metres per true metre, by a geodesic of 100 m to the east and one to the north."""
         utm = self.origin_utm + np.array([[-50.0, 0.0], [50.0, 0.0], [0.0, -50.0], [0.0, 50.0]])
         east, north = utm.T.tolist()
         lon, lat = (np.array(values) for values in self.proj(east, north, inverse=True))
         metres = GEOD.inv(lon[::2].tolist(), lat[::2].tolist(), lon[1::2].tolist(), lat[1::2].tolist())[2]
-        return 200.0 / float(sum(metres)) / (1.0 + ALTITUDE_M / EARTH_RADIUS_M)
+        return 200.0 / float(sum(metres))
 
     def to_utm(self, xy: FloatArray) -> FloatArray:
         """Map the scene's xy, shape (n, 2), to east and north."""

@@ -14,7 +14,7 @@ from laci_stereo.core.frames import FloatArray, planar
 from laci_stereo.core.result import Calibration, viewing_angles
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.report.page.residuals import SIDES, Laid
-from laci_stereo.report.summary import LEFT_OUT, others_of, scale_words
+from laci_stereo.report.summary import LEFT_OUT, others_of
 
 DIGITS = 9
 """Of a transform's numbers: a nanometre, and less than a micrometre at a kilometre."""
@@ -100,15 +100,14 @@ def matrices(calibration: Calibration, provenance: Provenance) -> tuple[Matrix, 
         Matrix(
             "T_utm_sensor",
             f"Takes a point (x, y, z, 1) {sensor} to UTM easting and northing ({world.crs}) and height over the "
-            "ground. It is rigid and exact around the vehicle's track; away from there the grid's scale makes "
-            f"{100 * 100 * abs(1 - world.grid_scale):.0f} cm in 100 m.",
+            "ground. It is rigid and exact around the vehicle's track; away from there UTM's own scale makes up to "
+            "4 cm in 100 m.",
             _json(calibration.T_utm_sensor),
         ),
         Matrix(
             "T_world_sensor",
             f"The same, to a map in true metres: x grid east, y grid north, z height over the ground, from the point "
-            f"E {east:.0f} m, N {north:.0f} m. UTM = that point + {world.grid_scale:.6f} · (x, y), "
-            f"{scale_words(world)}.",
+            f"E {east:.0f} m, N {north:.0f} m. UTM = that point + {world.grid_scale:.6f} · (x, y).",
             _json(calibration.T_world_sensor),
         ),
     ]
