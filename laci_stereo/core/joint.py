@@ -188,11 +188,11 @@ def fit_jointly(
     thinned = _Problem(coarse, begin, centre, settings, turn, at_once)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     expected = [model.sigmas for model in thinned.models]
-    log_likely, best = thinned.reached(best)
+    log_likely, from_there = thinned.reached(best)
     for wrong, log_prior in _mistakes(drives, settings):
-        its_log_likely, its_best = _Problem(coarse, begin, centre, wrong, turn, at_once).reached(best)
+        its_log_likely, there = _Problem(coarse, begin, centre, wrong, turn, at_once).reached(from_there)
         if its_log_likely + log_prior > log_likely:
-            log_likely, best, settings = its_log_likely + log_prior, its_best, wrong
+            log_likely, best, settings = its_log_likely + log_prior, there, wrong
     standing = sum(map(len, drives)) - sum(map(len, fine))
     problem = _Problem(fine, begin, centre, settings, turn, at_once)
     solved = problem.solve(best)
