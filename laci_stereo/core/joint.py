@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -68,6 +68,10 @@ of a frame have in common makes any number of them weigh as much as four."""
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, and its headings as far
 off as one that is told of another part of it, such as a cab in a bend, or by a magnet."""
+
+SURELY, TURNED_RAD = 4.0, np.radians(30.0)
+"""It is so only if what is found is beyond so many of its own standard deviations; and where on the vehicle positions
+are, only a turn tells, in which half of a length is off by half of that. Straight on the noise of headings looks so."""
 
 
 @dataclass(frozen=True)
@@ -188,11 +192,14 @@ def fit_jointly(
     thinned = _Problem(coarse, begin, centre, settings, turn, at_once)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     expected = [model.sigmas for model in thinned.models]
-    log_likely, from_there = thinned.reached(best)
-    for wrong, log_prior in _mistakes(drives, settings):
-        its_log_likely, there = _Problem(coarse, begin, centre, wrong, turn, at_once).reached(from_there)
-        if its_log_likely + log_prior > log_likely:
-            log_likely, best, settings = its_log_likely + log_prior, there, wrong
+    from_there = thinned.solve(best)
+    log_likely = thinned.log_posterior(from_there)
+    for what, wrong, log_prior in _mistakes(drives, settings):
+        wider = _Problem(coarse, begin, centre, wrong, turn, at_once)
+        there = wider.solve(from_there.x)
+        its_log_likely = wider.log_posterior(there) + log_prior
+        if its_log_likely > log_likely and wider.tells(there, what):
+            log_likely, best, settings = its_log_likely, there.x, wrong
     standing = sum(map(len, drives)) - sum(map(len, fine))
     problem = _Problem(fine, begin, centre, settings, turn, at_once)
     solved = problem.solve(best)
@@ -212,21 +219,25 @@ def fit_jointly(
     return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
 
 
-def _mistakes(drives: Sequence[Evidence], settings: JointSettings) -> list[tuple[JointSettings, float]]:
-    """Return what may be expected of messages with a mistake, and how likely that is, as a logarithm.
+def _mistakes(drives: Sequence[Evidence], settings: JointSettings) -> list[tuple[set[str], JointSettings, float]]:
+    """Return what may be wrong by far, what is to be expected then, and how likely that is, as a logarithm.
 
-    Their positions are those of another place on the vehicle than was said, or their headings are not the drive's. To
-    take small errors of much else for it is likelier the nearer it is to none, and downhill from there.
+    Positions are those of another place on the vehicle than was said, or headings are not the drive's. To take small
+    errors of much else for it is likelier the nearer it is to none, and downhill from there.
     """
     count, length_m = len(drives), max(drive.vehicle.length_m for drive in drives)
-    wrong = (
-        (replace(settings, lever_sigma_m=length_m / 2), 2 * np.log(2 * settings.lever_sigma_m / length_m)),
-        (
-            replace(settings, heading_sigma_deg=WRONG_HEADING_DEG),
-            np.log(settings.heading_sigma_deg / WRONG_HEADING_DEG),
-        ),
+    place = replace(settings, lever_sigma_m=length_m / 2)
+    heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
+    found = (
+        ({"ahead", "left"}, place, 2 * np.log(settings.lever_sigma_m / place.lever_sigma_m)),
+        ({"heading"}, heading, np.log(settings.heading_sigma_deg / heading.heading_sigma_deg)),
     )
-    return [(each, float(np.log(MISTAKEN) + count * wider)) for each, wider in wrong]
+    return [(what, each, float(np.log(MISTAKEN) + count * wider)) for what, each, wider in found]
+
+
+def _turned_rad(drive: Evidence) -> float:
+    _, yaw, known = drive.vehicle.at(drive.stamps_s)
+    return float(np.ptp(yaw[known])) if known.any() else 0.0
 
 
 def _turn_of(drives: Sequence[Evidence]) -> Turn:
@@ -365,11 +376,19 @@ class _Problem:
         ends = [self._descend(x, SOFTENING_M[FIRST_STEPS:]) for _, x in closest[:FOLLOWED]]
         return max(ends, key=lambda found: found[0])[1]
 
-    def reached(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Return how likely the place is, as a logarithm, to which a start nearby leads, and the place."""
-        solved = self.solve(x)
+    def log_posterior(self, solved: _Solved) -> float:
+        """Return how likely what was found is, as a logarithm."""
         self.loosen(solved.x)
-        return sum(each.log_likelihood for each in solved.fitness) + self._log_prior(solved.x), solved.x
+        return sum(each.log_likelihood for each in solved.fitness) + self._log_prior(solved.x)
+
+    def tells(self, solved: _Solved, what: Set[str]) -> bool:
+        """Tell whether some correction of a drive is not only possible, but surely there."""
+        return any(
+            each.what in what and abs(each.value) > SURELY * each.after
+            for model, own in zip(self.models, solved.own, strict=True)
+            if "heading" in what or _turned_rad(model.drive) > TURNED_RAD
+            for each in model.corrections(solved.x[own], solved.covariance[own, own])
+        )
 
     def _descend(self, x: FloatArray, softening_m: Sequence[float]) -> tuple[float, FloatArray]:
         """Take a step at each softness, and tell how likely the place is that is reached."""

@@ -256,9 +256,9 @@ def test_places_in_view_are_right_on_the_map_whatever_the_road_does_before(log: 
     found = calibrate(made.recording, messages)
     true_utm = world.to_utm(shortened(seen_world, PERCENT, TOWARDS_DEG, seen_world.mean(axis=0)))
     rigid, exact = misplaced(found, made, seen, true_utm)
-    assert np.linalg.norm(rigid.mean(axis=0)) < 0.02
+    assert np.linalg.norm(rigid.mean(axis=0)) < 0.03
     from_middle_m = np.linalg.norm(seen - seen.mean(axis=0), axis=1)
-    assert (np.linalg.norm(rigid, axis=1) < 0.02 + from_middle_m * (PERCENT / 100) ** 2 / 2).all()
+    assert (np.linalg.norm(rigid, axis=1) < 0.03 + from_middle_m * (PERCENT / 100) ** 2 / 2).all()
     if log != "untold":
         assert found.slope is not None
         assert found.slope.pivot == pytest.approx(found.centre_world[:2], abs=1e-9)
