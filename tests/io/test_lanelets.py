@@ -87,7 +87,7 @@ def test_other_maps_have_no_lanes(tmp_path: Path) -> None:
 
 @given(
     st.floats(-3.0, 3.0),
-    st.floats(1.0, 5.0),
+    st.floats(2.0, 5.0),
     st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=8),
     st.booleans(),
     st.booleans(),
