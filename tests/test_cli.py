@@ -257,8 +257,9 @@ def test_any_image_may_be_the_damaged_one(site: Site) -> None:
         cut(path)
     ran = site.run("--quiet")
     assert (ran.code, ran.out, ran.err) == (0, "", "")
-    notes = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"]
+    _, *notes = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"]
     assert len(notes) == 3
+    assert all("is cut off after 5000 bytes" in note for note in notes)
 
 
 def test_more_than_a_fifth_of_damaged_images_are_refused(site: Site) -> None:
