@@ -87,7 +87,7 @@ def test_other_maps_have_no_lanes(tmp_path: Path) -> None:
 
 @given(
     st.floats(-3.0, 3.0),
-    st.floats(2.0, 5.0),
+    st.floats(1.0, 5.0),
     st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=8),
     st.booleans(),
     st.booleans(),
@@ -106,4 +106,7 @@ def test_centre_line_is_in_the_middle_of_any_lane(
     assert lane.centre[[0, -1]] == pytest.approx(centre[[0, -1]], abs=1e-6)
     apart = np.linalg.norm(lane.centre[:, None] - centre, axis=2).min(axis=1)
     assert apart.max() < 3.1
-    assert np.linalg.norm(lane.left - lane.right, axis=1) == pytest.approx(width_m, rel=0.1)
+    # For each radian of a bend one border is longer by the width, and so far along it are places that belong together.
+    width = np.linalg.norm(lane.left - lane.right, axis=1) / width_m
+    assert width.min() > 0.9
+    assert width.max() < max(1.1, float(np.hypot(1.0, np.ptp(np.unwrap(heading)))))
