@@ -12,6 +12,7 @@ from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_start import can_be_ground, where_it_can_be
+from laci_stereo.core.robust import NORMAL, weighted_median
 from laci_stereo.core.settings import GroundSettings
 
 MIN_SPREAD_M = 0.9
@@ -36,9 +37,6 @@ standard deviations (AASHTO, A Policy on Geometric Design of Highways and Street
 
 _GATE = 3.0
 """Boxes within so many standard deviations stand on the plane; of normal noise that is all but 0.3 %."""
-
-_NORMAL = 1.4826
-"""Standard deviation of normal noise over the median of its size."""
 
 _CELL_M = 1.0
 """All boxes of one object within this distance count once, so that a vehicle that waits does not outweigh the rest."""
@@ -90,7 +88,7 @@ def height_by_boxes(points: FloatArray, above_ground_m: FloatArray, axes: Axes) 
     value = np.array([np.median(below_m), 0.0, 0.0])
     for _ in range(_STEPS):
         off_m = np.abs(below_m - plan @ value)
-        noise_m = max(float(np.median(off_m)) * _NORMAL, _EXACT_M)
+        noise_m = max(float(np.median(off_m)) * NORMAL, _EXACT_M)
         near = off_m <= _GATE * noise_m
         information = plan[near].T @ plan[near] / noise_m**2 + prior
         value = np.linalg.solve(information, plan[near].T @ below_m[near] / noise_m**2)
@@ -287,16 +285,10 @@ def _heights(boxes: _Boxes, ground: GroundPlane, axes: Axes) -> _Heights:
     """Hold boxes against a plane; what is far above or below it does not stand on it."""
     level = transform(ground.T_level_sensor(axes), boxes.points)
     above_m = level[:, 2] - boxes.above_m
-    middle = _median(above_m, boxes.weight)
-    sigma_m = 1.4826 * _median(np.abs(above_m - middle), boxes.weight)
+    middle = weighted_median(above_m, boxes.weight)
+    sigma_m = NORMAL * weighted_median(np.abs(above_m - middle), boxes.weight)
     near = np.abs(above_m - middle) <= _GATE * sigma_m + _EXACT_M
     return _Heights(level[:, :2], above_m, boxes.label, np.where(near, boxes.weight, 0.0), near)
-
-
-def _median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(share, share[-1] / 2)])
 
 
 def _turned(ground: GroundPlane, by: FloatArray, axes: Axes) -> GroundPlane:

@@ -13,6 +13,7 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
+from laci_stereo.core.robust import NORMAL, weighted_median
 from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
@@ -770,14 +771,8 @@ def _course(distances: FloatArray, way_m: FloatArray, worth: FloatArray) -> tupl
 
 def _variance(errors: FloatArray, weight: FloatArray) -> float:
     """Return the mean square, shape (), of errors about 0; what is a mistake counts as if at the edge of tolerances."""
-    most = (TAIL * 1.4826 * _median(np.abs(errors), weight)) ** 2
+    most = (TAIL * NORMAL * weighted_median(np.abs(errors), weight)) ** 2
     return float(np.average(np.minimum(errors**2, most), weights=weight))
-
-
-def _median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(share, share[-1] / 2.0)])
 
 
 def _worth(drive: Evidence, alike_m: float) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, turned, wrap
+from laci_stereo.core.robust import NORMAL
 
 RATE_S = 1.0
 """How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
@@ -139,7 +140,7 @@ def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
     apart = away[:, None] - away[:, :, None] + np.eye(4)
     weight = np.where(np.eye(4, dtype=bool), 1.0, away[:, None] / apart).prod(axis=2)  # Lagrange's
     left = vehicle.yaw_rad[five[:, 2]] - (weight * vehicle.yaw_rad[five[:, [0, 1, 3, 4]]]).sum(axis=1)
-    noise = float(1.4826 * np.median(np.abs(wrap(left)) / np.sqrt(1.0 + (weight**2).sum(axis=1))))
+    noise = float(NORMAL * np.median(np.abs(wrap(left)) / np.sqrt(1.0 + (weight**2).sum(axis=1))))
     return max(noise, FINEST_RAD)
 
 

@@ -15,6 +15,7 @@ from laci_stereo.core.ground_uneven import CLASS_B_M
 from laci_stereo.core.road_cells import LASER_RAD, Cells
 from laci_stereo.core.road_edges import VERGES_M
 from laci_stereo.core.road_surface import OTHER, Surface, height_of
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
@@ -268,7 +269,7 @@ def _cells(
     middle = np.stack([np.bincount(cell, column) / count for column in xy.T], axis=1)
     noise = np.bincount(cell, sigma_m**2) / count
     height = _medians(z, cell)
-    spread = 1.4826 * _medians(np.abs(z - height[cell]), cell)
+    spread = NORMAL * _medians(np.abs(z - height[cell]), cell)
     # A median is less exact than a mean by pi / 2.
     variance = np.pi / 2 * np.maximum(noise, spread**2) / count + SHARED_IN_CELL * noise + COARSE_M**2
     nearest, left_m, beyond_m = _beside(way, middle)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from laci_stereo.core.frames import FloatArray, rigid
+from laci_stereo.core.robust import NORMAL
 
 ALONG_SIGMA, ACROSS_SIGMA = 0.10, 0.025
 """What slopes are usual: 10 % along a road is steep; across it falls by 2.5 % to drain. Altitudes in which as much
@@ -136,7 +137,7 @@ def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
     for step in range(HUBER_STEPS + TUKEY_STEPS):
         solution, _ = _solved(rows, z, weight / ALTITUDE_SIGMA_M**2, prior)
         rest = np.abs(z - rows @ solution)
-        spread = 1.4826 * float(np.median(rest))
+        spread = NORMAL * float(np.median(rest))
         off = rest / max(ALTITUDE_SIGMA_M, spread)
         kept = HUBER / np.maximum(off, HUBER) if step < HUBER_STEPS else np.maximum(1.0 - (off / TUKEY) ** 2, 0.0) ** 2
         weight = worth * kept

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, label
 
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
+from laci_stereo.core.robust import weighted_median
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.track_motion import OUTLIER, Motion, completed, cost, fit_all, path_shares, trust
 from laci_stereo.core.track_scene import KNOT_S, TABLE_S, Knots, Poses, Scene, Sender
@@ -119,7 +120,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
         station=sender.station,
         tracks=tuple(fitting.tolist()),
         explained=float(explained[fitting].sum()),
-        typical=math.sqrt(_median(q, weight)),
+        typical=math.sqrt(weighted_median(q, weight)),
         value=evidence - odd - missed,
         way=evidence,
         coincidence=max(0.0, -math.log(2 * math.pi * sigma_m**2 * scene.density)),
@@ -231,9 +232,3 @@ def _missed(scene: Scene, sender: Sender, motion: Motion, near: BoolArray) -> fl
     path = np.linalg.norm(poses.velocity, axis=1) * KNOT_S / scene.settings.stretch_m
     missed = np.bincount(run, path)[1:]
     return float((MISSED * np.minimum(missed, 1.0) + np.maximum(missed - 1.0, 0.0) / HIDDEN_STRETCHES).sum())
-
-
-def _median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(share, share[-1] / 2)])
