@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,12 @@ def test_before_the_command_nothing_is_imported_that_takes_time() -> None:
     code = "import sys, laci_stereo.start, laci_lidar.start; print({'numpy', 'cv2', 'click', 'scipy'} & {*sys.modules})"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("package", ["laci_stereo", "laci_lidar"])
+def test_a_package_runs_as_its_script_does(package: str) -> None:
+    ran = subprocess.run([sys.executable, "-m", package, "--version"], capture_output=True, text=True, check=True)
+    assert ran.stdout == f"{package.replace('_', '-')} {version('laci-stereo')}\n"
 
 
 def test_all_that_is_public_is_there() -> None:
