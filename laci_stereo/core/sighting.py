@@ -23,10 +23,10 @@ from laci_stereo.core.settings import Settings, VehicleSettings
 Flaw = Literal["cut", "far", "thin"]
 """Why a sighting is left out: cut by the border of the field of view, too far away, too thin for a box."""
 
-KEPT_POINTS, KEPT_LOW = 200, 600
+KEPT_POINTS, KEPT_LOW = 400, 1200
 """Points of a cluster that are kept, and of what may be of it below them or of the road around it, so that memory does
-not grow with the sensor's density: as many of both as neither is exceeded, but so many that they can be a vehicle."""
-
+not grow with the sensor's density: as many of both as neither is exceeded, but so many that they can be a vehicle.
+Which are kept moves a result by millimetres, and half as many would save no time."""
 
 STRAY = 0.02
 """So many in a hundred of a cluster's points, at either end of it, may be something else's."""
