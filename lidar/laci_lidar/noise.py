@@ -13,6 +13,7 @@ from laci_stereo.core.frames import Axes, FloatArray, IntArray
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.spread import evenly
 
 START_SIGMA_M = 0.02
 """What most data sheets promise; with it the ground is found for the first time."""
@@ -131,7 +132,7 @@ def _neighbours(directions: FloatArray) -> tuple[IntArray, IntArray, FloatArray]
     nothing = np.zeros(0, dtype=np.int64)
     if len(directions) < 3:
         return nothing, nothing, np.zeros(0)
-    sample = np.unique(np.linspace(0, len(directions) - 1, _SAMPLE).round().astype(np.int64))
+    sample = evenly(len(directions), _SAMPLE)
     # A second return has the direction of the first.
     angle, index = map(np.asarray, cKDTree(directions).query(directions[sample], k=3))
     which = np.where(angle[:, 1] > _SAME_BEAM_RAD, 1, 2)

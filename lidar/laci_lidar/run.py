@@ -18,10 +18,10 @@ from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.spread import spread
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
-from laci_stereo.stereo.recording import spread
 
 LOOKED_AT = 5
 """Scans that are read to see whether points have times; the others are of the same driver."""

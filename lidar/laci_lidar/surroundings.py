@@ -15,7 +15,7 @@ from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import OFFSETS_M, REACH_M, STEP_M
 from laci_stereo.check.sections import FARTHEST_M, SECTION_M, Sections
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, transform
-from laci_stereo.stereo.recording import spread
+from laci_stereo.core.spread import spread
 
 SCANS = 20
 """Evenly spread: the noise of their ranges fills what lies between beams, and what moves is in few of them."""
