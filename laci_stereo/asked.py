@@ -147,7 +147,7 @@ _ASKED = (
     ),
     click.option(
         "--name",
-        help="What you call the sensor [default: the folder around the images or detections; the folder or bag of scans].",
+        help="What you call the sensor [default: the folder around images or detections, the folder or bag of scans].",
     ),
 )
 
