@@ -14,7 +14,7 @@ from laci_stereo.monitor.lanes import Strip
 from laci_stereo.monitor.report import LaneFinding, counted
 from laci_stereo.monitor.run import Plan
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Rect
-from laci_stereo.report.mapview import MapView, nice_step
+from laci_stereo.report.mapview import MapView
 from laci_stereo.report.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILLION, WHITE, Stroke, lane_strokes
 
 SIZE = (1600, 1000)
@@ -122,8 +122,7 @@ def _draw_sensor(plot: Canvas, view: MapView, plan: Plan) -> None:
 
 def _draw_scale(plot: Canvas, view: MapView) -> None:
     """Draw the scale bar in the lower left corner, and that north is up."""
-    wanted_m = BAR_SHARE * view.size[0] / view.scale_px
-    length_m = max(step for step in (nice_step(wanted_m, parts) for parts in (1, 2, 3, 5, 10)) if step <= wanted_m)
+    length_m = view.bar_m(BAR_SHARE)
     unit = TEXT * plot.unit_px
     x, y = unit, plot.height - unit
     end = x + length_m * view.scale_px

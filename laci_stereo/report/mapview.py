@@ -56,6 +56,12 @@ class MapView:
         half = self.size[axis] / 2 / self.scale_px
         return float(self.centre[axis] - half), float(self.centre[axis] + half)
 
+    def bar_m(self, share: float) -> float:
+        """Return 1, 2 or 5 times a power of ten, the most metres that cover no more than a share of the width."""
+        most = share * self.size[0] / self.scale_px
+        steps = NICE * 10.0 ** np.floor(np.log10(most))
+        return float(steps[steps <= most].max())
+
 
 def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
     """Choose the part of the world with the sensor, the vehicles where they were seen, and what stands near to them."""

@@ -291,8 +291,7 @@ def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries:
 
 def _draw_bar(canvas: Canvas, view: MapView, at: tuple[float, float]) -> None:
     """Draw the scale bar, its left end there."""
-    wanted_m = BAR_SHARE * view.size[0] / view.scale_px
-    length_m = max(step for step in (nice_step(wanted_m, parts) for parts in (1, 2, 3, 5, 10)) if step <= wanted_m)
+    length_m = view.bar_m(BAR_SHARE)
     x, y = at
     end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
     bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])

@@ -89,8 +89,7 @@ class Plan:
     @property
     def bar_m(self) -> float:
         """Length of the scale bar: at most a fifth of the picture."""
-        most = BAR_SHARE * self.view.size[0] / self.view.scale_px
-        return max(step for step in (nice_step(most, parts) for parts in (1, 2, 3, 5, 10)) if step <= most)
+        return self.view.bar_m(BAR_SHARE)
 
     @property
     def bar_path(self) -> str:
