@@ -133,12 +133,21 @@ def _draw_scale(plot: Canvas, view: MapView) -> None:
 
 
 def _draw_colours(plot: Canvas, state: State) -> None:
-    """Draw what the colours mean in the lower right corner."""
+    """Draw what the colours mean in the corner that holds least; the lower left one has the scale."""
     most, unit = _most(state), TEXT * plot.unit_px
     width, height = 9 * unit, 0.7 * unit
-    right, bottom = plot.width - unit, plot.height - unit
+    far, low, high = plot.width - unit, plot.height - unit, height + 3.7 * unit
+
+    def around(right: float, bottom: float) -> Rect:
+        return right - width - 0.8 * unit, bottom - height - 3.2 * unit, right + 0.8 * unit, bottom + 0.6 * unit
+
+    def drawn(corner: tuple[float, float]) -> int:
+        x0, y0, x1, y1 = map(round, around(*corner))
+        return int(np.count_nonzero((plot.image[y0:y1, x0:x1] < 255).any(axis=2)))
+
+    right, bottom = min(((far, low), (far, high), (width + unit, high)), key=drawn)
     left, top = right - width, bottom - height
-    plot.shade((left - 0.8 * unit, top - 3.2 * unit, right + 0.8 * unit, bottom + 0.6 * unit), 0.8)
+    plot.shade(around(right, bottom), 0.8)
     counts = np.exp(np.linspace(0.0, np.log(max(most, 1)), round(width)))[None]
     part = plot.image[round(top) : round(bottom), round(left) : round(left) + counts.shape[1]]
     part[:] = _colours(counts, most)[:, : part.shape[1]]
