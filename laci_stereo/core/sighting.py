@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -250,7 +250,7 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
         box=box,
         flaw=other.flaw if other.flaw == "cut" else main.flaw,
         late_s=late_s,
-        low=Low(*(np.concatenate([getattr(part, each.name) for part in low]) for each in fields(Low))),
+        low=low[0].joined(low[1]),
         borders=_outer(main, other),
     )
 
