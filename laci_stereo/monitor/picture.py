@@ -13,7 +13,7 @@ from laci_stereo.monitor.checkpoint import State
 from laci_stereo.monitor.lanes import Strip
 from laci_stereo.monitor.report import LaneFinding, counted
 from laci_stereo.monitor.run import Plan
-from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Rect
+from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Rect, emptiest_corner
 from laci_stereo.report.mapview import MapView
 from laci_stereo.report.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILLION, WHITE, Stroke, lane_strokes
 
@@ -136,18 +136,12 @@ def _draw_colours(plot: Canvas, state: State) -> None:
     """Draw what the colours mean in the corner that holds least; the lower left one has the scale."""
     most, unit = _most(state), TEXT * plot.unit_px
     width, height = 9 * unit, 0.7 * unit
-    far, low, high = plot.width - unit, plot.height - unit, height + 3.7 * unit
-
-    def around(right: float, bottom: float) -> Rect:
-        return right - width - 0.8 * unit, bottom - height - 3.2 * unit, right + 0.8 * unit, bottom + 0.6 * unit
-
-    def drawn(corner: tuple[float, float]) -> int:
-        x0, y0, x1, y1 = map(round, around(*corner))
-        return int(np.count_nonzero((plot.image[y0:y1, x0:x1] < 255).any(axis=2)))
-
-    right, bottom = min(((far, low), (far, high), (width + unit, high)), key=drawn)
-    left, top = right - width, bottom - height
-    plot.shade(around(right, bottom), 0.8)
+    inside = (0.2 * unit, 0.4 * unit, plot.width - 0.2 * unit, plot.height - 0.4 * unit)
+    scale = np.array([[inside[0], inside[3]]])
+    drawn = np.argwhere((plot.image < 255).any(axis=2))[:, ::-1].astype(np.float64)
+    x, y = emptiest_corner((width + 1.6 * unit, height + 3.8 * unit), inside, [scale, drawn])
+    left, right, top, bottom = x + 0.8 * unit, x + 0.8 * unit + width, y + 3.2 * unit, y + 3.2 * unit + height
+    plot.shade((x, y, right + 0.8 * unit, bottom + 0.6 * unit), 0.8)
     counts = np.exp(np.linspace(0.0, np.log(max(most, 1)), round(width)))[None]
     part = plot.image[round(top) : round(bottom), round(left) : round(left) + counts.shape[1]]
     part[:] = _colours(counts, most)[:, : part.shape[1]]
