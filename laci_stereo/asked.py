@@ -118,7 +118,12 @@ _ASKED = (
         "antenna's].",
     ),
     click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
-    click.option("--height", type=float, metavar="M", help="About how high the sensor hangs [default: found]."),
+    click.option(
+        "--height",
+        type=float,
+        metavar="M",
+        help="How high the sensor hangs over the road, to a third [default: found].",
+    ),
     click.option(
         "--method",
         type=click.Choice(["joint", "paper"]),
@@ -134,11 +139,15 @@ _ASKED = (
         help="Whether sensor and sender follow one clock, to some 10 ms, or may be a second apart.",
     ),
     click.option(
-        "--clock-sigma", type=float, metavar="S", help="How far apart their clocks are, one standard deviation, s."
+        "--clock-sigma",
+        type=float,
+        metavar="S",
+        help="How far apart their clocks are, one standard deviation, s [default: "
+        f"{JointSettings.clock_sigma_s:g}; {UNKNOWN_CLOCK_S:g} with --clock unknown].",
     ),
     click.option(
         "--name",
-        help="What you call the sensor [default: the folder around the images or detections; of scans, their own].",
+        help="What you call the sensor [default: the folder around images or detections, the folder or bag of scans].",
     ),
 )
 

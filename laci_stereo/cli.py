@@ -135,7 +135,7 @@ def calibrate(
 def match(
     asked: Asked, detections: Path, cam: Path, axes: str, box_origin: BoxOrigin, level: float | None
 ) -> MatchTask:
-    """Calibrate a sensor from the boxes of your own detector, radar or camera or LiDAR.
+    """Calibrate a sensor from the boxes that your own detector finds with a radar, a camera or a LiDAR.
 
     DETECTIONS is a CSV file with the columns timestamp, x, y, z, yaw, length, width and height, optionally track_id
     and radial_speed, in the sensor's frame, in metres and radians; with --level, timestamp, x and y suffice. CAM is a

@@ -150,6 +150,11 @@ Drawing = Callable[[Calibration], Iterator[tuple[str, Raster]]]
 """Draws pictures that only one kind of sensor has, each with its file name."""
 
 
+def not_drawn(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
+    """Draw nothing: the sensor has no image."""
+    yield from ()
+
+
 Photographing = Callable[[Calibration], Photographs | None]
 """Returns some images of the drive for the report; None where the sensor takes none."""
 
@@ -195,7 +200,7 @@ class Task(ABC):
     options: DriveOptions
     provenance: Provenance
     inputs: str
-    draw: Drawing
+    draw: Drawing = not_drawn
     check: Checking = not_checked
     photograph: Photographing = not_photographed
     remarks: Callable[[], tuple[str, ...]] = no_remarks

@@ -15,6 +15,7 @@ import numpy as np
 from laci_stereo.asked import PATH, say_written
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import Raster
+from laci_stereo.core.spread import spread
 from laci_stereo.io.images import ImageFolder, read_image, write_picture
 from laci_stereo.io.output import check_files, make_folder
 from laci_stereo.mask.detect import NetworkFinder, Vehicle
@@ -23,7 +24,7 @@ from laci_stereo.mask.picture import Cell, Crop
 from laci_stereo.mask.stage import outlines
 from laci_stereo.program import INTERRUPTED
 from laci_stereo.stereo.reader import EightBit
-from laci_stereo.stereo.recording import LOOK_FRAMES, spread
+from laci_stereo.stereo.recording import LOOK_FRAMES
 
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 MASK_SHARE = 0.4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -13,7 +12,7 @@ from laci_stereo.core.box_ground import HEIGHT_SIGMA_M, height_by_boxes
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import DetectionError, SettingError
-from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, Raster
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.detections import read_detections
@@ -83,8 +82,10 @@ def match(detections: Path | str, cam: Path | str, options: MatchOptions | None 
 
     Parameters
     ----------
-    detections, cam : path
-        The logs, as CSV.
+    detections : path
+        The log of boxes, as CSV.
+    cam : path
+        The log of messages, in any format that `read_cam_log` knows.
     options : MatchOptions
 
     Raises
@@ -123,7 +124,6 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
             notes=(*recorded.notes, _ground_note(log, options), *drive.notes),
         ),
         inputs=f"{len(log)} detections at {len(np.unique(log.stamps_ns))} times, {len(drive.messages)} CAMs",
-        draw=_no_pictures,
         detections=log,
         axes=options.axes,
         level_m=options.level_m,
@@ -188,8 +188,3 @@ def _in_words(axes: Axes) -> str:
         f"{'-' if sum(axis) < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]} {way}"
         for axis, way in ((axes.forward, "forward"), (axes.up, "up"))
     )
-
-
-def _no_pictures(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
-    """Draw nothing: there is no image."""
-    yield from ()

@@ -70,9 +70,9 @@ def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Opt
     Parameters
     ----------
     left, right : path
-        Folders of images whose names, or a ``timestamps.txt`` beside them, tell the time.
+        Folders of images whose names, or a ``timestamps.txt`` among them, tell the time.
     cam : path
-        The log, as CSV.
+        The log, in any format that `read_cam_log` knows.
     options : Options
 
     Raises

@@ -36,11 +36,11 @@ from laci_stereo.check.lanes import LaneCheck, check_lanes
 from laci_stereo.check.picture import draw_check
 from laci_stereo.check.placed import Placed
 from laci_stereo.core.frames import FloatArray, IntArray, Raster, invert, rigid, transform
+from laci_stereo.core.spread import spread
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.drawn import on_ground
-from laci_stereo.stereo.recording import spread
 from tools.scenes.__main__ import settings as read_factors
 from tools.scenes.disparity import StereoCamera
 from tools.scenes.geometry import Body

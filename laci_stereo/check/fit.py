@@ -10,7 +10,8 @@ from laci_stereo.check.align import SHIFT_M, TURN_RAD, planar_rows
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import STEP_M
 from laci_stereo.check.sections import Sections
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.columns import Columns
+from laci_stereo.core.frames import FloatArray
 
 WORN_M = 0.01
 """Paint's edges are ragged by about this much, and a section averages them."""
@@ -31,7 +32,7 @@ CORRELATED_M = 20.0
 
 
 @dataclass(frozen=True)
-class Offsets:
+class Offsets(Columns):
     """Where paint was found beside sections of lines.
 
     Attributes
@@ -52,9 +53,6 @@ class Offsets:
 
     def __len__(self) -> int:
         return len(self.left_m)
-
-    def __getitem__(self, chosen: BoolArray | IntArray) -> Offsets:
-        return Offsets(self.sections[chosen], self.left_m[chosen], self.cell_m[chosen], self.loose_m[chosen])
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from laci_stereo.check.sections import Sections
 from laci_stereo.check.traces import Traces
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster, invert
+from laci_stereo.core.spread import spread
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.drawn import on_ground
 from laci_stereo.stereo.reader import GreyReader
-from laci_stereo.stereo.recording import spread
 
 FRAMES = 15
 """Evenly spread: what covers a place in less than half of them is gone in their median."""

@@ -14,6 +14,7 @@ from laci_stereo.check.rig_verdict import Fit
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.calibration_file import Document
 from laci_stereo.io.rig import Lens, StereoRig
+from laci_stereo.stereo.rectify import undistorted
 
 DISTANCES_M = (10.0, 20.0, 40.0, 80.0)
 
@@ -58,13 +59,8 @@ def rig_document(files: Sequence[Path], check: RigCheck) -> Document:
 def field_of_view_deg(lens: Lens) -> tuple[float, float]:
     """Return the angles between what is seen at the middles of opposite borders, across and down."""
     (width, height), (cx, cy) = lens.size, lens.K[:2, 2]
-    ends = np.array([[0.0, cy], [width - 1.0, cy], [cx, 0.0], [cx, height - 1.0]])[:, None]
-    if lens.model == "fisheye":
-        flat = cv2.fisheye.undistortPoints(ends, lens.K, lens.distortion)[:, 0]
-    else:
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
-        flat = cv2.undistortPoints(ends, lens.K, lens.distortion, None, None, None, stop)[:, 0]
-    angles = np.degrees(np.arctan(flat))
+    ends = np.array([[0.0, cy], [width - 1.0, cy], [cx, 0.0], [cx, height - 1.0]])
+    angles = np.degrees(np.arctan(undistorted(lens, ends)))
     return float(angles[1, 0] - angles[0, 0]), float(angles[3, 1] - angles[2, 1])
 
 

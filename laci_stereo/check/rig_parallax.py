@@ -14,6 +14,7 @@ import numpy as np
 
 from laci_stereo.check.rig_points import COLUMNS, ROWS, Rectified
 from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.stereo.settings import StereoSettings
 
 FLOOR_PX = StereoSettings().disparity_floor_px
@@ -201,7 +202,7 @@ def _robust_fit(
 
 def _scatter(residual: FloatArray) -> float:
     """Return a standard deviation, by the median."""
-    return max(1.4826 * float(np.median(np.abs(residual))), LEAST_NOISE_PX)
+    return max(NORMAL * float(np.median(np.abs(residual))), LEAST_NOISE_PX)
 
 
 def _cell_medians(values: FloatArray, cell: IntArray) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from laci_stereo.check.rig_matches import MOVED_PX, PairMatches
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.io.rig import Lens, StereoRig
-from laci_stereo.stereo.rectify import bouguet
+from laci_stereo.stereo.rectify import bouguet, undistorted
 
 COLUMNS, ROWS = 8, 6
 """Of the cells in which systematic errors are told from noise: a lens's or a turn's error is alike within each."""
@@ -124,12 +124,7 @@ def _on_plane(lens: Lens, R: FloatArray, P: FloatArray, points: FloatArray) -> F
     found = np.full(points.shape, np.nan)
     known = np.isfinite(points).all(axis=1)
     if known.any():
-        raw = np.ascontiguousarray(points[known])[:, None]
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
-        if lens.model == "fisheye":
-            found[known] = cv2.fisheye.undistortPoints(raw, lens.K, lens.distortion, R=R, P=P)[:, 0]
-        else:
-            found[known] = cv2.undistortPoints(raw, lens.K, lens.distortion, None, R, P, stop)[:, 0]
+        found[known] = undistorted(lens, points[known], R, P)
     return found
 
 

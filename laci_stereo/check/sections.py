@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.columns import Columns
+from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.io.lane_map import LaneLine
 
 SECTION_M = 1.0
@@ -36,7 +37,7 @@ FARTHEST_M = 80.0
 
 
 @dataclass(frozen=True)
-class Sections:
+class Sections(Columns):
     """Short pieces of lines.
 
     Attributes
@@ -62,11 +63,6 @@ class Sections:
     def __len__(self) -> int:
         return len(self.line)
 
-    def __getitem__(self, chosen: BoolArray | IntArray) -> Sections:
-        return Sections(
-            self.line[chosen], self.along_m[chosen], self.xy[chosen], self.left[chosen], self.width_m[chosen]
-        )
-
     @property
     def ahead(self) -> FloatArray:
         """Unit vectors along the lines, shape (n, 2)."""
@@ -78,15 +74,8 @@ def sections_of(lines: Sequence[LaneLine], around_xy: FloatArray, kinds: Sequenc
     pieces = [
         _cut(number, line.xy, WIDE_M.get(line.kind, THIN_M)) for number, line in enumerate(lines) if line.kind in kinds
     ]
-    if not pieces:
-        return Sections(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    whole = Sections(
-        np.concatenate([piece.line for piece in pieces]),
-        np.concatenate([piece.along_m for piece in pieces]),
-        np.concatenate([piece.xy for piece in pieces]),
-        np.concatenate([piece.left for piece in pieces]),
-        np.concatenate([piece.width_m for piece in pieces]),
-    )
+    none = Sections(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    whole = none.joined(*pieces)
     return whole[np.linalg.norm(whole.xy - around_xy, axis=1) < FARTHEST_M]
 
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from laci_stereo.check.profiles import OFFSETS_M, STEP_M
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
-
-NOISE_SCALE = 1.4826
-"""From the median absolute deviation to the standard deviation of normal numbers."""
+from laci_stereo.core.robust import NORMAL
 
 LEAST_KNOWN = 10
 """Offsets from which a texture can be told."""
@@ -74,7 +72,7 @@ def _unevenness(response: FloatArray) -> FloatArray:
     if enough.any():
         rows = response[enough]
         middle = np.nanmedian(rows, axis=1, keepdims=True)
-        spread[enough] = NOISE_SCALE * np.nanmedian(np.abs(rows - middle), axis=1)
+        spread[enough] = NORMAL * np.nanmedian(np.abs(rows - middle), axis=1)
     return spread
 
 
@@ -86,6 +84,6 @@ def _texture(response: FloatArray, line: IntArray) -> FloatArray:
     apart = np.abs(np.diff(response, axis=0))
     steps = np.full(len(apart), np.nan)
     enough = (np.diff(line) == 0) & (np.isfinite(apart).sum(axis=1) >= LEAST_KNOWN)
-    steps[enough] = NOISE_SCALE / np.sqrt(2.0) * np.nanmedian(apart[enough], axis=1)
+    steps[enough] = NORMAL / np.sqrt(2.0) * np.nanmedian(apart[enough], axis=1)
     texture: FloatArray = np.fmax(np.append(np.nan, steps), np.append(steps, np.nan))
     return texture

@@ -14,7 +14,7 @@ from laci_stereo.core.cluster import cells_of, cluster, widened
 from laci_stereo.core.errors import BackgroundError, BoxError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.free_space import places_of, seen_through
-from laci_stereo.core.settings import BackgroundSettings, BoxSettings, ClusterSettings
+from laci_stereo.core.settings import BackgroundSettings, BoxSettings, ClusterSettings, VehicleSettings
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,10 @@ def _near(cells: IntArray, points: FloatArray, settings: BackgroundSettings) -> 
 
 def _moving(points: FloatArray, clusters: ClusterSettings) -> bool:
     """Tell whether there is something as large as the narrowest side of a car."""
-    return any(np.ptp(points[group, :2], axis=0).max() >= 1.0 for group in cluster(points[:, :2], clusters))
+    return any(
+        np.ptp(points[group, :2], axis=0).max() >= VehicleSettings.min_extent_m
+        for group in cluster(points[:, :2], clusters)
+    )
 
 
 def _boxes(

@@ -46,12 +46,12 @@ def deskewed(track: Track, settings: Settings) -> Track:
     moved = []
     for sighting in track.sightings:
         near = np.abs(stamps_s - sighting.stamp_s) <= WINDOW_S
-        velocity, acceleration = _motion(stamps_s[near] - sighting.stamp_s, middles[near], settings.track)
+        velocity, acceleration = motion(stamps_s[near] - sighting.stamp_s, middles[near], settings.track)
         moved.append(_still(sighting, velocity, acceleration, settings))
     return Track(tuple(moved))
 
 
-def _motion(late_s: FloatArray, xy: FloatArray, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
+def motion(late_s: FloatArray, xy: FloatArray, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
     """Return velocity and acceleration, shape (2,) each, at time 0 of a vehicle that was at ``xy``, shape (n, 2)."""
     powers = np.column_stack([np.ones_like(late_s), late_s, late_s**2 / 2])
     # Middles jump by twice their standard deviation at most; speed and acceleration have their limits at three sigma.

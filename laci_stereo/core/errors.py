@@ -8,6 +8,7 @@ LaciError
 │   ├── MapError          a lane map
 │   ├── DetectionError    a log of a detector's boxes
 │   ├── ScanError         a LiDAR's scans (in `laci_lidar`)
+│   ├── MaskError         a vehicle mask (in `laci_stereo.mask`)
 │   ├── SettingError      an argument or a setting
 │   ├── CalibrationFileError  a calibration.json
 │   ├── EvidenceError     what a result keeps of its drive (evidence.npz)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.frames import FloatArray
 
 # l: a road falls from its crown to its gutter, so its height is common to about as much as half its width.
@@ -98,9 +99,7 @@ def patches_of(
     x /= np.linalg.norm(x)
     place_m = direction @ np.stack([x, np.cross(normal, x)], axis=1) / inverse[:, None]
     side_m = np.sqrt(area_m2[ground].sum() / _PATCHES)
-    square = np.floor(place_m / side_m).astype(np.int64)
-    square -= square.min(axis=0)
-    patch = np.unique(square @ [square[:, 1].max() + 1, 1], return_inverse=True)[1].reshape(-1)
+    patch = np.unique(cells_of(place_m, side_m), return_inverse=True)[1].reshape(-1)
     share = weight / variance * per_metre**2
     total = np.bincount(patch, share)
 

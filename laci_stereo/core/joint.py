@@ -200,23 +200,17 @@ def fit_jointly(
         its_log_likely = wider.log_posterior(there) + log_prior
         if its_log_likely > log_likely and wider.tells(there, what):
             log_likely, best, settings = its_log_likely, there.x, wrong
-    standing = sum(map(len, drives)) - sum(map(len, fine))
     problem = _Problem(fine, begin, centre, settings, turn, at_once)
-    solved = problem.solve(best)
-    if not turn.possible:
-        return _fit(problem, solved, centre, expected, standing)
-    turned = [_turned(problem, solved, each) for each in TURNS]
-    likeliest = max(turned, key=lambda each: each.log_probability)
-    problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), at_once)
-    solved = problem.solve(likeliest.x)
-    # The result is as uncertain as the other turns are different, uncertain by themselves, and likely.
-    log_probabilities = np.array([each.log_probability for each in turned])
-    probabilities = np.exp(log_probabilities - np.logaddexp.reduce(log_probabilities))
-    off = np.array([each.x - likeliest.x for each in turned])
-    within = [solved.covariance if each is likeliest else each.covariance for each in turned]
-    covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
-    fit = _fit(problem, replace(solved, covariance=covariance), centre, expected, standing)
-    return replace(fit, turn=likeliest.turn, turn_probability=float(probabilities.max()))
+    solved, its_turn, probability = problem.solve(best), 0.0, 1.0
+    if turn.possible:
+        turned = [_turned(problem, solved, each) for each in TURNS]
+        likeliest = max(turned, key=lambda each: each.log_probability)
+        problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), at_once)
+        solved, probability = _among(turned, likeliest, problem.solve(likeliest.x))
+        its_turn = likeliest.turn
+    standing = sum(map(len, drives)) - sum(map(len, fine))
+    fit = _fit(problem, solved, centre, expected)
+    return replace(fit, turn=its_turn, turn_probability=probability, standing=standing)
 
 
 def _mistakes(drives: Sequence[Evidence], settings: JointSettings) -> list[tuple[set[str], JointSettings, float]]:
@@ -542,14 +536,25 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     return _Turned(turn, x, left, float(evidence + np.log(TURNS[turn])))
 
 
+def _among(turned: Sequence[_Turned], likeliest: _Turned, solved: _Solved) -> tuple[_Solved, float]:
+    """Make what was solved with the likeliest turn as uncertain as the others are different, uncertain, and likely.
+
+    Return how likely it is as well.
+    """
+    log_probabilities = np.array([each.log_probability for each in turned])
+    probabilities = np.exp(log_probabilities - np.logaddexp.reduce(log_probabilities))
+    off = np.array([each.x - likeliest.x for each in turned])
+    within = [solved.covariance if each is likeliest else each.covariance for each in turned]
+    covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
+    return replace(solved, covariance=covariance), float(probabilities.max())
+
+
 def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
     yaw = float(wrap(solved.x[0]))
     return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
 
 
-def _fit(
-    problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray], standing: int
-) -> JointFit:
+def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray]) -> JointFit:
     weights = sum(each.weight for each in solved.fitness)
     squares = sum(each.squares for each in solved.fitness)
     after = np.sqrt(np.diag(solved.covariance))
@@ -572,5 +577,4 @@ def _fit(
         frames=sum(each.frames for each in solved.fitness),
         explained=sum(each.explained for each in solved.fitness) / max(1, sum(each.rows for each in solved.fitness)),
         bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, solved.own, strict=True)),
-        standing=standing,
     )

@@ -27,6 +27,9 @@ from laci_stereo.core.tracking import Track
 LEAST_EXPLAINED = 0.5
 """Of the points; where the outline stands for fewer, it is something else that was registered."""
 
+CONTRADICTED = 4.0
+"""Beyond so many standard deviations what was found is not what the messages tell."""
+
 ANOTHER_PIECE = (
     "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
 )
@@ -215,7 +218,7 @@ def _contradicted(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str
     """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
     found = []
     for name, drive, corrections, offset_s in zip(names, drives, fit.corrections, fit.time_offsets_s, strict=True):
-        wrong = [each for each in corrections if abs(each.value) > 4.0 * each.sigma]
+        wrong = [each for each in corrections if abs(each.value) > CONTRADICTED * each.sigma]
         found += [(name, words) for words in (*map(_in_words, wrong), *drive.vehicle.doubts)]
         # Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
         if all(each.what != "ahead" for each in wrong) and (lacks := _lacks(drive, fit.match, offset_s)):

@@ -44,8 +44,8 @@ class Quality:
     frames_used, frames_seen : int
         Frames of the vehicle in the match, and frames in which it was seen at all.
     left_out : dict of str to int
-        Frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time), bare (no point of the
-        outline).
+        Frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time), standing (where it is seen
+        in enough others), bare (no point of the outline).
     """
 
     verdict: Verdict

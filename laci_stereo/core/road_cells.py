@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray
 
@@ -112,9 +113,7 @@ def _patch(xy: FloatArray) -> IntArray:
     """Return the number of the patch of each place, shape (n,)."""
     side_m = 1.0
     while True:
-        square = np.floor(xy / side_m).astype(np.int64)
-        square -= square.min(axis=0)
-        patch: IntArray = np.unique(square @ [square[:, 1].max() + 1, 1], return_inverse=True)[1].reshape(-1)
+        patch: IntArray = np.unique(cells_of(xy, side_m), return_inverse=True)[1].reshape(-1)
         if patch.max() < _PATCHES:
             return patch
         side_m *= 1.2

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
@@ -263,8 +264,7 @@ def _cells(
     xy = level[low, :2] * (sensor[2] / (sensor[2] - z))[:, None]
     near = np.asarray(cKDTree(way).query(xy, distance_upper_bound=REACH_M)[0]) < REACH_M
     xy, z, sigma_m, ray = xy[near], z[near], sigma_m[near], ray[near]
-    square = np.floor(xy / CELL_M).astype(np.int64)
-    cell = np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
+    cell = np.unique(cells_of(xy, CELL_M), return_inverse=True)[1].reshape(-1)
     count = np.bincount(cell)
     middle = np.stack([np.bincount(cell, column) / count for column in xy.T], axis=1)
     noise = np.bincount(cell, sigma_m**2) / count

@@ -31,10 +31,9 @@ class GroundSettings:
         Where the normal is known less well than this, the points do not span a plane.
     shared_noise_share : float
         Of each point's standard deviation along its line of sight, the part that errs for all points alike, and on the
-        road as much again for all of one laser of a scanner. No residual
-        shows it, but it moves the plane. A matcher and a rectification leave a bias of 0.03 to 0.05 px where a pixel is
-        known to 0.1 to 0.2 px; of a LiDAR's offset of range makers only promise that it is no larger than the scatter
-        of its points, and this is a quarter of that.
+        road as much again for all of one laser of a scanner. No residual shows it, but it moves the plane. A matcher
+        and a rectification leave a bias of 0.03 to 0.05 px where a pixel is known to 0.1 to 0.2 px; of a LiDAR's offset
+        of range makers only promise that it is no larger than the scatter of its points, and this is a quarter of that.
     """
 
     max_tilt_deg: float = 48.0
@@ -301,7 +300,8 @@ class QualitySettings:
         Beyond this multiple of a limit the verdict is a fail, in between a warning.
     open_m : float
         A direction that is known no better than this is open, and no result is given: one side of a car could be taken
-        for the other.
+        for the other. Where the messages tell that their positions are worse than a third of it, three times what they
+        tell is the limit.
     """
 
     max_sigma_m: float = 0.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, tra
 from laci_stereo.core.land import FLAT, Land
 from laci_stereo.core.outline import SIDES_HIGHEST_M
 from laci_stereo.core.settings import Settings, VehicleSettings
+from laci_stereo.core.spread import evenly
 
 Flaw = Literal["cut", "far", "thin"]
 """Why a sighting is left out: cut by the border of the field of view, too far away, too thin for a box."""
@@ -224,11 +225,11 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
     """Return two sightings in one frame, which are pieces of one thing, as one."""
     main, other = sorted((first, second), key=lambda one: one.count, reverse=True)
     count = main.count + other.count
-    kept = [_evenly(len(one.points), round(KEPT_POINTS * one.count / count) + 1) for one in (main, other)]
+    kept = [evenly(len(one.points), round(KEPT_POINTS * one.count / count) + 1) for one in (main, other)]
     stamp_s = (main.count * main.stamp_s + other.count * other.stamp_s) / count
     points = _of_both(main.points, other.points, kept)
     low = [
-        one.low[_evenly(len(one.low.points), round(len(one.low.points) * len(part) / max(len(one.points), 1)))]
+        one.low[evenly(len(one.low.points), round(len(one.low.points) * len(part) / max(len(one.points), 1)))]
         for one, part in zip((main, other), kept, strict=True)
     ]
     late_s = None
@@ -249,7 +250,7 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
         box=box,
         flaw=other.flaw if other.flaw == "cut" else main.flaw,
         late_s=late_s,
-        low=Low(*(np.concatenate([getattr(part, each.name) for part in low]) for each in fields(Low))),
+        low=low[0].joined(low[1]),
         borders=_outer(main, other),
     )
 
@@ -264,12 +265,6 @@ def _outer(main: Sighting, other: Sighting) -> FloatArray:
 
 def _of_both(main: FloatArray, other: FloatArray, kept: Sequence[IntArray]) -> FloatArray:
     return np.concatenate([main[kept[0]], other[kept[1]]])
-
-
-def _evenly(count: int, most: int) -> IntArray:
-    """Return which of so many are kept if these are the most."""
-    kept: IntArray = np.unique(np.linspace(0, count - 1, most).round().astype(int))
-    return kept
 
 
 def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, settings: Settings) -> Sighting | None:
@@ -291,7 +286,7 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
     # Of both the same share, or more would seem to be nearer, or farther, than there is; and enough to tell anything.
     share = min(KEPT_POINTS / len(points), KEPT_LOW / max(1, len(low.points)))
     share = min(1.0, max(share, limits.min_points / len(points)))
-    kept, kept_low = (_evenly(count, round(share * count)) for count in (len(points), len(low.points)))
+    kept, kept_low = (evenly(count, round(share * count)) for count in (len(points), len(low.points)))
     late_s = 0.0 if cloud.offset_s is None else float(np.median(cloud.offset_s))
     return Sighting(
         stamp_s=frame_s + late_s,

@@ -10,6 +10,7 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.spread import evenly
 from laci_stereo.core.track_scene import KNOT_S, Knots, Poses, Scene, Sender, extent
 
 OUTLIER = 0.005
@@ -68,7 +69,7 @@ def find_seeds(scene: Scene) -> list[Seed]:
 
 def _seed(index: int, knots: Knots, sender: Sender, settings: MatchSettings) -> Seed | None:
     """Search the clock offset on a grid, and around its best."""
-    knots = knots[np.linspace(0, len(knots) - 1, min(len(knots), SEARCH_KNOTS)).round().astype(np.int64)]
+    knots = knots[evenly(len(knots), SEARCH_KNOTS)]
     now = sender.at(knots.stamp_s)
     fastest_mps = max(float(np.linalg.norm(now.velocity, axis=1).max()), 1.0)
     limit_s = 3 * settings.clock_sigma_s

@@ -7,7 +7,8 @@ import numpy as np
 from laci_stereo.core.cam import MAX_GAP_S, CamLog
 from laci_stereo.core.frames import FloatArray
 
-_METRES_PER_DEG = 111_195.0
+METRES_PER_DEG = 111_195.0
+"""Of latitude, on a sphere as large as the Earth: 0.5 % off at most."""
 _MOVING_MPS = 2.0
 _FEWEST_STEPS = 5
 _DISAGREES = 0.25
@@ -39,7 +40,7 @@ def _motion_errors(log: CamLog) -> FloatArray:
     errors, reversing = [], []
     for latitude, longitude in ((log.latitude_deg, log.longitude_deg), (log.longitude_deg, log.latitude_deg)):
         east = np.diff(longitude)[usable] * np.cos(np.radians(latitude[1:][usable]))
-        moved = _METRES_PER_DEG * np.stack([east, np.diff(latitude)[usable]]) / (step_s * speed)[usable]
+        moved = METRES_PER_DEG * np.stack([east, np.diff(latitude)[usable]]) / (step_s * speed)[usable]
         errors.append(np.linalg.norm(moved - sent[:, usable], axis=0))
         reversing.append(np.linalg.norm(moved + sent[:, usable], axis=0))
     # Some drives backwards move like exchanged ones forwards.

@@ -29,7 +29,7 @@ from laci_stereo.io.cam_columns import (
     Values,
 )
 from laci_stereo.io.cam_exchange import look_exchanged
-from laci_stereo.io.table import BAD_SHARE, Problems, merged
+from laci_stereo.io.table import BAD_SHARE, Problems, merged, skip_notes
 
 _NOWHERE_DEG = 1e-4
 _SAME_PLACE_DEG = 1e-6
@@ -110,27 +110,13 @@ def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamR
     values, zero_notes = _without_zeros({quantity: messages.values.get(quantity, missing) for quantity in QUANTITIES})
     _check_sides(messages.path, values)
     problems = merged([messages.problems, _misplaced(values)])
-    skip_notes = _skip_notes(messages, problems)
+    skipped = skip_notes(messages.path, problems, messages.noun, messages.places, CamError)
     values, range_notes = _possible(messages, values)
     good = np.array([i not in problems for i in range(len(messages))], dtype=bool)
     log, order_notes = _in_order(messages, _log(messages.stamps_ns, messages.station_id, values)[good])
     position_notes = _check_positions(messages, log)
-    understood = (*notes, *zero_notes, *skip_notes, *range_notes, *order_notes, *position_notes)
+    understood = (*notes, *zero_notes, *skipped, *range_notes, *order_notes, *position_notes)
     return CamRecording(log, understood, file_format)
-
-
-def _skip_notes(messages: Messages, problems: Problems) -> list[str]:
-    """Return a note on bad messages that are left out; raise if they are too many to be exceptions."""
-    if not problems:
-        return []
-    first, problem = next(iter(problems.items()))
-    noun = messages.noun
-    where = f"{noun} {messages.places[first]}: {problem}"
-    if len(problems) > BAD_SHARE * len(messages):
-        raise CamError(
-            f"{messages.path}, {where} ({len(problems)} of {len(messages)} {noun}s are bad, at most a fifth may be)"
-        )
-    return [f"{len(problems)} bad {noun}s skipped, the first of them {where}"]
 
 
 def _without_zeros(values: Values) -> tuple[Values, list[str]]:

@@ -59,9 +59,9 @@ class LaneMap:
     notes: tuple[str, ...]
 
 
-def find_lane_map(left_folder: Path) -> Path | None:
-    """Return the map that lies beside the folder of left images, if there is one."""
-    beside = left_folder.absolute().parent
+def find_lane_map(recording: Path) -> Path | None:
+    """Return the map that lies beside a folder of left images or scans, or a file, if there is one."""
+    beside = recording.absolute().parent
     return next((beside / name for name in MAP_FILES if (beside / name).is_file()), None)
 
 

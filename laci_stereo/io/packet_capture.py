@@ -21,7 +21,7 @@ PCAP_FORMATS: Mapping[bytes, tuple[str, int]] = {
 
 PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
 
-_SECTION, _INTERFACE, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 3, 6
+_INTERFACE, _SIMPLE, _ENHANCED = 1, 3, 6
 _BYTE_ORDERS: Mapping[bytes, str] = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 _TIME_RESOLUTION, _TIME_OFFSET = 9, 14
 

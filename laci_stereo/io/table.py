@@ -119,15 +119,7 @@ class Table:
         InputError
             Of the table's class, if they are too many to be exceptions.
         """
-        if not problems:
-            return []
-        first, problem = next(iter(problems.items()))
-        row = f"row {self.line_numbers[first]}: {problem}"
-        if len(problems) > BAD_SHARE * len(self.rows):
-            raise self.error(
-                f"{self.path}, {row} ({len(problems)} of {len(self.rows)} rows are bad, at most a fifth may be)"
-            )
-        return [f"{len(problems)} bad rows skipped, the first of them {row}"]
+        return skip_notes(self.path, problems, "row", self.line_numbers, self.error)
 
 
 def read_table(path: Path, required: Sequence[Column], error: type[InputError], row_noun: str) -> Table:
@@ -218,6 +210,23 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
     if without_zone:
         notes.append(f"timestamp: {without_zone} times without a zone, taken for UTC")
     return Parsed(np.array(stamps, dtype=np.int64), problems, tuple(notes))
+
+
+def skip_notes(path: Path, problems: Problems, noun: str, places: Sequence[int], error: type[InputError]) -> list[str]:
+    """Return a note on what is bad in a file and is left out, at the places of what is a row or the like.
+
+    Raises
+    ------
+    InputError
+        Of the class ``error``, if it is too much to be exceptions.
+    """
+    if not problems:
+        return []
+    first, problem = next(iter(problems.items()))
+    where = f"{noun} {places[first]}: {problem}"
+    if len(problems) > BAD_SHARE * len(places):
+        raise error(f"{path}, {where} ({len(problems)} of {len(places)} {noun}s are bad, at most a fifth may be)")
+    return [f"{len(problems)} bad {noun}s skipped, the first of them {where}"]
 
 
 def merged(problems: Iterable[Problems]) -> Problems:

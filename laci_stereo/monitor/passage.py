@@ -12,14 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from laci_stereo.core.deskew import WINDOW_S, motion
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
 from laci_stereo.core.settings import TrackSettings
-from laci_stereo.core.tracking import GATE
 from laci_stereo.monitor.linking import UNIT_M, Kept
 from laci_stereo.monitor.settings import MonitorSettings
-
-WINDOW_S = 1.0
-"""So long does a vehicle's acceleration last, ahead and back."""
 
 SLOW_M = 0.5
 """Over less way within the window its direction is that of before: middles scatter by some centimetres."""
@@ -146,15 +143,11 @@ def _headings(stamps_s: FloatArray, xy: FloatArray, limits: TrackSettings) -> Fl
     Where it hardly moves it points as it did before; a track that begins so, as it does when it moves.
     """
     yaw = np.full(len(xy), np.nan)
-    priors = np.diag(np.array([np.inf, limits.max_speed_mps / GATE, limits.max_acceleration_mps2 / GATE]) ** -2)
-    variance = (limits.jitter_m / 2) ** 2
     for i, stamp_s in enumerate(stamps_s):
         near = np.abs(stamps_s - stamp_s) <= WINDOW_S
-        late_s = stamps_s[near] - stamp_s
-        powers = np.column_stack([np.ones_like(late_s), late_s, late_s**2 / 2])
         if near.sum() < 2 or np.linalg.norm(np.ptp(xy[near], axis=0)) < SLOW_M:
             continue
-        _, velocity, _ = np.linalg.solve(powers.T @ powers / variance + priors, powers.T @ xy[near] / variance)
+        velocity, _ = motion(stamps_s[near] - stamp_s, xy[near], limits)
         yaw[i] = np.arctan2(velocity[1], velocity[0])
     known = np.flatnonzero(np.isfinite(yaw))
     if not len(known):

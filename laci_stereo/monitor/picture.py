@@ -13,8 +13,8 @@ from laci_stereo.monitor.checkpoint import State
 from laci_stereo.monitor.lanes import Strip
 from laci_stereo.monitor.report import LaneFinding, counted
 from laci_stereo.monitor.run import Plan
-from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Rect
-from laci_stereo.report.mapview import MapView, nice_step
+from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Rect, emptiest_corner
+from laci_stereo.report.mapview import MapView
 from laci_stereo.report.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILLION, WHITE, Stroke, lane_strokes
 
 SIZE = (1600, 1000)
@@ -122,8 +122,7 @@ def _draw_sensor(plot: Canvas, view: MapView, plan: Plan) -> None:
 
 def _draw_scale(plot: Canvas, view: MapView) -> None:
     """Draw the scale bar in the lower left corner, and that north is up."""
-    wanted_m = BAR_SHARE * view.size[0] / view.scale_px
-    length_m = max(step for step in (nice_step(wanted_m, parts) for parts in (1, 2, 3, 5, 10)) if step <= wanted_m)
+    length_m = view.bar_m(BAR_SHARE)
     unit = TEXT * plot.unit_px
     x, y = unit, plot.height - unit
     end = x + length_m * view.scale_px
@@ -134,12 +133,15 @@ def _draw_scale(plot: Canvas, view: MapView) -> None:
 
 
 def _draw_colours(plot: Canvas, state: State) -> None:
-    """Draw what the colours mean in the lower right corner."""
+    """Draw what the colours mean in the corner that holds least; the lower left one has the scale."""
     most, unit = _most(state), TEXT * plot.unit_px
     width, height = 9 * unit, 0.7 * unit
-    right, bottom = plot.width - unit, plot.height - unit
-    left, top = right - width, bottom - height
-    plot.shade((left - 0.8 * unit, top - 3.2 * unit, right + 0.8 * unit, bottom + 0.6 * unit), 0.8)
+    inside = (0.2 * unit, 0.4 * unit, plot.width - 0.2 * unit, plot.height - 0.4 * unit)
+    scale = np.array([[inside[0], inside[3]]])
+    drawn = np.argwhere((plot.image < 255).any(axis=2))[:, ::-1].astype(np.float64)
+    x, y = emptiest_corner((width + 1.6 * unit, height + 3.8 * unit), inside, [scale, drawn])
+    left, right, top, bottom = x + 0.8 * unit, x + 0.8 * unit + width, y + 3.2 * unit, y + 3.2 * unit + height
+    plot.shade((x, y, right + 0.8 * unit, bottom + 0.6 * unit), 0.8)
     counts = np.exp(np.linspace(0.0, np.log(max(most, 1)), round(width)))[None]
     part = plot.image[round(top) : round(bottom), round(left) : round(left) + counts.shape[1]]
     part[:] = _colours(counts, most)[:, : part.shape[1]]

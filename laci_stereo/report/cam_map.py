@@ -8,9 +8,10 @@ import numpy as np
 
 from laci_stereo.core.cam import MAX_GAP_S, CamLog
 from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.io.cam_exchange import METRES_PER_DEG
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.report.canvas import TEXT, Canvas, Entry
-from laci_stereo.report.mapview import MARGIN_SHARE, MapView, nice_step
+from laci_stereo.report.mapview import MARGIN_SHARE, MapView, draw_bar
 from laci_stereo.report.style import BLACK, BLUE, GREY, PURPLE, SKY_BLUE, VERMILLION, WHITE, Colour, Stroke
 
 SIZE = (1280, 960)
@@ -18,8 +19,8 @@ SIZE = (1280, 960)
 
 _COLOURS: tuple[Colour, ...] = (BLUE, VERMILLION, PURPLE, SKY_BLUE, BLACK)
 _LEAST_EXTENT_M = 5.0
-_METRES_PER_DEG = 111_195.0
 _DOT, _LINE = 2.5, 2.0
+BAR_SHARE = 0.25
 
 
 def draw_log(recording: CamRecording) -> Raster:
@@ -51,7 +52,7 @@ def draw_log(recording: CamRecording) -> Raster:
         entries.insert(0, Entry(f"station {station}, {int(mine.sum())} messages", "dot", Stroke(colour, _DOT)))
     margin = 1.5 * TEXT * canvas.unit_px
     canvas.legend(entries, (margin, margin), BLACK)
-    _draw_scale(canvas, view, margin)
+    draw_bar(canvas, view, (margin, SIZE[1] - margin), BAR_SHARE, ", north is up")
     return canvas.image
 
 
@@ -60,7 +61,7 @@ def _metres(log: CamLog) -> FloatArray:
     longitude = np.degrees(np.unwrap(np.radians(log.longitude_deg)))
     latitude_deg, longitude_deg = np.median(log.latitude_deg), np.median(longitude)
     east = (longitude - longitude_deg) * np.cos(np.radians(latitude_deg))
-    return _METRES_PER_DEG * np.column_stack([east, log.latitude_deg - latitude_deg])
+    return METRES_PER_DEG * np.column_stack([east, log.latitude_deg - latitude_deg])
 
 
 def _view(xy: FloatArray) -> MapView:
@@ -72,13 +73,3 @@ def _view(xy: FloatArray) -> MapView:
 def _pieces(stamps_s: FloatArray, xy: FloatArray) -> Iterator[FloatArray]:
     """Yield the parts of a track without gaps."""
     yield from np.split(xy, np.flatnonzero(np.diff(stamps_s) > MAX_GAP_S) + 1)
-
-
-def _draw_scale(canvas: Canvas, view: MapView, margin: float) -> None:
-    """Draw a bar of a round length, and which way is north."""
-    length_m = nice_step(SIZE[0] / view.scale_px, 5)
-    x, y = margin, SIZE[1] - margin
-    end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
-    bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])
-    canvas.lines([bracket], Stroke(BLACK, _LINE))
-    canvas.text(f"{length_m:g} m, north is up", ((x + end) / 2, y - 2.6 * height), BLACK, align="centre")

@@ -10,6 +10,7 @@ from laci_stereo.core.calibrate import world_around
 from laci_stereo.core.cam import MAX_GAP_S, CamLog, vehicle_track
 from laci_stereo.core.errors import LaciError
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.io.cam_exchange import METRES_PER_DEG
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.stamps import iso_text
 
@@ -18,8 +19,6 @@ MOST_STATIONS = 5
 
 MOST_CHECKED = 6000
 """Messages of ten minutes: nobody is in view for longer, and what is wrong with all of a log is wrong with these."""
-
-_METRES_PER_DEG = 111_195.0
 
 
 def summarise_log(recording: CamRecording, name: str) -> str:
@@ -96,8 +95,8 @@ def _place(log: CamLog) -> str:
     log = log[np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)]
     if len(log) == 0:
         return "never sent"
-    north_m = _METRES_PER_DEG * np.diff(log.latitude_deg)
-    east_m = _METRES_PER_DEG * np.diff(log.longitude_deg) * np.cos(np.radians(log.latitude_deg[1:]))
+    north_m = METRES_PER_DEG * np.diff(log.latitude_deg)
+    east_m = METRES_PER_DEG * np.diff(log.longitude_deg) * np.cos(np.radians(log.latitude_deg[1:]))
     driven_m = float(np.hypot(north_m, east_m).sum())
     first, last = (f"{log.latitude_deg[i]:.7f}, {log.longitude_deg[i]:.7f}" for i in (0, -1))
     return f"{first} to {last}, {driven_m:.0f} m driven"

@@ -8,8 +8,10 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.result import Calibration
+from laci_stereo.report.canvas import TEXT, Canvas
 from laci_stereo.report.drawn import background_corners, drives_of, sensor_track
 from laci_stereo.report.lines import clip_slab
+from laci_stereo.report.style import BLACK, Stroke
 
 NEAR_BACKGROUND_M = 12.0
 """Background that is nearer than this to the track or the sensor widens the picture; what is farther does not."""
@@ -56,6 +58,12 @@ class MapView:
         half = self.size[axis] / 2 / self.scale_px
         return float(self.centre[axis] - half), float(self.centre[axis] + half)
 
+    def bar_m(self, share: float) -> float:
+        """Return 1, 2 or 5 times a power of ten, the most metres that cover no more than a share of the width."""
+        most = share * self.size[0] / self.scale_px
+        steps = NICE * 10.0 ** np.floor(np.log10(most))
+        return float(steps[steps <= most].max())
+
 
 def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
     """Choose the part of the world with the sensor, the vehicles where they were seen, and what stands near to them."""
@@ -69,6 +77,15 @@ def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
     low, high = shown.min(axis=0), shown.max(axis=0)
     extent = np.maximum((1 + 2 * MARGIN_SHARE) * (high - low), LEAST_EXTENT_M)
     return MapView((low + high) / 2, float((np.array(size) / extent).min()), size)
+
+
+def draw_bar(canvas: Canvas, view: MapView, at: tuple[float, float], share: float, words: str = "") -> None:
+    """Draw a scale bar, its left end there, of at most a share of the map's width."""
+    length_m, (x, y) = view.bar_m(share), at
+    end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
+    bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])
+    canvas.lines([bracket], Stroke(BLACK, 2.0, halo=False))
+    canvas.text(f"{length_m:g} m{words}", ((x + end) / 2, y - 2.6 * height), BLACK, align="centre")
 
 
 def nice_step(span: float, count: int) -> float:

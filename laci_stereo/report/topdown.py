@@ -22,7 +22,7 @@ from laci_stereo.report.drawn import (
     sighting_at,
     stations_of,
 )
-from laci_stereo.report.mapview import MapView, map_view, nice_step
+from laci_stereo.report.mapview import MapView, draw_bar, map_view, nice_step
 from laci_stereo.report.style import (
     BLACK,
     BLUE,
@@ -279,7 +279,7 @@ def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries:
     x = SIDE_LEFT + line
     _draw_arrow(canvas, np.array([x, top + 2.6 * line]), np.array([x, top + 0.9 * line]), BLACK)
     canvas.text("N", (x, top + 0.4 * line), BLACK, align="centre", bold=True)
-    _draw_bar(canvas, view, (SIDE_LEFT + 3.0 * line, top + 2.0 * line))
+    draw_bar(canvas, view, (SIDE_LEFT + 3.0 * line, top + 2.0 * line), BAR_SHARE)
     canvas.legend(entries, (SIDE_LEFT, top + 3.6 * line), BLACK)
     y = top + (4.6 + len(entries)) * line
     told = facts(calibration)
@@ -287,17 +287,6 @@ def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries:
     for text in told:
         canvas.text(text, (SIDE_LEFT, y), BLACK, size=size)
         y += line
-
-
-def _draw_bar(canvas: Canvas, view: MapView, at: tuple[float, float]) -> None:
-    """Draw the scale bar, its left end there."""
-    wanted_m = BAR_SHARE * view.size[0] / view.scale_px
-    length_m = max(step for step in (nice_step(wanted_m, parts) for parts in (1, 2, 3, 5, 10)) if step <= wanted_m)
-    x, y = at
-    end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
-    bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])
-    canvas.lines([bracket], Stroke(BLACK, 2.0, halo=False))
-    canvas.text(f"{length_m:g} m", ((x + end) / 2, y - 2.6 * height), BLACK, align="centre")
 
 
 def facts(calibration: Calibration) -> list[str]:

@@ -16,6 +16,7 @@ from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import OPENCV_AXES, Axes, BoolArray, FloatArray, IntArray, Raster
 from laci_stereo.core.ground import fit_ground
 from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.spread import spread
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.stereo_calibration import StereoRig
 from laci_stereo.mask.apply import Moving, windows
@@ -371,12 +372,6 @@ def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:
     others = [index for index in ordered if index >= QUIET_FRAMES]
     taken = {*range(min(QUIET_FRAMES, len(ranked))), *spread(others, FURTHER_FRAMES)}
     return [ranked[index] for index in ordered if index in taken]
-
-
-def spread(items: Sequence[Item], count: int) -> list[Item]:
-    """Take at most ``count`` items, evenly spread."""
-    at = np.linspace(0, len(items) - 1, min(count, len(items)))
-    return [items[index] for index in np.unique(at.round().astype(int))]
 
 
 def _with_context(view: View, image: Raster, region: Region) -> Raster:

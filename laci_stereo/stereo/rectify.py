@@ -111,6 +111,20 @@ def already_rectified(rig: StereoRig) -> StereoRig:
     return StereoRig(lens, lens, np.eye(3), np.array([side * rig.baseline_m, 0.0, 0.0]), rig.notes)
 
 
+def undistorted(lens: Lens, points: FloatArray, R: FloatArray | None = None, P: FloatArray | None = None) -> FloatArray:
+    """Return where raw pixels, shape (n, 2), lie without the lens's distortion.
+
+    In rectified pixels by R, shape (3, 3), and P, shape (3, 4); without them as tangents about the optical axis.
+    """
+    raw = np.ascontiguousarray(points)[:, None]
+    if lens.model == "fisheye":
+        found = cv2.fisheye.undistortPoints(raw, lens.K, lens.distortion, R=R, P=P)
+    else:
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
+        found = cv2.undistortPoints(raw, lens.K, lens.distortion, None, R, P, stop)
+    return np.asarray(found[:, 0], dtype=np.float64)
+
+
 def bouguet(rig: StereoRig) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the rectifying rotations, shape (3, 3), and projections, shape (3, 4), of both cameras."""
     lenses = (rig.left.K, rig.left.distortion, rig.right.K, rig.right.distortion, rig.left.size)

@@ -9,6 +9,7 @@ import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster
 from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.stereo.disparity import Region
 from laci_stereo.stereo.rectify import Rectification
 
@@ -84,7 +85,7 @@ def learn_look(shrunken: list[Raster]) -> Look:
     brightest = max(shrunken, key=_brightness)
     stack = np.stack([np.minimum(image / np.float32(_gain(image, brightest)), WHITE) for image in shrunken])
     median = np.median(stack, axis=0)
-    deviation = 1.4826 * np.median(np.abs(stack - median), axis=0)
+    deviation = NORMAL * np.median(np.abs(stack - median), axis=0)
     # Where fewer than half of the frames deviate, the median deviation may be zero: no pixel is better than most.
     typical = max(float(np.median(deviation)), MIN_NOISE)
     return Look(median, np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical))

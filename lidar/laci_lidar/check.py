@@ -22,7 +22,7 @@ from laci_stereo.check.sections import KERBS, PAINTED, WALLS, Sections, sections
 from laci_stereo.check.traces import Traces
 from laci_stereo.core.frames import FloatArray, Raster
 from laci_stereo.io.lane_map import LaneLine, LaneMap
-from laci_stereo.report.lines import clip_slab
+from laci_stereo.report.mapview import MapView
 
 GROUND_M = 0.3
 """Off the plane, at most: roads are crowned and bent by less within sight, and bodies of vehicles begin above."""
@@ -125,7 +125,7 @@ def see_scans(scans: ScanSequence, placed: Placed, lines: Sequence[LaneLine]) ->
 def draw_scans(see: Seeing, check: LaneCheck, lane_map: LaneMap) -> Raster:
     """Draw a check from above, shape (height, width, 3), uint8."""
     view = _view(see.around.points[:, :2])
-    return draw_check(view.backdrop(see.around), view.project, check, see.placed, lane_map, see.kinds)
+    return draw_check(_backdrop(view, see.around), view.line, check, see.placed, lane_map, see.kinds)
 
 
 def find_paint(road: Surroundings, sections: Sections) -> Traces:
@@ -141,43 +141,23 @@ def find_paint(road: Surroundings, sections: Sections) -> Traces:
     return find_stripes(Profiles(values, cells_m, in_image=False), sections.line)
 
 
-@dataclass(frozen=True)
-class _View:
-    """A picture of the road from above, north up."""
-
-    low: FloatArray
-    high: FloatArray
-    scale_px: float
-
-    def pixels(self, xy: FloatArray) -> FloatArray:
-        """Map points, shape (n, 2), world, to pixels."""
-        return np.column_stack([xy[:, 0] - self.low[0], self.high[1] - xy[:, 1]]) * self.scale_px
-
-    def project(self, xy: FloatArray) -> list[FloatArray]:
-        """Return the pieces of a line, shape (n, 2), that are in view, pixels."""
-        return [
-            self.pixels(piece)
-            for part in clip_slab(xy, 0, self.low[0], self.high[0])
-            for piece in clip_slab(part, 1, self.low[1], self.high[1])
-        ]
-
-    def backdrop(self, around: Surroundings) -> Raster:
-        """Draw the intensity, or the height where there is none, shape (height, width), uint8."""
-        told = np.isfinite(around.intensity)
-        values = np.where(told, around.intensity, 0.0) if told.any() else around.points[:, 2]
-        width, height = np.ceil((self.high - self.low) * self.scale_px).astype(int) + 1
-        column, row = np.rint(self.pixels(around.points[:, :2])).astype(int).T
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (told | ~told.any())
-        flat = row[inside] * width + column[inside]
-        count = np.bincount(flat, minlength=width * height)
-        mean = np.bincount(flat, values[inside], minlength=width * height) / np.maximum(count, 1)
-        dark, bright = np.quantile(values[inside], [0.02, 0.98]) if inside.any() else (0.0, 1.0)
-        grey = 60.0 + 195.0 * np.clip((mean - dark) / max(bright - dark, 1e-9), 0.0, 1.0)
-        return np.where(count > 0, grey, 25.0).astype(np.uint8).reshape(height, width)
+def _backdrop(view: MapView, around: Surroundings) -> Raster:
+    """Draw the intensity, or the height where there is none, shape (height, width), uint8."""
+    told = np.isfinite(around.intensity)
+    values = np.where(told, around.intensity, 0.0) if told.any() else around.points[:, 2]
+    width, height = np.ceil(view.size).astype(int) + 1
+    column, row = np.rint(view.pixels(around.points[:, :2])).astype(int).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (told | ~told.any())
+    flat = row[inside] * width + column[inside]
+    count = np.bincount(flat, minlength=width * height)
+    mean = np.bincount(flat, values[inside], minlength=width * height) / np.maximum(count, 1)
+    dark, bright = np.quantile(values[inside], [0.02, 0.98]) if inside.any() else (0.0, 1.0)
+    grey = 60.0 + 195.0 * np.clip((mean - dark) / max(bright - dark, 1e-9), 0.0, 1.0)
+    return np.where(count > 0, grey, 25.0).astype(np.uint8).reshape(height, width)
 
 
-def _view(xy: FloatArray) -> _View:
+def _view(xy: FloatArray) -> MapView:
     low, high = np.quantile(xy, [0.01, 0.99], axis=0) if len(xy) else (-np.ones(2), np.ones(2))
-    extent = np.maximum(high - low, 10.0)
-    middle = (low + high) / 2
-    return _View(middle - extent / 2, middle + extent / 2, min(PIXELS_PER_M, MOST_PIXELS / float(extent.max())))
+    width_m, height_m = np.maximum(high - low, 10.0).tolist()
+    scale_px = min(PIXELS_PER_M, MOST_PIXELS / max(width_m, height_m))
+    return MapView((low + high) / 2, scale_px, (width_m * scale_px, height_m * scale_px))

@@ -23,7 +23,7 @@ from laci_stereo.job import Job
 from laci_stereo.program import run_command
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="laci-stereo", message="%(prog)s %(version)s")
 def cli() -> None:
     """Find where a roadside LiDAR stands and looks, from one connected vehicle that drives by.

@@ -12,7 +12,9 @@ from scipy.spatial import cKDTree
 from laci_stereo.core.frames import Axes, FloatArray, IntArray
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_axes import ground_below
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.spread import evenly
 
 START_SIGMA_M = 0.02
 """What most data sheets promise; with it the ground is found for the first time."""
@@ -35,7 +37,6 @@ GROUND_POINTS = 20_000
 
 _SAMPLE = 3000
 _SAME_BEAM_RAD = 1e-4
-_MAD_TO_SIGMA = 1.4826
 _BINS = 8
 # So that the smallest bin has some eight.
 _MIN_PAIRS = 1000
@@ -99,7 +100,7 @@ def estimate_range_sigma(
     # Of the steeper half, because far away the unevenness of the road counts; fine where the road is seen most steeply.
     edges = np.round(len(leverage) / 2 * np.linspace(0.0, 1.0, _BINS + 1) ** 2).astype(np.int64)
     bins = np.split(np.argsort(leverage)[: edges[-1]], edges[1:-1])
-    variance = np.array([np.median(np.abs(differences[bin_])) ** 2 * _MAD_TO_SIGMA**2 / 2 for bin_ in bins])
+    variance = np.array([np.median(np.abs(differences[bin_])) ** 2 * NORMAL**2 / 2 for bin_ in bins])
     squares = np.array([np.median(leverage[bin_] ** 2) for bin_ in bins])
     # The standard deviation of a variance is proportional to it, and falls with the root of the number of pairs.
     weight = np.sqrt(np.diff(edges)) / np.maximum(variance, SMALLEST_SIGMA_M**2)
@@ -131,7 +132,7 @@ def _neighbours(directions: FloatArray) -> tuple[IntArray, IntArray, FloatArray]
     nothing = np.zeros(0, dtype=np.int64)
     if len(directions) < 3:
         return nothing, nothing, np.zeros(0)
-    sample = np.unique(np.linspace(0, len(directions) - 1, _SAMPLE).round().astype(np.int64))
+    sample = evenly(len(directions), _SAMPLE)
     # A second return has the direction of the first.
     angle, index = map(np.asarray, cKDTree(directions).query(directions[sample], k=3))
     which = np.where(angle[:, 1] > _SAME_BEAM_RAD, 1, 2)

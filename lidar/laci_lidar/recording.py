@@ -18,6 +18,7 @@ from laci_lidar.view import View, learn_view
 from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
+from laci_stereo.core.spread import evenly, spread
 from laci_stereo.io.background import check_frames
 from laci_stereo.stereo.ahead import workers
 
@@ -136,7 +137,7 @@ class LidarRecording:
             If the noise of ranges is not set, and no ground is seen.
         """
         indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
-        sampled = indices[np.unique(np.linspace(0, len(indices) - 1, NOISE_SCANS).round().astype(np.int64))]
+        sampled = indices[evenly(len(indices), NOISE_SCANS)]
         kept: list[FloatArray] = []
         timed = False
 
@@ -165,13 +166,13 @@ class LidarRecording:
 
     def _survey_frames(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:
         if background is None:
-            return self.scans, _spread(self._frames)
+            return self.scans, spread(self._frames, SURVEY_FRAMES)
         if not isinstance(background, range):
-            return background, _spread(group_scans(background.stamps_ns, self.settings.accumulate))
+            return background, spread(group_scans(background.stamps_ns, self.settings.accumulate), SURVEY_FRAMES)
         check_frames(background.start, background.stop - 1, len(self.scans), "scans")
         chosen = np.array(background)
         groups = group_scans(self.scans.stamps_ns[chosen], self.settings.accumulate)
-        return self.scans, _spread([chosen[group] for group in groups])
+        return self.scans, spread([chosen[group] for group in groups], SURVEY_FRAMES)
 
     def _noise(self, scans: Sequence[FloatArray]) -> Noise:
         angle, along = self.settings.angle_sigma_rad, self.settings.range_sigma_m
@@ -250,8 +251,3 @@ def group_scans(stamps_ns: IntArray, size: int) -> list[IntArray]:
     steps = np.diff(stamps_ns)
     runs = np.split(indices, np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1)
     return [run[start : start + size] for run in runs for start in range(0, len(run), size)]
-
-
-def _spread(frames: Sequence[IntArray]) -> list[IntArray]:
-    chosen = np.unique(np.linspace(0, len(frames) - 1, SURVEY_FRAMES).round().astype(np.int64))
-    return [frames[index] for index in chosen]

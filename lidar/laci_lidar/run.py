@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import islice
@@ -16,12 +15,11 @@ from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
-from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.spread import spread
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
-from laci_stereo.stereo.recording import spread
 
 LOOKED_AT = 5
 """Scans that are read to see whether points have times; the others are of the same driver."""
@@ -54,7 +52,7 @@ def calibrate(scans: Path | str, cam: Path | str, options: LidarOptions | None =
     scans : path
         A folder of scans, or a ROS bag or MCAP file.
     cam : path
-        The log, as CSV.
+        The log, in any format that `read_cam_log` knows.
     options : LidarOptions
 
     Raises
@@ -99,7 +97,6 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
             notes=sequence.notes + drive.notes,
         ),
         inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
-        draw=_no_pictures,
         check=partial(_check, sequence, drive.lane_map),
         remarks=recording.remarks,
     )
@@ -133,8 +130,3 @@ def _background(asked: tuple[int, int] | Path | None) -> ScanSequence | range | 
 
 def _check(scans: ScanSequence, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:
     return None if lane_map is None else check_scans(scans, placed_by(calibration), lane_map)
-
-
-def _no_pictures(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
-    """Draw nothing: a LiDAR has no image."""
-    yield from ()

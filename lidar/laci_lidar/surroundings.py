@@ -14,8 +14,9 @@ from laci_lidar.sequence import ScanSequence
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import OFFSETS_M, REACH_M, STEP_M
 from laci_stereo.check.sections import FARTHEST_M, SECTION_M, Sections
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, transform
-from laci_stereo.stereo.recording import spread
+from laci_stereo.core.columns import Columns
+from laci_stereo.core.frames import FloatArray, IntArray, transform
+from laci_stereo.core.spread import spread
 
 SCANS = 20
 """Evenly spread: the noise of their ranges fills what lies between beams, and what moves is in few of them."""
@@ -31,7 +32,7 @@ LEAST_POINTS = 10
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class Surroundings(Columns):
     """Points of several scans.
 
     Attributes
@@ -65,9 +66,6 @@ class Surroundings:
         inside[inside] = near[column[inside].astype(np.int64), row[inside].astype(np.int64)]
         return self[inside]
 
-    def __getitem__(self, chosen: BoolArray | IntArray) -> Surroundings:
-        return Surroundings(self.points[chosen], self.intensity[chosen], self.scan[chosen])
-
 
 @dataclass(frozen=True)
 class Window:
@@ -95,7 +93,7 @@ def surroundings_in(scans: ScanSequence, placed: Placed) -> Surroundings:
     ScanError
         If more than a fifth of the scans that are looked at cannot be read.
     """
-    found = [Surroundings(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))]
+    none, found = Surroundings(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64)), []
     for number, scan in enumerate(scans.read(spread(range(len(scans)), SCANS), 1)):
         if scan is None:
             continue
@@ -103,11 +101,7 @@ def surroundings_in(scans: ScanSequence, placed: Placed) -> Surroundings:
         apart_m = np.linalg.norm(points[:, :2] - placed.origin[:2], axis=1)
         near = (points[:, 2] > LOWEST_M) & (points[:, 2] < HIGHEST_M) & (apart_m < FARTHEST_M)
         found.append(Surroundings(points[near], _intensity(scan)[near], np.full(int(near.sum()), number)))
-    return Surroundings(
-        np.concatenate([each.points for each in found]),
-        np.concatenate([each.intensity for each in found]),
-        np.concatenate([each.scan for each in found]),
-    )
+    return none.joined(*found)
 
 
 def _intensity(scan: Scan) -> FloatArray:

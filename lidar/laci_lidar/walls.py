@@ -10,9 +10,9 @@ from laci_stereo.check.align import SHIFT_M
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.profiles import OFFSETS_M, STEP_M
 from laci_stereo.check.sections import Sections
-from laci_stereo.check.texture import NOISE_SCALE
 from laci_stereo.check.traces import SURE, Traces, highest
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.robust import NORMAL
 
 LOWEST_M = 0.3
 """Over the plane: below are the ground and kerbs."""
@@ -66,7 +66,7 @@ def find_walls(around: Surroundings, placed: Placed, sections: Sections) -> Trac
             near = upright[np.abs(upright - OFFSETS_M[at]) < 2 * BESIDE_M]
             middle = float(np.median(near))
             traces.left_m[number, at] = middle
-            spread_m = max(spread_m, NOISE_SCALE * float(np.median(np.abs(near - middle))))
+            spread_m = max(spread_m, NORMAL * float(np.median(np.abs(near - middle))))
         traces.cell_m[number], traces.loose_m[number] = max(STEP_M, spread_m), THICK_M
     return traces
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -80,6 +82,18 @@ def test_picture_is_darkest_where_most_drove() -> None:
     column = picture[top + 60 : bottom - 60, (left + right) // 2].astype(int).sum(axis=1)
     coloured = np.flatnonzero(column < 740)
     assert column[coloured[:20]].mean() < column[coloured[-20:]].mean() - 100
+
+
+def test_no_legend_lies_on_what_was_counted() -> None:
+    """Who drives all along the east, and some way along the west, leaves the corners in the west free."""
+    cells = Counter({cell: 5 for j in range(320) for cell in ((320, -j), (0, -100 - j // 3))})
+    state = State({}, 600, 10**18, 10**18 + 60 * 10**9, tally=Tally(12, 0, sum(cells.values()), 0, cells, {}))
+    plain = replace(asked(), strips=())
+    picture = draw_histogram(plain, state, [], LaneMap((), ()))
+    left, top, right, bottom = (round(edge) for edge in MAP)
+    dark = cv2.applyColorMap(np.zeros((1, 1), dtype=np.uint8), cv2.COLORMAP_CIVIDIS)[0, 0]
+    shaded = 255.0 - 0.2 * (255.0 - dark)
+    assert np.abs(picture[top:bottom, left:right] - shaded).max(axis=2).min() > 2.0
 
 
 def test_nothing_seen_is_said_and_drawn(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, invert, planar
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.world import World
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.report.page import Made, Photograph, Photographs
 from laci_stereo.report.page.photo import MOST_BYTES, jpeg
@@ -58,6 +59,13 @@ def test_the_transforms_are_the_calibrations(axes: object) -> None:
     np.testing.assert_allclose(
         matrix(shown, "T_world_rectified"), true.T_world_sensor @ T_sensor_rectified, rtol=0, atol=1e-9
     )
+
+
+def test_by_how_much_a_rigid_transform_is_off_is_the_places_own_scale() -> None:
+    """In the middle of a UTM zone 4 cm in 100 m, at its edge on the equator 10 cm."""
+    for longitude_deg, off_cm in ((9.0, 4), (12.0, 10)):
+        world = World.around(0.0, longitude_deg, "EPSG:32632")
+        assert f"makes {off_cm} cm in 100 m" in page(replace(calibration(), world=world), Made(PROVENANCE, ""))
 
 
 def test_place_and_direction_are_what_they_are() -> None:

@@ -157,6 +157,15 @@ def test_ticks_are_round_and_as_many_as_fit(span: float, count: int) -> None:
     assert span / (step / 2.5) > count * (1 - 1e-6)
 
 
+@given(st.floats(1e-3, 1e4), st.floats(0.05, 1.0))
+def test_a_scale_bar_is_the_longest_round_length_that_fits(scale_px: float, share: float) -> None:
+    most_m = share * SIZE[0] / scale_px
+    bar_m = MapView(np.zeros(2), scale_px, SIZE).bar_m(share)
+    mantissa = bar_m / 10.0 ** np.floor(np.log10(bar_m * (1 + 1e-9)))
+    assert min(abs(mantissa - nice) for nice in (1.0, 2.0, 5.0)) < 1e-6
+    assert most_m / 2.5 < bar_m <= most_m
+
+
 def test_the_sensor_stands_where_the_summary_says() -> None:
     """A kilometre from the track, where a rigid transform into the grid is off by decimetres."""
     away = replace(

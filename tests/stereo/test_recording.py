@@ -14,8 +14,9 @@ import pytest
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import ImageError, RigError, SettingError
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.spread import spread
 from laci_stereo.io.images import StereoPair
-from laci_stereo.stereo.recording import LOOK_FRAMES, QUIET_FRAMES, StereoRecording, spread
+from laci_stereo.stereo.recording import LOOK_FRAMES, QUIET_FRAMES, StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
 from tests.stereo.render import Box, Mounting, View, render
 from tests.stereo.rigs import RIGS, SIZE
@@ -293,10 +294,3 @@ def test_half_of_sky_is_no_mismatch(tmp_path: Path) -> None:
     survey = list(StereoRecording(write_pairs(tmp_path, exposed([sky] * 4)), RIGS["ideal"]).survey())
     assert len(survey) == 4
     assert np.mean(off_surfaces(survey[0], [], level) > 4) < 0.02
-
-
-def test_spread_takes_the_ends_and_no_more_than_asked() -> None:
-    few = spread(range(100), 5)
-    assert len(few) == 5
-    assert (few[0], few[-1]) == (0, 99)
-    assert spread(range(3), 31) == [0, 1, 2]

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, transform
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.io.images import ImageFolder
 from laci_stereo.io.stereo_calibration import read_stereo_calibration
 from laci_stereo.stereo.disparity import Region, match
@@ -162,10 +163,10 @@ def measures(errors: Errors) -> tuple[str | None, ...]:
         gaps,
         f"{100 * np.mean(~good):.2f}",
         f"{bias:.2f}",
-        f"{1.4826 * float(np.median(apart)):.3f}",
+        f"{NORMAL * float(np.median(apart)):.3f}",
         f"{np.sqrt(np.mean(apart**2)):.3f}",
         f"{low:.2f}..{high:.2f}",
-        f"{1.4826 * float(np.median(apart / errors.claimed[good])):.2f}",
+        f"{NORMAL * float(np.median(apart / errors.claimed[good])):.2f}",
         f"{correlation_length(errors.products):.1f}",
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from laci_stereo.core.drive_model import Correction
 from laci_stereo.core.frames import FloatArray, planar
+from laci_stereo.core.placement import CONTRADICTED
 from laci_stereo.core.result import Calibration, viewing_angles
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.report.page.residuals import SIDES, Laid
@@ -19,8 +20,8 @@ from laci_stereo.report.summary import LEFT_OUT, others_of
 DIGITS = 9
 """Of a transform's numbers: a nanometre, and less than a micrometre at a kilometre."""
 
-CONTRADICTION, NOTABLE = 4.0, 2.0
-"""Sigma. Beyond the first, the verdict names a correction; beyond the second, one in twenty is by chance."""
+NOTABLE = 2.0
+"""Sigma, beyond which one in twenty corrections is by chance."""
 
 FEWEST = 5
 """Points of a side of which a median is told."""
@@ -100,8 +101,8 @@ def matrices(calibration: Calibration, provenance: Provenance) -> tuple[Matrix, 
         Matrix(
             "T_utm_sensor",
             f"Takes a point (x, y, z, 1) {sensor} to UTM easting and northing ({world.crs}) and height over the "
-            "ground. It is rigid and exact around the vehicle's track; away from there UTM's own scale makes up to "
-            "4 cm in 100 m.",
+            "ground. It is rigid and exact around the vehicle's track; away from there UTM's own scale makes "
+            f"{1e4 * abs(1.0 - world.grid_scale):.0f} cm in 100 m.",
             _json(calibration.T_utm_sensor),
         ),
         Matrix(
@@ -253,7 +254,7 @@ def corrected(corrections: Sequence[Correction]) -> tuple[Corrected, ...]:
 def _corrected(correction: Correction) -> Corrected:
     what, factor, digits, unit = _WORDS[correction.what]
     sigmas = abs(correction.value) / correction.sigma
-    judgement = "contradiction" if sigmas > CONTRADICTION else "notable" if sigmas > NOTABLE else "as expected"
+    judgement = "contradiction" if sigmas > CONTRADICTED else "notable" if sigmas > NOTABLE else "as expected"
     value = f"{_signed(factor * correction.value, digits)}{unit}"
     return Corrected(what, value, f"0 ± {factor * correction.sigma:.{digits}f}{unit}", sigmas, judgement)
 

@@ -64,15 +64,12 @@ class Plan:
         Pixels of the first view.
     moments : tuple of Moment
         The vehicle where the sensor saw it, in the order of time.
-    grid_m : float
-        Spacing of the grid.
     """
 
     view: MapView
     layers: tuple[Layer, ...]
     labels: tuple[Label, ...]
     moments: tuple[Moment, ...]
-    grid_m: float
 
     @property
     def matrix(self) -> str:
@@ -89,8 +86,7 @@ class Plan:
     @property
     def bar_m(self) -> float:
         """Length of the scale bar: at most a fifth of the picture."""
-        most = BAR_SHARE * self.view.size[0] / self.view.scale_px
-        return max(step for step in (nice_step(most, parts) for parts in (1, 2, 3, 5, 10)) if step <= most)
+        return self.view.bar_m(BAR_SHARE)
 
     @property
     def bar_path(self) -> str:
@@ -128,7 +124,7 @@ def draw_plan(calibration: Calibration, lane_map: LaneMap | None) -> Plan:
         Layer("sensor", "Sensor and where it looks", tuple(_sensor(calibration, view))),
     ]
     kept = tuple(layer for layer in layers if any(part.d for part in layer.parts))
-    return Plan(view, kept, _labels(calibration, drives, view), _moments(drives, view), grid_m)
+    return Plan(view, kept, _labels(calibration, drives, view), _moments(drives, view))
 
 
 def _grid(view: MapView, step_m: float) -> list[FloatArray]:
