@@ -77,6 +77,8 @@ class Choice:
         The motion from the level into the world frame that brings the track onto the sender's.
     time_offset_s : float
         To be added to the sensor's stamps to get the CAMs' time.
+    log_likelihood : float
+        Of this hypothesis, against everything being where it is by chance.
     log_likelihood_margin : float
         Log odds against the second-best hypothesis that says something else; infinite if there is none.
     second_is : str
@@ -95,6 +97,7 @@ class Choice:
     second: float
     fit: PlanarMatch
     time_offset_s: float
+    log_likelihood: float
     log_likelihood_margin: float
     second_is: str
     doubt: str = ""
@@ -274,6 +277,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         second=0.0 if second is None else second.explained,
         fit=PlanarMatch(float(best.motion.yaw_rad), best.motion.shift),
         time_offset_s=float(best.motion.offset_s),
+        log_likelihood=best.value,
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else _named(scene, best.account, second),
         doubt=doubt,

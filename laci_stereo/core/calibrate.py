@@ -13,8 +13,9 @@ from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, ve
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
-from laci_stereo.core.errors import CalibrationError, CamError, TrackError
+from laci_stereo.core.errors import CalibrationError, CamError, MatchError, TrackError
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.handedness import mirrored
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
@@ -98,7 +99,14 @@ def locate(
         return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
 
     tracks = whole(seen.tracks, vehicles.values(), settings)
-    choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
+    try:
+        choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
+    except CalibrationError as error:
+        if why := mirrored(tracks, vehicles, settings.match, likeness, None):
+            raise MatchError(why) from error
+        raise
+    if why := mirrored(tracks, vehicles, settings.match, likeness, choice):
+        raise MatchError(why)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     for remark in vehicle.remarks:
