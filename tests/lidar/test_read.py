@@ -162,6 +162,11 @@ def test_half_floats_and_plain_coordinates(tmp_path: Path):
     np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
 
 
+def test_points_in_layers(tmp_path: Path):
+    np.save(tmp_path / "scan.npy", xyz_of(SCENE).reshape(10, -1, 3))
+    np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
+
+
 # What is wrong with a scan is said in one line.
 
 
@@ -347,6 +352,8 @@ def test_fields_without_coordinates(tmp_path: Path):
     assert "needed are x, y and z" in refusal(tmp_path / "scan.npy")
     np.save(tmp_path / "scan.npy", np.zeros((3, 300)).T[:, :2])
     assert "(300, 2)" in refusal(tmp_path / "scan.npy")
+    np.save(tmp_path / "scan.npy", xyz_of(SCENE).T)
+    assert "shape (3, 300); needed is one row for each point: transposed" in refusal(tmp_path / "scan.npy")
     np.savez(tmp_path / "scan.npz", a=np.zeros(3), b=np.zeros(3))
     assert "needed is 'points'" in refusal(tmp_path / "scan.npz")
 
