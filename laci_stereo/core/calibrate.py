@@ -21,6 +21,7 @@ from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import companion, whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
+from laci_stereo.core.repeats import repeats_of
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -138,7 +139,8 @@ def locate(
         placement = place_by_paper(own.track, own.vehicle, settings.match)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
+    doubts = (*doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
+    placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
     return conclude(passages, placement, settings)
 
 
