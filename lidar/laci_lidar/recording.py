@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.io.background import check_frames
+from laci_stereo.io.text_file import listed
 from laci_stereo.stereo.ahead import workers
 
 log = logging.getLogger(__name__)
@@ -35,8 +37,8 @@ GAP_PERIODS = 1.5
 MAX_READERS = 4
 
 _UNTIMED = (
-    "the scans do not tell when each point was taken, so whether the scanner turns meanwhile, and which way, is found "
-    "from the drive: --sweep tells it"
+    "the scans do not tell when each point was taken{among}, so whether the scanner turns meanwhile, and which way, is "
+    "found from the drive: --sweep tells it"
 )
 _ASSUMED = (
     "too few neighbouring points are on the ground for an estimate of the noise of ranges, which is taken as "
@@ -54,11 +56,14 @@ class Scanner:
     noise : Noise
     timed : bool
         Its scans tell when each point was taken.
+    unused : tuple of str
+        Fields of its points that tell no place, intensity or time.
     """
 
     view: View
     noise: Noise
     timed: bool
+    unused: tuple[str, ...] = ()
 
 
 class LidarRecording:
@@ -111,7 +116,9 @@ class LidarRecording:
 
     def remarks(self) -> tuple[str, ...]:
         """Say what was assumed of the scanner, where something was."""
-        return tuple(filter(None, (self.scanner.noise.assumed, _UNTIMED if self._turn_s else "")))
+        unused = self.scanner.unused
+        among = f" (not by their fields {listed(list(unused))})" if unused else ""
+        return tuple(filter(None, (self.scanner.noise.assumed, _UNTIMED.format(among=among) if self._turn_s else "")))
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -138,13 +145,14 @@ class LidarRecording:
         indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
         sampled = indices[np.unique(np.linspace(0, len(indices) - 1, NOISE_SCANS).round().astype(np.int64))]
         kept: list[FloatArray] = []
-        timed = False
+        spans_s: list[float] = []
+        unused: dict[str, None] = {}
 
         def clouds() -> Iterator[FloatArray]:
-            nonlocal timed
             for index, scan in zip(indices, self._quiet.read(indices.tolist(), self._threads), strict=True):
                 if scan is not None:
-                    timed = timed or scan.offset_s is not None
+                    spans_s.extend([] if scan.offset_s is None else [float(np.ptp(scan.offset_s))])
+                    unused.update(dict.fromkeys(scan.unused))
                     points = scan.points[self._far_enough(scan.points)]
                     if index in sampled:
                         kept.append(points)
@@ -154,7 +162,9 @@ class LidarRecording:
         if not any(len(points) for points in kept):
             nearest = f"{self.settings.min_range_m:g} m"
             raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
-        scanner = Scanner(view, self._noise(kept), timed)
+        if spans_s:
+            self._check_once(float(np.median(spans_s)), int(indices[len(indices) // 2]))
+        scanner = Scanner(view, self._noise(kept), bool(spans_s), tuple(unused))
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
             np.degrees(view.width_rad),
@@ -162,6 +172,24 @@ class LidarRecording:
             np.degrees(scanner.noise.angle_sigma_rad),
         )
         return scanner
+
+    def _check_once(self, span_s: float, index: int) -> None:
+        """Raise if scans, each of which lasts so long, hold points of the ones before, by two in the middle.
+
+        Scans that last longer than the time between them may also be those of several scanners that turn freely.
+        """
+        stamps_ns = self._quiet.stamps_ns
+        if len(stamps_ns) < 2 or span_s <= GAP_PERIODS * (period_s := float(np.median(np.diff(stamps_ns))) / 1e9):
+            return
+        first = min(index, len(stamps_ns) - 2)
+        scans = islice(self._quiet.read([first, first + 1], 1), 2)  # at its end it raises if one is unusable
+        one, other = ({tuple(point) for point in scan.points.tolist()} if scan is not None else set() for scan in scans)
+        if 2 * len(one & other) > min(len(one), len(other)) > 0:
+            raise ScanError(
+                f"{self._quiet.path}: scans {first} and {first + 1} have {len(one & other)} points in common: a scan's "
+                f"points were taken within {span_s:.2f} s, and scans are {period_s:.2f} s apart; needed is each point "
+                "in one scan"
+            )
 
     def _survey_frames(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:
         if background is None:

@@ -53,11 +53,14 @@ class Scan:
         In the sensor's own unit.
     offset_s : ndarray, shape (n,), or None
         Each point's own time after the scan's stamp, seconds.
+    unused : tuple of str
+        Fields that tell nothing of these.
     """
 
     points: FloatArray
     intensity: FloatArray | None = None
     offset_s: FloatArray | None = None
+    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -88,7 +91,7 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
     ScanError
         If there are no coordinates, no point with a return, or the coordinates are no metres.
     """
-    plain = {name.lower().replace("_", "").replace(" ", ""): column for name, column in columns.items()}
+    plain = {_plain(name): column for name, column in columns.items()}
     if any(_first(plain, (axis,)) is None for axis in "xyz"):
         raise ScanError(f"{what} has the fields {listed(list(columns)) or '(none)'}; needed are x, y and z")
     if len(plain["x"]) == 0:
@@ -116,7 +119,12 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
         points[keep],
         None if intensity is None else intensity[keep].astype(np.float64),
         None if times is None else offsets_s(times[keep], stamp_ns),
+        tuple(name for name in columns if _plain(name) not in (*"xyz", *INTENSITY_NAMES)),
     )
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("_", "").replace(" ", "")
 
 
 def _returns(points: FloatArray, what: str) -> tuple[BoolArray, FloatArray]:

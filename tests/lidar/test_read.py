@@ -162,6 +162,11 @@ def test_half_floats_and_plain_coordinates(tmp_path: Path):
     np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
 
 
+def test_fields_that_are_not_understood(tmp_path: Path):
+    np.savez(tmp_path / "scan.npz", x=SCENE["x"], y=SCENE["y"], z=SCENE["z"], dt=SCENE["t"], intensity=SCENE["x"])
+    assert read_scan(tmp_path / "scan.npz").unused == ("dt",)
+
+
 def test_points_in_layers(tmp_path: Path):
     np.save(tmp_path / "scan.npy", xyz_of(SCENE).reshape(10, -1, 3))
     np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
