@@ -12,6 +12,7 @@ import numpy as np
 
 from laci_lidar.errors import ScanError
 from laci_lidar.noise import USUAL_SIGMA_M, Noise, estimate_angle_sigma, estimate_range_sigma
+from laci_lidar.point_times import Clock, is_own_clock
 from laci_lidar.scan import Scan
 from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings, Sweep
@@ -56,6 +57,8 @@ class Scanner:
     noise : Noise
     timed : bool
         Its scans tell when each point was taken.
+    own_clock : bool
+        These times are of a clock of its own, so that a scan's first point is taken to be at its stamp.
     unused : tuple of str
         Fields of its points that tell no place, intensity or time.
     """
@@ -63,6 +66,7 @@ class Scanner:
     view: View
     noise: Noise
     timed: bool
+    own_clock: bool = False
     unused: tuple[str, ...] = ()
 
 
@@ -146,12 +150,15 @@ class LidarRecording:
         sampled = indices[np.unique(np.linspace(0, len(indices) - 1, NOISE_SCANS).round().astype(np.int64))]
         kept: list[FloatArray] = []
         spans_s: list[float] = []
+        starts: list[tuple[float, Clock]] = []
         unused: dict[str, None] = {}
 
         def clouds() -> Iterator[FloatArray]:
             for index, scan in zip(indices, self._quiet.read(indices.tolist(), self._threads), strict=True):
                 if scan is not None:
-                    spans_s.extend([] if scan.offset_s is None else [float(np.ptp(scan.offset_s))])
+                    if scan.offset_s is not None:
+                        spans_s.append(float(np.ptp(scan.offset_s)))
+                        starts.append((float(scan.offset_s.min()), scan.clock))
                     unused.update(dict.fromkeys(scan.unused))
                     points = scan.points[self._far_enough(scan.points)]
                     if index in sampled:
@@ -162,9 +169,11 @@ class LidarRecording:
         if not any(len(points) for points in kept):
             nearest = f"{self.settings.min_range_m:g} m"
             raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
-        if spans_s:
-            self._check_once(float(np.median(spans_s)), int(indices[len(indices) // 2]))
-        scanner = Scanner(view, self._noise(kept), bool(spans_s), tuple(unused))
+        steps_ns = np.diff(self._quiet.stamps_ns)
+        period_s = float(np.median(steps_ns)) / 1e9 if len(steps_ns) else np.inf
+        if spans_s and np.median(spans_s) > GAP_PERIODS * period_s:
+            self._check_once(float(np.median(spans_s)), period_s, int(indices[len(indices) // 2]))
+        scanner = Scanner(view, self._noise(kept), bool(starts), is_own_clock(starts, period_s), tuple(unused))
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
             np.degrees(view.width_rad),
@@ -173,15 +182,12 @@ class LidarRecording:
         )
         return scanner
 
-    def _check_once(self, span_s: float, index: int) -> None:
+    def _check_once(self, span_s: float, period_s: float, index: int) -> None:
         """Raise if scans, each of which lasts so long, hold points of the ones before, by two in the middle.
 
         Scans that last longer than the time between them may also be those of several scanners that turn freely.
         """
-        stamps_ns = self._quiet.stamps_ns
-        if len(stamps_ns) < 2 or span_s <= GAP_PERIODS * (period_s := float(np.median(np.diff(stamps_ns))) / 1e9):
-            return
-        first = min(index, len(stamps_ns) - 2)
+        first = min(index, len(self._quiet) - 2)
         scans = islice(self._quiet.read([first, first + 1], 1), 2)  # at its end it raises if one is unusable
         one, other = ({tuple(point) for point in scan.points.tolist()} if scan is not None else set() for scan in scans)
         if 2 * len(one & other) > min(len(one), len(other)) > 0:
@@ -263,7 +269,9 @@ class LidarRecording:
         sweep = self.settings.sweep
         if isinstance(sweep, Sweep):
             return scanner.view.offsets_s(scan.points, sweep)
-        return None if sweep == "none" else scan.offset_s
+        if sweep == "none" or scan.offset_s is None:
+            return None
+        return scan.offset_s - scan.offset_s.min() if scanner.own_clock and scan.clock == "stamp" else scan.offset_s
 
     def _far_enough(self, points: FloatArray) -> BoolArray:
         keep: BoolArray = np.einsum("ij,ij->i", points, points) >= self.settings.min_range_m**2

@@ -8,7 +8,7 @@ import numpy as np
 
 from laci_lidar.columns import Column, Columns
 from laci_lidar.errors import ScanError
-from laci_lidar.point_times import offsets_s
+from laci_lidar.point_times import Clock, point_times
 from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.io.text_file import listed
 
@@ -55,12 +55,15 @@ class Scan:
         Each point's own time after the scan's stamp, seconds.
     unused : tuple of str
         Fields that tell nothing of these.
+    clock : Clock
+        What the points' own times, where there are any, were taken to count from.
     """
 
     points: FloatArray
     intensity: FloatArray | None = None
     offset_s: FloatArray | None = None
     unused: tuple[str, ...] = ()
+    clock: Clock = "stamp"
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -115,11 +118,13 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
             f"{what}: 0 of {len(points)} points have a return; needed are finite coordinates off the origin"
         )
     intensity = _first(plain, INTENSITY_NAMES)
+    told = None if times is None else point_times(times[keep], stamp_ns)
     return Scan(
         points[keep],
         None if intensity is None else intensity[keep].astype(np.float64),
-        None if times is None else offsets_s(times[keep], stamp_ns),
+        None if told is None else told.offset_s,
         tuple(name for name in columns if _plain(name) not in (*"xyz", *INTENSITY_NAMES)),
+        "stamp" if told is None else told.clock,
     )
 
 
