@@ -19,6 +19,9 @@ LONGEST_S = 1.0
 FAR_FROM_STAMP_S = 2.0
 """A sweep begins or ends at its stamp; times that are farther from it are of another clock."""
 
+CLOCKS_S = (1, 60, 3600, 86_400, 604_800)
+"""So long clocks count that begin anew: within a second, a minute, an hour (Velodyne), a day, a week (GPS)."""
+
 FINEST_SHARE = 0.02
 """Numbers whose rounding is coarser than this share of a sweep, such as Unix seconds as float32, are no times."""
 
@@ -61,6 +64,8 @@ def point_times(times: Column, stamp_ns: int | None) -> PointTimes | None:
     PointTimes or None
         None if all times are the same, or are no times of one scan.
     """
+    if (anew := _begun_anew(times)) is not None:
+        return anew
     first = times.min()
     if times.dtype.kind == "f":
         since_first = times.astype(np.float64) - float(first)
@@ -74,6 +79,19 @@ def point_times(times: Column, stamp_ns: int | None) -> PointTimes | None:
         return None
     start_s, clock = _start(first, unit, stamp_ns)
     return PointTimes(since_first / (10**9 / unit.ns) + start_s, clock)
+
+
+def _begun_anew(times: Column) -> PointTimes | None:
+    """Return the times of a scan during which its clock began anew; None where it did not."""
+    low, high = float(times.min()), float(times.max())
+    for turn in (clock_s * 10**9 / unit.ns for clock_s in CLOCKS_S for unit in UNITS):
+        if 0.0 <= low < 0.1 * turn and 0.9 * turn < high <= turn:
+            since = np.where(times > turn / 2, times.astype(np.float64) - turn, times)
+            unit = _unit(span := float(np.ptp(since)))
+            # What is left out in the middle is no part of a sweep; from before to after there is a step like others.
+            if unit is not None and 2 * (low + turn - high) < span < turn / 2:
+                return PointTimes((since - since.min()) / (10**9 / unit.ns), "own")
+    return None
 
 
 def is_own_clock(starts: Sequence[tuple[float, Clock]], period_s: float) -> bool:

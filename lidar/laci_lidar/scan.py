@@ -119,6 +119,9 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
         )
     intensity = _first(plain, INTENSITY_NAMES)
     told = None if times is None else point_times(times[keep], stamp_ns)
+    if times is not None and told is None and (times[keep] != 0).any():  # 0 marks points that have none
+        told = point_times(times[keep & (times != 0)], stamp_ns)
+        keep &= (times != 0) | (told is None)
     return Scan(
         points[keep],
         None if intensity is None else intensity[keep].astype(np.float64),

@@ -80,6 +80,16 @@ def test_unsigned_numbers_do_not_wrap():
     np.testing.assert_allclose(offsets_s(times, EPOCH_NS), [0.0, 0.05], atol=1e-8)
 
 
+@pytest.mark.parametrize(("turn_s", "unit"), [(1, "ns"), (3600, "us"), (604800, "s"), (60, "ms")])
+def test_a_clock_that_begins_anew_within_a_scan(turn_s: int, unit: str) -> None:
+    offsets_ns = np.linspace(0, 99_000_000, 100).astype(np.int64)
+    times = (offsets_ns - 40_000_000) % (turn_s * 10**9) / UNITS_NS[unit]
+    found = point_times(times if unit == "s" else np.floor(times).astype(np.uint64), EPOCH_NS)
+    assert found is not None
+    assert found.clock == "own"
+    np.testing.assert_allclose(found.offset_s, offsets_ns / 1e9, atol=1.1e-3 if unit == "ms" else 2e-6)
+
+
 PERIOD_S, SCANS = 0.1, np.arange(90)
 
 

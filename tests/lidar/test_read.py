@@ -162,6 +162,14 @@ def test_half_floats_and_plain_coordinates(tmp_path: Path):
     np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
 
 
+def test_points_whose_time_is_marked_as_none(tmp_path: Path):
+    late_s = SCENE["t"] / 1e9
+    np.savez(tmp_path / "scan.npz", points=xyz_of(SCENE), timestamp=np.where(late_s < 0.01, 0.0, 1760000000.0 + late_s))
+    found = read_scan(tmp_path / "scan.npz", 1760000000_000000000)
+    np.testing.assert_allclose(found.offset_s, late_s[late_s >= 0.01], atol=1e-6)
+    np.testing.assert_array_equal(found.points, xyz_of(SCENE)[late_s >= 0.01])
+
+
 def test_fields_that_are_not_understood(tmp_path: Path):
     np.savez(tmp_path / "scan.npz", x=SCENE["x"], y=SCENE["y"], z=SCENE["z"], dt=SCENE["t"], intensity=SCENE["x"])
     assert read_scan(tmp_path / "scan.npz").unused == ("dt",)
