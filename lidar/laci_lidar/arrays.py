@@ -86,9 +86,10 @@ def read_npz(content: bytes, what: str) -> Columns:
     columns = dict(_columns(main, arrays.pop(main), what)) if main is not None else {}
     for name, array in arrays.items():
         columns.setdefault(name, array)
-    if not all(axis in columns for axis in "xyz"):
+    axes = {name.lower(): column for name, column in columns.items()}  # capitals do not matter
+    if not all(axis in axes for axis in "xyz"):
         raise ScanError(f"{what} has the arrays {listed(list(columns)) or '(none)'}; needed is 'points', or x, y and z")
-    points = len(columns["x"]) if columns["x"].ndim else 0
+    points = len(axes["x"]) if axes["x"].ndim else 0
     return {name: column for name, column in columns.items() if column.shape == (points,)}
 
 

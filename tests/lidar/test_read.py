@@ -171,7 +171,7 @@ def test_points_whose_time_is_marked_as_none(tmp_path: Path):
 
 
 def test_fields_that_are_not_understood(tmp_path: Path):
-    np.savez(tmp_path / "scan.npz", x=SCENE["x"], y=SCENE["y"], z=SCENE["z"], dt=SCENE["t"], intensity=SCENE["x"])
+    np.savez(tmp_path / "scan.npz", X=SCENE["x"], Y=SCENE["y"], Z=SCENE["z"], dt=SCENE["t"], intensity=SCENE["x"])
     assert read_scan(tmp_path / "scan.npz").unused == ("dt",)
 
 
