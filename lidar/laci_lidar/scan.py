@@ -35,10 +35,24 @@ TIME_NAMES = (
     "timens",
     "timeus",
     "timestampns",
+    "timeoffsetns",
+    "offsetns",
+    "pointtimeoffset",
+    "relativetimestamp",
 )
-"""Names of a point's own time, in lower case and without underscores."""
+"""Names of a point's own time, in lower case and without underscores, nor CloudCompare's ``scalar_`` before them."""
 
-INTENSITY_NAMES = ("intensity", "i", "reflectivity", "reflectance", "scalarintensity", "remission", "signal")
+INTENSITY_NAMES = (
+    "intensity",
+    "i",
+    "intensities",
+    "reflectivity",
+    "reflectance",
+    "remission",
+    "signal",
+    "rssi",
+    "amplitude",
+)
 
 
 @dataclass(frozen=True)
@@ -122,17 +136,18 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
     if times is not None and told is None and (times[keep] != 0).any():  # 0 marks points that have none
         told = point_times(times[keep & (times != 0)], stamp_ns)
         keep &= (times != 0) | (told is None)
+    understood = {*"xyz", *INTENSITY_NAMES, *(TIME_NAMES if told is not None else ())}
     return Scan(
         points[keep],
         None if intensity is None else intensity[keep].astype(np.float64),
         None if told is None else told.offset_s,
-        tuple(name for name in columns if _plain(name) not in (*"xyz", *INTENSITY_NAMES)),
+        tuple(name for name in columns if _plain(name) not in understood),
         "stamp" if told is None else told.clock,
     )
 
 
 def _plain(name: str) -> str:
-    return name.lower().replace("_", "").replace(" ", "")
+    return name.lower().removeprefix("scalar_").replace("_", "").replace(" ", "")
 
 
 def _returns(points: FloatArray, what: str) -> tuple[BoolArray, FloatArray]:

@@ -170,6 +170,24 @@ def test_points_whose_time_is_marked_as_none(tmp_path: Path):
     np.testing.assert_array_equal(found.points, xyz_of(SCENE)[late_s >= 0.01])
 
 
+@pytest.mark.parametrize(
+    ("light", "time"),
+    [
+        ("scalar_Intensity", "scalar_GpsTime"),  # CloudCompare
+        ("i", "ts"),
+        ("rssi", "time_stamp"),
+        ("amplitude", "Relative_Timestamp"),
+        ("intensities", "offset_ns"),
+    ],
+)
+def test_names_of_intensity_and_time(tmp_path: Path, light: str, time: str):
+    xyz = {axis: SCENE[axis] for axis in "xyz"}
+    found = read_scan(write_pcd(tmp_path / "scan.pcd", xyz | {light: SCENE["intensity"], time: SCENE["t"]}))
+    np.testing.assert_array_equal(found.intensity, SCENE["intensity"])
+    np.testing.assert_allclose(found.offset_s, SCENE["t"] / 1e9, atol=1e-9)
+    assert found.unused == ()
+
+
 def test_fields_that_are_not_understood(tmp_path: Path):
     np.savez(tmp_path / "scan.npz", X=SCENE["x"], Y=SCENE["y"], Z=SCENE["z"], dt=SCENE["t"], intensity=SCENE["x"])
     assert read_scan(tmp_path / "scan.npz").unused == ("dt",)
