@@ -245,7 +245,9 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     best = max(hypotheses, key=lambda one: one.value)
     track = _on_vehicle(scene, best, best.account)
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
-    _check_whole(scene, best, rivals, track)
+    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
+    objects = 1 + len(candidates - set(best.account.tracks))
+    _check_whole(scene, best, [one for one in rivals if one.value > math.log(objects)], track)
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
     mine = set(best.account.tracks)
@@ -258,8 +260,6 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
-    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
-    objects = 1 + len(candidates - mine)
     even, doubt = best.value - math.log(objects), ""
     needed = scene.settings.least_seen_log_odds - SILENT
     if even < needed:
