@@ -9,7 +9,7 @@ from pathlib import Path
 
 from laci_stereo.core.combine import Combined
 from laci_stereo.core.combine import combine as estimate
-from laci_stereo.core.errors import EvidenceError
+from laci_stereo.core.errors import CombineError, EvidenceError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
@@ -18,6 +18,7 @@ from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.evidence_file import Kept, read_evidence
 from laci_stereo.io.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE
+from laci_stereo.io.text_file import listed
 from laci_stereo.job import Result, sha256
 from laci_stereo.report.page import Photographs
 
@@ -97,7 +98,13 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
     kept = [read_evidence(path) for path in paths]
     _check_kind(runs, kept)
     passages = [passage for run, one in zip(runs, kept, strict=True) for passage in _named(str(run), one)]
-    combined = estimate(passages, options.core)
+    try:
+        combined = estimate(passages, options.core)
+    except (CombineError, EvidenceError) as error:
+        names = list(dict.fromkeys(one.name for one in kept))
+        if len(names) == 1:
+            raise
+        raise type(error)(f"{error}; are these one sensor? They are named {listed(names)}") from error
     world = combined.calibration.world
     lane_map = None if options.lane_map is None else read_lane_map(options.lane_map, world, options.map_crs)
     files = [*paths, *([] if options.lane_map is None else [options.lane_map])]

@@ -126,6 +126,14 @@ def test_frames_that_differ_are_not_combined(site: Site) -> None:
     site.refused(UNUSABLE, runs, "run1: the sensor's frame is 'turned'; needed is 'as in the scans' as in run0")
 
 
+def test_what_is_of_two_sensors_is_named_so(site: Site) -> None:
+    ground = passages()[2].ground
+    runs = [site.lay(0), site.lay(2, replace(passages()[2], ground=replace(ground, height_m=ground.height_m - 0.3)))]
+    evidence = site.root / runs[1] / "evidence.npz"
+    write_evidence(evidence, replace(read_evidence(evidence), name="mast 8"))
+    site.refused(NOT_CALIBRATED, runs, "was moved", "are these one sensor? They are named mast 7, mast 8")
+
+
 def test_how_frames_were_read_is_kept(site: Site) -> None:
     """Checks and monitors read others by it."""
     runs = [site.lay(0), site.lay(2)]

@@ -24,6 +24,8 @@ from tests.simulated import Drive
 
 NOT_CALIBRATED, UNUSABLE = 1, 2
 SEEDS = range(100, 110)
+TURNS = 104
+"""A seed whose sender turns."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,21 @@ def matched(folder: Path, made: Traffic, options: MatchOptions | None = None, tr
 
 
 # ------------------------------------------------------------------------------------- how well it does
+
+
+def test_boxes_whose_y_points_to_the_right(tmp_path: Path) -> None:
+    site = lay(tmp_path, traffic(TURNS))
+    rows, log = detection_rows(site.made), site.made.detections
+    rows.column("y", (-log.points_sensor[:, 1]).round(4).tolist())
+    rows.column("yaw", (-log.yaw_rad).round(4).tolist())
+    rows.write(site.detections)
+    site.refused(NOT_CALIBRATED, "with left and right exchanged", "left-handed", "y left", options=("--quiet",))
+
+
+def test_a_stranger_that_appears_where_the_sender_is_lost_says_nothing(tmp_path: Path) -> None:
+    """By another motion it fits the messages a little, as one of many may by chance."""
+    made = traffic(522)
+    assert is_senders(made, matched(tmp_path, made, track_ids=False).calibration)
 
 
 @pytest.mark.parametrize("seeds", [SEEDS[:3], pytest.param(SEEDS, marks=pytest.mark.slow)], ids=len)

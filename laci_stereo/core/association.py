@@ -77,6 +77,8 @@ class Choice:
         The motion from the level into the world frame that brings the track onto the sender's.
     time_offset_s : float
         To be added to the sensor's stamps to get the CAMs' time.
+    log_likelihood : float
+        Of this hypothesis, against everything being where it is by chance.
     log_likelihood_margin : float
         Log odds against the second-best hypothesis that says something else; infinite if there is none.
     second_is : str
@@ -95,6 +97,7 @@ class Choice:
     second: float
     fit: PlanarMatch
     time_offset_s: float
+    log_likelihood: float
     log_likelihood_margin: float
     second_is: str
     doubt: str = ""
@@ -242,7 +245,9 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     best = max(hypotheses, key=lambda one: one.value)
     track = _on_vehicle(scene, best, best.account)
     rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
-    _check_whole(scene, best, rivals, track)
+    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
+    objects = 1 + len(candidates - set(best.account.tracks))
+    _check_whole(scene, best, [one for one in rivals if one.value > math.log(objects)], track)
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
     # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
     mine = set(best.account.tracks)
@@ -255,8 +260,6 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
         raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
-    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
-    objects = 1 + len(candidates - mine)
     even, doubt = best.value - math.log(objects), ""
     needed = scene.settings.least_seen_log_odds - SILENT
     if even < needed:
@@ -274,6 +277,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         second=0.0 if second is None else second.explained,
         fit=PlanarMatch(float(best.motion.yaw_rad), best.motion.shift),
         time_offset_s=float(best.motion.offset_s),
+        log_likelihood=best.value,
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else _named(scene, best.account, second),
         doubt=doubt,

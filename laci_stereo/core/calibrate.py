@@ -13,13 +13,15 @@ from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, ve
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
-from laci_stereo.core.errors import CalibrationError, CamError, TrackError
+from laci_stereo.core.errors import CalibrationError, CamError, MatchError, TrackError
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.handedness import mirrored
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import companion, whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
+from laci_stereo.core.repeats import repeats_of
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -98,7 +100,14 @@ def locate(
         return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
 
     tracks = whole(seen.tracks, vehicles.values(), settings)
-    choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
+    try:
+        choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
+    except CalibrationError as error:
+        if why := mirrored(tracks, vehicles, settings.match, likeness, None):
+            raise MatchError(why) from error
+        raise
+    if why := mirrored(tracks, vehicles, settings.match, likeness, choice):
+        raise MatchError(why)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     vehicle = vehicles[choice.station]
     for remark in vehicle.remarks:
@@ -130,7 +139,8 @@ def locate(
         placement = place_by_paper(own.track, own.vehicle, settings.match)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    placement = replace(placement, contradictions=(*placement.contradictions, *doubts_of(choice)))
+    doubts = (*doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
+    placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
     return conclude(passages, placement, settings)
 
 

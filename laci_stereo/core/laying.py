@@ -36,6 +36,24 @@ def laid_track(T_a_b: FloatArray, track: Track) -> Track:
     )
 
 
+def mirrored_track(track: Track) -> Track:
+    """Return a track with left and right exchanged."""
+    over = np.array([1.0, -1.0, 1.0])
+    return Track(
+        tuple(
+            replace(
+                sighting,
+                points=sighting.points * over,
+                low=replace(sighting.low, points=sighting.low.points * over),
+                borders=sighting.borders[::-1] * over,
+                middle=sighting.middle * over[:2],
+                box=replace(sighting.box, centre=sighting.box.centre * over[:2], yaw_rad=-sighting.box.yaw_rad),
+            )
+            for sighting in track.sightings
+        )
+    )
+
+
 def told_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
     """Return the positions of a vehicle's messages, shape (n, 2), and its yaws, shape (n,), on the map."""
     xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(vehicle.reference, (len(vehicle.xy), 1)))

@@ -52,6 +52,14 @@ _CLOCK_ERRORS = (
         )
         for ahead_s in (_GPS_AHEAD_S, 0)
     ),
+    *(
+        _ClockError(
+            _GPS_EPOCH_S - ahead_s,
+            f"the recording counts from GPS's epoch, 1980-01-06; add {_GPS_EPOCH_S - _GPS_AHEAD_S} s to its times, "
+            f"or {_GPS_EPOCH_S} s if leap seconds are left out",
+        )
+        for ahead_s in (_GPS_AHEAD_S, 0)
+    ),
 )
 
 

@@ -18,6 +18,8 @@ from laci_stereo.io.text_file import quoted, read_text
 STAMP_FILES = ("timestamps.txt", "timestamps.csv")
 
 _NUMBER_IN_NAME = re.compile(r"[0-9]+(?:\.[0-9]+)?")
+_SECONDS = re.compile(r"[0-9]{10}")
+_NANOSECONDS = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True)
@@ -122,13 +124,14 @@ def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArra
 
 
 def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
-    numbers = [[Decimal(found) for found in _NUMBER_IN_NAME.findall(Path(name).stem)] for name in names]
+    numbers = _numbers_in(names)
     unit, place = _unit_and_place(numbers)
     if unit is None:
         if all(numbers):
             raise kind.error(
                 f"{folder}: the names (such as {quoted(names[0])}) are frame numbers, not times; put a timestamps.txt "
-                f"with one Unix time per {kind.noun} into the folder, or name the {kind.noun}s by their time"
+                f"with one Unix time per {kind.noun} into the folder, or name the {kind.noun}s by their time, "
+                "in Unix seconds or parts of them"
             )
         nameless = next(name for name, found in zip(names, numbers, strict=True) if not found)
         raise kind.error(
@@ -143,6 +146,45 @@ def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntA
                 "way of naming in the whole folder"
             )
     return np.array(stamps, dtype=np.int64)
+
+
+def _numbers_in(names: Sequence[str]) -> list[list[Decimal]]:
+    """Return the numbers in each name; where one number is seconds and the next nanoseconds, both as one."""
+    texts = [_NUMBER_IN_NAME.findall(Path(name).stem) for name in names]
+    joined = (_joined(texts, place) for place in range(min(map(len, texts))))
+    texts = next((found for found in joined if found is not texts), texts)
+    return [[Decimal(text) for text in found] for found in texts]
+
+
+def _joined(texts: list[list[str]], place: int) -> list[list[str]]:
+    """Join seconds and nanoseconds, as `sec_nsec` or `sec.nsec`, the latter if not padded with zeros to nine digits.
+
+    Without these zeros 1.5 is five nanoseconds after a second, or half a second: that by which times are more regular.
+    """
+    dotted = ["." in found[place] for found in texts]
+    if all(dotted):
+        pairs = [found[place].split(".") for found in texts]
+        rest = place + 1
+    elif not any(dotted) and all(len(found) > place + 1 for found in texts):
+        pairs = [found[place : place + 2] for found in texts]
+        rest = place + 2
+    else:
+        return texts
+    lengths = {len(after) for _, after in pairs}
+    fit = all(_SECONDS.fullmatch(before) and _NANOSECONDS.fullmatch(after) for before, after in pairs)
+    if not fit or max(lengths) < 9 or len({after for _, after in pairs}) < 2:
+        return texts
+    whole = [f"{before}.{after:>09}" for before, after in pairs]
+    if all(dotted) and (len(lengths) == 1 or 2 * _unevenness(whole) > _unevenness([found[place] for found in texts])):
+        return texts
+    return [[*found[:place], one, *found[rest:]] for found, one in zip(texts, whole, strict=True)]
+
+
+def _unevenness(times: Sequence[str]) -> float:
+    """Return by how much the steps between times differ from the usual one, in the mean, seconds."""
+    first = min(map(Decimal, times))
+    steps = np.diff(np.sort([float(Decimal(time) - first) for time in times]))
+    return float(np.abs(steps - np.median(steps)).mean())
 
 
 def _unit_and_place(numbers: list[list[Decimal]]) -> tuple[TimeUnit | None, int]:

@@ -45,7 +45,9 @@ def read_bin(content: bytes, what: str) -> Columns:
 
 
 def read_npy(content: bytes, what: str) -> Columns:
-    """Read an array of shape (n, 3) or (n, 4 and more), or of records with the fields x, y and z. Never a pickle.
+    """Read an array of shape (n, 3) or (n, 4 and more), in layers or not, or of records with fields x, y and z.
+
+    Never a pickle.
 
     Raises
     ------
@@ -84,9 +86,10 @@ def read_npz(content: bytes, what: str) -> Columns:
     columns = dict(_columns(main, arrays.pop(main), what)) if main is not None else {}
     for name, array in arrays.items():
         columns.setdefault(name, array)
-    if not all(axis in columns for axis in "xyz"):
+    axes = {name.lower(): column for name, column in columns.items()}  # capitals do not matter
+    if not all(axis in axes for axis in "xyz"):
         raise ScanError(f"{what} has the arrays {listed(list(columns)) or '(none)'}; needed is 'points', or x, y and z")
-    points = len(columns["x"]) if columns["x"].ndim else 0
+    points = len(axes["x"]) if axes["x"].ndim else 0
     return {name: column for name, column in columns.items() if column.shape == (points,)}
 
 
@@ -130,8 +133,13 @@ def _columns(name: str, array: npt.NDArray[Any], what: str) -> Columns:
     if array.dtype.names is not None:
         records = array.reshape(-1)
         return {field: records[field] for field in array.dtype.names}
-    if array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] >= 3:
-        return dict(zip(KITTI, array.T, strict=False))
+    if array.dtype.kind in "fiu" and array.ndim in (2, 3) and array.shape[-1] >= 3:
+        points = array.reshape(-1, array.shape[-1])  # of layers and columns, too
+        if len(points) < len(KITTI) + 1 < points.shape[1]:
+            raise ScanError(
+                f"{what} holds an array of shape {array.shape}; needed is one row for each point: transposed"
+            )
+        return dict(zip(KITTI, points.T, strict=False))
     if array.dtype.kind in "fiu" and array.ndim == 1:
         return {name: array}
     raise ScanError(f"{what} holds {array.dtype} of shape {array.shape}; needed are points of shape (n, 3) or (n, 4)")

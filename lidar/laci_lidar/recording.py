@@ -6,11 +6,13 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
 from laci_lidar.errors import ScanError
 from laci_lidar.noise import USUAL_SIGMA_M, Noise, estimate_angle_sigma, estimate_range_sigma
+from laci_lidar.point_times import Clock, is_own_clock
 from laci_lidar.scan import Scan
 from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings, Sweep
@@ -20,6 +22,7 @@ from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.spread import evenly, spread
 from laci_stereo.io.background import check_frames
+from laci_stereo.io.text_file import listed
 from laci_stereo.stereo.ahead import workers
 
 log = logging.getLogger(__name__)
@@ -36,8 +39,8 @@ GAP_PERIODS = 1.5
 MAX_READERS = 4
 
 _UNTIMED = (
-    "the scans do not tell when each point was taken, so whether the scanner turns meanwhile, and which way, is found "
-    "from the drive: --sweep tells it"
+    "the scans do not tell when each point was taken{among}, so whether the scanner turns meanwhile, and which way, is "
+    "found from the drive: --sweep tells it"
 )
 _ASSUMED = (
     "too few neighbouring points are on the ground for an estimate of the noise of ranges, which is taken as "
@@ -55,11 +58,17 @@ class Scanner:
     noise : Noise
     timed : bool
         Its scans tell when each point was taken.
+    own_clock : bool
+        These times are of a clock of its own, so that a scan's first point is taken to be at its stamp.
+    unused : tuple of str
+        Fields of its points that tell no place, intensity or time.
     """
 
     view: View
     noise: Noise
     timed: bool
+    own_clock: bool = False
+    unused: tuple[str, ...] = ()
 
 
 class LidarRecording:
@@ -112,7 +121,9 @@ class LidarRecording:
 
     def remarks(self) -> tuple[str, ...]:
         """Say what was assumed of the scanner, where something was."""
-        return tuple(filter(None, (self.scanner.noise.assumed, _UNTIMED if self._turn_s else "")))
+        unused = self.scanner.unused
+        among = f" (not by their fields {listed(list(unused))})" if unused else ""
+        return tuple(filter(None, (self.scanner.noise.assumed, _UNTIMED.format(among=among) if self._turn_s else "")))
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -139,13 +150,17 @@ class LidarRecording:
         indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
         sampled = indices[evenly(len(indices), NOISE_SCANS)]
         kept: list[FloatArray] = []
-        timed = False
+        spans_s: list[float] = []
+        starts: list[tuple[float, Clock]] = []
+        unused: dict[str, None] = {}
 
         def clouds() -> Iterator[FloatArray]:
-            nonlocal timed
             for index, scan in zip(indices, self._quiet.read(indices.tolist(), self._threads), strict=True):
                 if scan is not None:
-                    timed = timed or scan.offset_s is not None
+                    if scan.offset_s is not None:
+                        spans_s.append(float(np.ptp(scan.offset_s)))
+                        starts.append((float(scan.offset_s.min()), scan.clock))
+                    unused.update(dict.fromkeys(scan.unused))
                     points = scan.points[self._far_enough(scan.points)]
                     if index in sampled:
                         kept.append(points)
@@ -155,7 +170,11 @@ class LidarRecording:
         if not any(len(points) for points in kept):
             nearest = f"{self.settings.min_range_m:g} m"
             raise ScanError(f"{self.scans.path}: all points are nearer than {nearest}; needed is a free view")
-        scanner = Scanner(view, self._noise(kept), timed)
+        steps_ns = np.diff(self._quiet.stamps_ns)
+        period_s = float(np.median(steps_ns)) / 1e9 if len(steps_ns) else np.inf
+        if spans_s and np.median(spans_s) > GAP_PERIODS * period_s:
+            self._check_once(float(np.median(spans_s)), period_s, int(indices[len(indices) // 2]))
+        scanner = Scanner(view, self._noise(kept), bool(starts), is_own_clock(starts, period_s), tuple(unused))
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
             np.degrees(view.width_rad),
@@ -163,6 +182,21 @@ class LidarRecording:
             np.degrees(scanner.noise.angle_sigma_rad),
         )
         return scanner
+
+    def _check_once(self, span_s: float, period_s: float, index: int) -> None:
+        """Raise if scans, each of which lasts so long, hold points of the ones before, by two in the middle.
+
+        Scans that last longer than the time between them may also be those of several scanners that turn freely.
+        """
+        first = min(index, len(self._quiet) - 2)
+        scans = islice(self._quiet.read([first, first + 1], 1), 2)  # at its end it raises if one is unusable
+        one, other = ({tuple(point) for point in scan.points.tolist()} if scan is not None else set() for scan in scans)
+        if 2 * len(one & other) > min(len(one), len(other)) > 0:
+            raise ScanError(
+                f"{self._quiet.path}: scans {first} and {first + 1} have {len(one & other)} points in common: a scan's "
+                f"points were taken within {span_s:.2f} s, and scans are {period_s:.2f} s apart; needed is each point "
+                "in one scan"
+            )
 
     def _survey_frames(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:
         if background is None:
@@ -236,7 +270,9 @@ class LidarRecording:
         sweep = self.settings.sweep
         if isinstance(sweep, Sweep):
             return scanner.view.offsets_s(scan.points, sweep)
-        return None if sweep == "none" else scan.offset_s
+        if sweep == "none" or scan.offset_s is None:
+            return None
+        return scan.offset_s - scan.offset_s.min() if scanner.own_clock and scan.clock == "stamp" else scan.offset_s
 
     def _far_enough(self, points: FloatArray) -> BoolArray:
         keep: BoolArray = np.einsum("ij,ij->i", points, points) >= self.settings.min_range_m**2

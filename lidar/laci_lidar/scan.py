@@ -8,7 +8,7 @@ import numpy as np
 
 from laci_lidar.columns import Column, Columns
 from laci_lidar.errors import ScanError
-from laci_lidar.point_times import offsets_s
+from laci_lidar.point_times import Clock, point_times
 from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.io.text_file import listed
 
@@ -35,10 +35,24 @@ TIME_NAMES = (
     "timens",
     "timeus",
     "timestampns",
+    "timeoffsetns",
+    "offsetns",
+    "pointtimeoffset",
+    "relativetimestamp",
 )
-"""Names of a point's own time, in lower case and without underscores."""
+"""Names of a point's own time, in lower case and without underscores, nor CloudCompare's ``scalar_`` before them."""
 
-INTENSITY_NAMES = ("intensity", "i", "reflectivity", "reflectance", "scalarintensity", "remission", "signal")
+INTENSITY_NAMES = (
+    "intensity",
+    "i",
+    "intensities",
+    "reflectivity",
+    "reflectance",
+    "remission",
+    "signal",
+    "rssi",
+    "amplitude",
+)
 
 
 @dataclass(frozen=True)
@@ -53,11 +67,17 @@ class Scan:
         In the sensor's own unit.
     offset_s : ndarray, shape (n,), or None
         Each point's own time after the scan's stamp, seconds.
+    unused : tuple of str
+        Fields that tell nothing of these.
+    clock : Clock
+        What the points' own times, where there are any, were taken to count from.
     """
 
     points: FloatArray
     intensity: FloatArray | None = None
     offset_s: FloatArray | None = None
+    unused: tuple[str, ...] = ()
+    clock: Clock = "stamp"
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -88,7 +108,7 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
     ScanError
         If there are no coordinates, no point with a return, or the coordinates are no metres.
     """
-    plain = {name.lower().replace("_", "").replace(" ", ""): column for name, column in columns.items()}
+    plain = {_plain(name): column for name, column in columns.items()}
     if any(_first(plain, (axis,)) is None for axis in "xyz"):
         raise ScanError(f"{what} has the fields {listed(list(columns)) or '(none)'}; needed are x, y and z")
     if len(plain["x"]) == 0:
@@ -112,11 +132,22 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
             f"{what}: 0 of {len(points)} points have a return; needed are finite coordinates off the origin"
         )
     intensity = _first(plain, INTENSITY_NAMES)
+    told = None if times is None else point_times(times[keep], stamp_ns)
+    if times is not None and told is None and (times[keep] != 0).any():  # 0 marks points that have none
+        told = point_times(times[keep & (times != 0)], stamp_ns)
+        keep &= (times != 0) | (told is None)
+    understood = {*"xyz", *INTENSITY_NAMES, *(TIME_NAMES if told is not None else ())}
     return Scan(
         points[keep],
         None if intensity is None else intensity[keep].astype(np.float64),
-        None if times is None else offsets_s(times[keep], stamp_ns),
+        None if told is None else told.offset_s,
+        tuple(name for name in columns if _plain(name) not in understood),
+        "stamp" if told is None else told.clock,
     )
+
+
+def _plain(name: str) -> str:
+    return name.lower().removeprefix("scalar_").replace("_", "").replace(" ", "")
 
 
 def _returns(points: FloatArray, what: str) -> tuple[BoolArray, FloatArray]:

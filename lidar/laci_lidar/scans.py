@@ -8,9 +8,11 @@ from laci_lidar.errors import ScanError
 from laci_lidar.folder import ScanFolder
 from laci_lidar.read import SUFFIXES
 from laci_lidar.sequence import ScanSequence
+from laci_stereo.io.packet_capture import PCAP_FORMATS, PCAPNG_MAGIC
 
 _BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 _BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+_CAPTURE_SUFFIXES = frozenset({".pcap", ".pcapng"})
 
 
 def open_scans(path: Path, topic: str | None = None) -> ScanSequence:
@@ -38,9 +40,22 @@ def open_scans(path: Path, topic: str | None = None) -> ScanSequence:
         return BagScans.open(path, topic)
     if path.is_file() and path.suffix.lower() in SUFFIXES:
         raise ScanError(f"{path} is a single scan; needed is the folder with all of them, or a bag")
+    if _is_capture(path):
+        raise ScanError(
+            f"{path} is a packet capture of a scanner, which only its maker's software decodes; needed are scans as "
+            "that exports them, such as PCD, or a bag of its ROS driver's point clouds"
+        )
     if topic is not None:
         raise ScanError(f"{path} is no bag, and has no topic {topic!r}; needed is a bag, or no topic")
     return ScanFolder.open(path)
+
+
+def _is_capture(path: Path) -> bool:
+    """Tell packet captures, or a folder with such and no scan."""
+    if path.is_dir():
+        inside = [entry.suffix.lower() for entry in path.iterdir()]
+        return not SUFFIXES.intersection(inside) and bool(_CAPTURE_SUFFIXES.intersection(inside))
+    return _begins(path, (*PCAP_FORMATS, PCAPNG_MAGIC))
 
 
 def _is_bag(path: Path) -> bool:
@@ -48,9 +63,12 @@ def _is_bag(path: Path) -> bool:
         return (path / "metadata.yaml").is_file() or any(
             entry.suffix in _BAG_SUFFIXES[1:] and entry.is_file() for entry in path.iterdir()
         )
+    return _begins(path, _BAG_MAGICS) or (path.is_file() and path.suffix.lower() in _BAG_SUFFIXES)
+
+
+def _begins(path: Path, magics: tuple[bytes, ...]) -> bool:
     try:
         with path.open("rb") as stream:
-            head = stream.read(16)
+            return stream.read(16).startswith(magics)
     except (OSError, ValueError):
         return False
-    return head.startswith(_BAG_MAGICS) or path.suffix.lower() in _BAG_SUFFIXES

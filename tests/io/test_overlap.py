@@ -69,6 +69,8 @@ def test_both_intervals_and_their_difference_are_named() -> None:
         ),
         (18 - 315964800, "the messages count from GPS's epoch, 1980-01-06; add 315964782 s to their times"),
         (-315964800, "the messages count from GPS's epoch, 1980-01-06; add 315964782 s to their times, or 315964800 s"),
+        (315964800 - 18, "the recording counts from GPS's epoch, 1980-01-06; add 315964782 s to its times"),
+        (315964800, "the recording counts from GPS's epoch, 1980-01-06; add 315964782 s to its times, or 315964800 s"),
     ],
 )
 def test_a_known_clock_error_is_named_with_its_cure(ahead_s: int, cause: str) -> None:

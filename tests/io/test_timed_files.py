@@ -50,6 +50,26 @@ def test_the_size_of_the_number_tells_its_unit(name: str, ns: int) -> None:
     assert folder_stamps(Path("left"), [name], IMAGES).tolist() == [ns]
 
 
+CLOCKED = [1760000000_031000064 + 100_000_000 * i + 700 * i * i for i in range(25)]
+
+
+@pytest.mark.parametrize("name", ["{}_{:09d}.png", "{}_{}.png", "left 1 {}-{:09d}.png", "{}.{}.png", "{}.{:09d}.png"])
+@pytest.mark.parametrize("stamps", [CLOCKED, [1000 * (stamp // 1000) for stamp in CLOCKED]], ids=["ns", "us"])
+def test_seconds_and_nanoseconds_in_names(name: str, stamps: list[int]) -> None:
+    names = [name.format(*divmod(stamp, 10**9)) for stamp in stamps]
+    assert folder_stamps(Path("left"), names, IMAGES).tolist() == stamps
+
+
+def test_seconds_whose_zeros_at_the_end_are_left_out() -> None:
+    names = [f"{fixed(stamp).rstrip('0')}.png" for stamp in [*CLOCKED, 1760000003_100000000, 1760000003_20000000]]
+    assert folder_stamps(Path("left"), names, IMAGES)[:25].tolist() == CLOCKED
+
+
+def test_a_counter_behind_seconds_is_no_part_of_a_second() -> None:
+    names = [f"{1760000000 + i}_{i:06d}.png" for i in range(5)]
+    assert np.diff(folder_stamps(Path("left"), names, IMAGES)).tolist() == [10**9] * 4
+
+
 def test_the_unit_is_that_of_the_folder_not_of_the_file() -> None:
     names = [f"{1760000000000 + 100 * i}.png" for i in range(9)]
     with pytest.raises(ImageError, match=r"'1760000000\.png' holds no time in milliseconds"):
@@ -154,7 +174,7 @@ def test_a_folder_is_refused_in_the_words_of_what_it_should_hold(tmp_path: Path)
         names_in(tmp_path, MAPS)
     for names, words in (
         (["a.osm"], "needed is a Unix time in the name of each map"),
-        (["1.osm", "2.osm"], "one Unix time per map into the folder, or name the maps by their time"),
+        (["1.osm", "2.osm"], "one Unix time per map into the folder, or name the maps by their time, in Unix sec"),
         (["1760000000.0.osm", "1760000000.00.osm"], "have the same time, .* needed is one time for each map"),
     ):
         with pytest.raises(MapError, match=words):

@@ -90,6 +90,15 @@ def test_what_is_no_folder_of_scans(tmp_path: Path):
     assert "holds no time" in refusal(tmp_path / "empty")
 
 
+def test_what_a_scanner_sent_is_named_as_that(tmp_path: Path):
+    """A capture is what most scanners' viewers record."""
+    (tmp_path / "raw").mkdir()
+    for path, content in ((tmp_path / "drive.cap", b"\xd4\xc3\xb2\xa1"), (tmp_path / "raw/1.pcapng", b"\n\r\r\n")):
+        path.write_bytes(content + bytes(40))
+        for each in {path, path.parent} - {tmp_path}:
+            assert "is a packet capture of a scanner" in refusal(each)
+
+
 def test_two_scans_of_one_time(tmp_path: Path):
     for name in ("1760000000.0.pcd", "1760000000.00.pcd"):
         write_pcd(tmp_path / name, SCANS[0])

@@ -162,6 +162,42 @@ def test_half_floats_and_plain_coordinates(tmp_path: Path):
     np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
 
 
+def test_points_whose_time_is_marked_as_none(tmp_path: Path):
+    late_s = SCENE["t"] / 1e9
+    np.savez(tmp_path / "scan.npz", points=xyz_of(SCENE), timestamp=np.where(late_s < 0.01, 0.0, 1760000000.0 + late_s))
+    found = read_scan(tmp_path / "scan.npz", 1760000000_000000000)
+    np.testing.assert_allclose(found.offset_s, late_s[late_s >= 0.01], atol=1e-6)
+    np.testing.assert_array_equal(found.points, xyz_of(SCENE)[late_s >= 0.01])
+
+
+@pytest.mark.parametrize(
+    ("light", "time"),
+    [
+        ("scalar_Intensity", "scalar_GpsTime"),  # CloudCompare
+        ("i", "ts"),
+        ("rssi", "time_stamp"),
+        ("amplitude", "Relative_Timestamp"),
+        ("intensities", "offset_ns"),
+    ],
+)
+def test_names_of_intensity_and_time(tmp_path: Path, light: str, time: str):
+    xyz = {axis: SCENE[axis] for axis in "xyz"}
+    found = read_scan(write_pcd(tmp_path / "scan.pcd", xyz | {light: SCENE["intensity"], time: SCENE["t"]}))
+    np.testing.assert_array_equal(found.intensity, SCENE["intensity"])
+    np.testing.assert_allclose(found.offset_s, SCENE["t"] / 1e9, atol=1e-9)
+    assert found.unused == ()
+
+
+def test_fields_that_are_not_understood(tmp_path: Path):
+    np.savez(tmp_path / "scan.npz", X=SCENE["x"], Y=SCENE["y"], Z=SCENE["z"], dt=SCENE["t"], intensity=SCENE["x"])
+    assert read_scan(tmp_path / "scan.npz").unused == ("dt",)
+
+
+def test_points_in_layers(tmp_path: Path):
+    np.save(tmp_path / "scan.npy", xyz_of(SCENE).reshape(10, -1, 3))
+    np.testing.assert_array_equal(read_scan(tmp_path / "scan.npy").points, xyz_of(SCENE))
+
+
 # What is wrong with a scan is said in one line.
 
 
@@ -347,6 +383,8 @@ def test_fields_without_coordinates(tmp_path: Path):
     assert "needed are x, y and z" in refusal(tmp_path / "scan.npy")
     np.save(tmp_path / "scan.npy", np.zeros((3, 300)).T[:, :2])
     assert "(300, 2)" in refusal(tmp_path / "scan.npy")
+    np.save(tmp_path / "scan.npy", xyz_of(SCENE).T)
+    assert "shape (3, 300); needed is one row for each point: transposed" in refusal(tmp_path / "scan.npy")
     np.savez(tmp_path / "scan.npz", a=np.zeros(3), b=np.zeros(3))
     assert "needed is 'points'" in refusal(tmp_path / "scan.npz")
 

@@ -47,6 +47,28 @@ def scans(count: int, offset: bool = True) -> list[Scan]:
     return found
 
 
+def test_scans_that_hold_those_before_are_refused():
+    """As mapping tools write them: of each sweep and the two before."""
+    sweeps = [road(sigma_m=0.02, seed=seed, layers=8, step_deg=0.8) for seed in range(8)]
+    late_s = np.linspace(0.0, 0.09, len(sweeps[0]))
+    times_s = np.concatenate([late_s - 0.1 * back for back in range(3)])
+    window = [Scan(np.concatenate(sweeps[i : i + 3][::-1]), None, times_s) for i in range(6)]
+    with pytest.raises(
+        ScanError, match=r"memory: scans 3 and 4 have \d+ points in common: .* within 0\.29 s, .* 0\.10 s"
+    ):
+        _ = LidarRecording(listed(window), EXACT).scanner
+    # Two scanners in one cloud, each at its own time.
+    both = [Scan(np.concatenate([one, -one]), None, np.append(late_s, late_s - 0.1)) for one in sweeps]
+    assert LidarRecording(listed(both), EXACT).scanner.timed
+
+
+def test_fields_that_may_be_times_are_named():
+    fields = [replace(scan, unused=("ring", "dt")) for scan in scans(4, offset=False)]
+    (remark,) = LidarRecording(listed(fields), EXACT).remarks()
+    assert "do not tell when each point was taken (not by their fields ring, dt), so whether" in remark
+    assert "(" not in LidarRecording(listed(scans(4, offset=False)), EXACT).remarks()[0]
+
+
 def test_a_frame_holds_its_scan_with_noise_edges_and_times():
     sequence = listed(scans(4))
     recording: PointCloudSource = LidarRecording(sequence, EXACT, name="mast 3")

@@ -1,0 +1,70 @@
+"""Whether a sensor's frame is right-handed: in a mirrored one a vehicle that turns left is seen to turn right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from laci_stereo.core.association import Choice, Likeness, choose_track, no_likeness
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.errors import CalibrationError
+from laci_stereo.core.laying import mirrored_track
+from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.tracking import Track
+
+MOST_ODDS = 1e6
+"""Beyond this nobody reads odds any more."""
+
+
+def mirrored(
+    tracks: Sequence[Track],
+    vehicles: Mapping[int, VehicleTrack],
+    settings: MatchSettings,
+    likeness: Likeness,
+    choice: Choice | None,
+) -> str:
+    """Say that what moves fits the messages clearly better with left and right exchanged; empty where it does not.
+
+    One vehicle on a straight road fits both ways equally well. Boxes are asked first, for outlines take time.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+    vehicles : mapping of int to VehicleTrack
+        By station.
+    settings : MatchSettings
+    likeness : callable
+        See `choose_track`.
+    choice : Choice or None
+        What was chosen as it was seen, if anything fits.
+    """
+    turned = [mirrored_track(track) for track in tracks]
+    any_fit = replace(settings, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
+    by_boxes = [_chosen(each, vehicles, any_fit, no_likeness) for each in (turned, tracks)]
+    if _margin(*by_boxes) < settings.least_log_odds:
+        return ""
+    other = _chosen(turned, vehicles, settings, likeness)
+    if other is None or other.doubt or _margin(other, choice) < settings.clear_log_odds:
+        return ""
+    odds = f"by odds of {min(math.exp(_margin(other, choice)), MOST_ODDS):.0f} to 1 " if choice else ""
+    return (
+        f"what was seen fits the messages of station {other.station} {odds}with left and right exchanged: the "
+        "sensor's frame is left-handed; needed is a right-handed one, such as x forward, y left, z up"
+    )
+
+
+def _chosen(
+    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: MatchSettings, likeness: Likeness
+) -> Choice | None:
+    try:
+        return choose_track(tracks, vehicles, settings, likeness)
+    except CalibrationError:
+        return None
+
+
+def _margin(one: Choice | None, other: Choice | None) -> float:
+    """Return the log odds of one choice against another; what does not fit at all is infinitely unlikely."""
+    if one is None:
+        return -math.inf
+    return math.inf if other is None else one.log_likelihood - other.log_likelihood

@@ -1,0 +1,45 @@
+"""Frames that a recorder wrote again under a later time: the vehicle seems to stand, and is then ahead at once."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking import Track
+
+SAME_M = 1e-3
+"""Noise of centimetres brings ten points to within this of where they were before once in a billion times."""
+
+DRIVES_M = 0.05
+"""A vehicle that moves by more from one frame to the next is seen to move."""
+
+MOST_LATE_S = 0.005
+"""Frames that are older than they say by this in the mean count: half of what synchronised clocks are apart."""
+
+
+def repeats_of(track: Track, vehicle: VehicleTrack, time_offset_s: float) -> tuple[str, ...]:
+    """Say that what was seen of a vehicle was seen again under other times while it drove on, where that matters."""
+    pairs = [pair for pair in pairwise(track.sightings) if _same(*pair)]
+    stamps_s = np.array([[one.stamp_s for one in pair] for pair in pairs]).reshape(-1, 2) + time_offset_s
+    (before, _, known), (after, _, still_known) = (vehicle.at(stamps) for stamps in stamps_s.T)
+    drives = known & still_known & (np.linalg.norm(after - before, axis=1) > DRIVES_M)
+    late_s = float(np.diff(stamps_s)[drives].sum()) / max(len(track.sightings), 1)
+    if late_s < MOST_LATE_S:
+        return ()
+    told = (
+        f"in {np.count_nonzero(drives)} of {len(track.sightings)} frames the vehicle is seen exactly as in the frame "
+        "before, although it drives on: old frames stand under new times; needed is each frame once, under its own"
+    )
+    return (told,)
+
+
+def _same(one: Sighting, other: Sighting) -> bool:
+    """Tell whether two sightings are of the same data; motion compensation leaves heights as they were."""
+    if one.count != other.count or one.points.shape != other.points.shape:
+        return False
+    if not len(one.points):
+        return bool(np.array_equal(one.middle, other.middle))
+    return bool(np.abs(one.points[:, 2] - other.points[:, 2]).max() < SAME_M)
