@@ -272,12 +272,13 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         remarks += (left_out,)
         if np.mean(~fits) > WRONG_SHARE:
             doubts = (*doubts, left_out)
+    elsewhere = ((x, y), (float(length) / 2, 0.0), (0.0, 0.0))  # they may be of another place than was said
+    places = [arm for each in elsewhere for arm in levers(each, float(length))]
+    whole = fits | _another_part(log, world, xy, fits, arms)
+    sigma_m, stepped = _with_steps(log[whole], world, epoch_ns, xy[whole], places)
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
-    elsewhere = ((x, y), (float(length) / 2, 0.0), (0.0, 0.0))  # they may be of another place than was said
-    arms = [arm for each in elsewhere for arm in levers(each, float(length))]
-    sigma_m, stepped = _with_steps(log, stamps_s, xy_reference, yaw, arms)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     track = VehicleTrack(
         stamps_s=stamps_s,
@@ -337,14 +338,30 @@ def _fitting(
     return fits, (reversing,) if reversing else ()
 
 
+def _another_part(
+    log: CamLog, world: World, xy: FloatArray, fits: BoolArray, arms: Sequence[tuple[float, float]]
+) -> BoolArray:
+    """Tell which messages, of those that do not fit, fit one another; none, if they may be wrong each by itself."""
+    found = np.zeros(len(fits), dtype=bool)
+    left = np.flatnonzero(~fits)
+    most = WRONG_SHARE * len(fits)
+    if len(left) > most:
+        its = log[left]
+        yaw = world.yaw_from_heading(its.heading_deg, its.latitude_deg, its.longitude_deg)
+        stamps_s = (its.stamps_ns - its.stamps_ns[0]) / 1e9
+        found[left] = fitting(stamps_s, xy[left], yaw, its.speed_mps, arms, _position_sigma(its), MAX_GAP_S)
+    return found if np.count_nonzero(found) > most else np.zeros(len(fits), dtype=bool)
+
+
 def _with_steps(
-    log: CamLog, stamps_s: FloatArray, xy: FloatArray, yaw: FloatArray, arms: Sequence[tuple[float, float]]
+    log: CamLog, world: World, epoch_ns: int, xy: FloatArray, arms: Sequence[tuple[float, float]]
 ) -> tuple[float, tuple[str, ...]]:
     """Return how exact positions are, of which those after a step are off against those before, and that it is there.
 
     Which of them are right is not known: one that is taken from either is off by nothing or by the whole.
     """
     told_m = _position_sigma(log)
+    stamps_s, yaw = (log.stamps_ns - epoch_ns) / 1e9, _body_yaw(log, world, xy)
     onwards = onwards_mps(stamps_s, xy, yaw)
     speed = np.where(np.isfinite(log.speed_mps), np.abs(log.speed_mps), np.abs(onwards))
     step_m, at_s = largest_step(stamps_s, xy, yaw, np.copysign(speed, onwards), arms, told_m)

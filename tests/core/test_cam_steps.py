@@ -72,6 +72,14 @@ def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: f
     assert found.position_sigma_m == pytest.approx(step_m / np.sqrt(2.0), rel=0.4)
 
 
+@pytest.mark.parametrize("step_m", [0.5, 1.5])
+@pytest.mark.parametrize("drive", [STRAIGHT, LEFT_TURN, RIGHT_TURN, CURVE])
+def test_of_two_parts_of_a_log_that_are_as_long_neither_is_surely_right(drive: Drive, step_m: float) -> None:
+    found = track(sent(drive, step_m))
+    assert "jump aside" in found.doubts[-1]
+    assert found.position_sigma_m == pytest.approx(step_m / np.sqrt(2.0), rel=0.4)
+
+
 def test_a_step_within_what_messages_tell_is_none() -> None:
     found = track(sent(STRAIGHT, 0.3, sigma_m=0.5))
     assert found.doubts == ()
