@@ -76,7 +76,7 @@ class Together:
 def fit_together(
     passages: Sequence[Passage], drives: Sequence[Evidence], alone: Sequence[JointFit], settings: JointSettings
 ) -> Together:
-    """Estimate from all drives that agree; those that begin at one time are of one recording.
+    """Estimate from all drives that agree.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def fit_together(
     fit = alone[kept[0]]
     if len(kept) > 1:
         offsets = [alone[i].time_offsets_s[0] for i in kept]
-        recordings = [passages[i].vehicle.epoch_ns for i in kept]
-        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings, recordings=recordings, close=True)
+        stations = [passages[i].station_id for i in kept]
+        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings, stations=stations, close=True)
     used = tuple(replace(passages[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True))
     return Together(used, tuple(drives[i] for i in kept), fit, left_out)
 

@@ -11,6 +11,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 from laci_stereo.core.cam_headings import WRONG_SHARE, check_filled, check_forwards, check_reading
 from laci_stereo.core.cam_repair import dimensions, fitting, levers, onwards_mps, usual_speed, usual_velocity
+from laci_stereo.core.cam_steps import largest_step
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.folding import folded, longest_rigid
@@ -125,7 +126,8 @@ class VehicleTrack:
     reference : tuple of float
         The point that the messages' positions are of, vehicle frame.
     position_sigma_m : float
-        Of these positions, one standard deviation along each axis; NaN where no message tells.
+        Of these positions, one standard deviation along each axis; NaN where no message tells. It is that of their
+        steps, too.
     guessed_m : tuple of float
         Standard deviations of length and width beyond those of told ones, where they had to be assumed.
     remarks : tuple of str
@@ -262,13 +264,18 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     x, y = reference.offset(float(length)).tolist()
-    fits, doubts = _fitting(log, world, xy, levers((x, y), float(length)))
+    arms = levers((x, y), float(length))
+    fits, doubts = _fitting(log, world, xy, arms)
     if not fits.all():
         left_out = f"{np.count_nonzero(~fits)} of {len(fits)} messages of station {log.station_id[0]} are left out"
         left_out += ": their positions do not follow from the others by speed and heading"
         remarks += (left_out,)
         if np.mean(~fits) > WRONG_SHARE:
             doubts = (*doubts, left_out)
+    elsewhere = ((x, y), (float(length) / 2, 0.0), (0.0, 0.0))  # they may be of another place than was said
+    places = [arm for each in elsewhere for arm in levers(each, float(length))]
+    whole = fits | _another_part(log, world, xy, fits, arms)
+    sigma_m, stepped = _with_steps(log[whole], world, epoch_ns, xy[whole], places)
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     yaw = _body_yaw(log, world, xy_reference)
@@ -281,10 +288,10 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         length_m=float(length),
         width_m=float(width),
         reference=(x, y),
-        position_sigma_m=_position_sigma(log),
+        position_sigma_m=sigma_m,
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
-        doubts=doubts,
+        doubts=(*doubts, *stepped),
         altitude_m=log.altitude_m if np.isfinite(log.altitude_m).any() else None,
     )
     if not track.folded.any():
@@ -329,6 +336,42 @@ def _fitting(
         )
     reversing = check_forwards(onwards_mps(stamps_s, xy, yaw)[fits], station)
     return fits, (reversing,) if reversing else ()
+
+
+def _another_part(
+    log: CamLog, world: World, xy: FloatArray, fits: BoolArray, arms: Sequence[tuple[float, float]]
+) -> BoolArray:
+    """Tell which messages, of those that do not fit, fit one another; none, if they may be wrong each by itself."""
+    found = np.zeros(len(fits), dtype=bool)
+    left = np.flatnonzero(~fits)
+    most = WRONG_SHARE * len(fits)
+    if len(left) > most:
+        its = log[left]
+        yaw = world.yaw_from_heading(its.heading_deg, its.latitude_deg, its.longitude_deg)
+        stamps_s = (its.stamps_ns - its.stamps_ns[0]) / 1e9
+        found[left] = fitting(stamps_s, xy[left], yaw, its.speed_mps, arms, _position_sigma(its), MAX_GAP_S)
+    return found if np.count_nonzero(found) > most else np.zeros(len(fits), dtype=bool)
+
+
+def _with_steps(
+    log: CamLog, world: World, epoch_ns: int, xy: FloatArray, arms: Sequence[tuple[float, float]]
+) -> tuple[float, tuple[str, ...]]:
+    """Return how exact positions are, of which those after a step are off against those before, and that it is there.
+
+    Which of them are right is not known: one that is taken from either is off by nothing or by the whole.
+    """
+    told_m = _position_sigma(log)
+    stamps_s, yaw = (log.stamps_ns - epoch_ns) / 1e9, _body_yaw(log, world, xy)
+    onwards = onwards_mps(stamps_s, xy, yaw)
+    speed = np.where(np.isfinite(log.speed_mps), np.abs(log.speed_mps), np.abs(onwards))
+    step_m, at_s = largest_step(stamps_s, xy, yaw, np.copysign(speed, onwards), arms, told_m)
+    if step_m == 0.0:
+        return told_m, ()
+    words = (
+        f"the positions of station {log.station_id[0]} jump aside by {step_m:.2f} m, {at_s:.1f} s into the recording: "
+        "those before or those after it are wrong by as much"
+    )
+    return float(np.hypot(np.nan_to_num(told_m), step_m / np.sqrt(2.0))), (words,)
 
 
 def _check_folding(track: VehicleTrack, station: int) -> str:

@@ -70,8 +70,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     Parameters
     ----------
     passages : sequence of Passage
-        At least one; of one sensor, in one UTM zone. Those that begin at one time are of one recording: they have one
-        clock offset.
+        At least one; of one sensor, in one UTM zone.
     settings : Settings
         The clocks are taken for as loosely tied as in the loosest of the drives.
 

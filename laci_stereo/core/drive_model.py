@@ -27,6 +27,9 @@ _PARTIAL = _SHAPE + len(outline.SHAPE)
 _GROWTH = _PARTIAL + 1
 _KNOTS = _GROWTH + 2
 
+LASTING = tuple(each - FIRST_OWN for each in (_HEADING, _LEVER, *range(_SHAPE, _PARTIAL)))
+"""Of a drive's own parameters, what is the sender's and its vehicle's in all drives that they make."""
+
 GRAZING = 0.3
 """Where rays touch a corner, its noise, not their angle, tells how ranges differ: about sqrt(2 x 0.03 m / 0.5 m)."""
 
@@ -301,7 +304,9 @@ class DriveModel:
         self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
         self.error_worth = _worth(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
         self.border_worth = _worth(drive, SAME_BORDER_M)
-        self.drift = position_sigma_m(drive.vehicle, settings) ** 2 * decay(self.knots_s, self.knots_m, settings)
+        self.sigma_m = position_sigma_m(drive.vehicle, settings)
+        self.drift = self.sigma_m**2 * decay(self.knots_s, self.knots_m, settings)
+        self.ends = drive.vehicle.at(drive.stamps_s[[0, -1]])[0] if len(drive) else np.zeros((2, 2))
         self.base_sigmas = np.array(
             [
                 with_turn(settings.clock_sigma_s, drive.turn_s) if turns else settings.clock_sigma_s,

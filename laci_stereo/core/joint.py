@@ -12,13 +12,13 @@ from scipy.linalg import block_diag
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import (
     FIRST_OWN,
+    LASTING,
     SWEEP,
     Chosen,
     Correction,
     DriveModel,
     Fitness,
     Rows,
-    position_sigma_m,
 )
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
@@ -151,7 +151,7 @@ def fit_jointly(
     time_offsets_s: Sequence[float] | None = None,
     settings: JointSettings | None = None,
     *,
-    recordings: Sequence[int] | None = None,
+    stations: Sequence[int] | None = None,
     close: bool = False,
 ) -> JointFit:
     """Estimate yaw and position, and each drive's clock offset, shape, heading error, GNSS bias and growth of borders.
@@ -168,9 +168,9 @@ def fit_jointly(
     time_offsets_s : sequence of float
         Where the search for each drive's clock offset begins; None is 0.
     settings : JointSettings
-    recordings : sequence of int
-        Which recording each drive is in: drives in one have one clock offset, and receivers that err alike in part.
-        None is one for each.
+    stations : sequence of int
+        The sender of each drive: what has it in common, and the time at which it was, is in `Recordings`. None: they
+        have nothing in common.
     close : bool
         The start is what each of the drives says by itself, within its doubt: no other is tried.
 
@@ -187,25 +187,24 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     turn = _turn_of(drives)
-    at_once = Recordings(range(len(drives)) if recordings is None else recordings)
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (FINE_ROWS, COARSE_ROWS // len(drives)))
-    thinned = _Problem(coarse, begin, centre, settings, turn, at_once)
+    thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     expected = [model.sigmas for model in thinned.models]
     from_there = thinned.solve(best)
     log_likely = thinned.log_posterior(from_there)
-    for what, wrong, log_prior in _mistakes(drives, settings):
-        wider = _Problem(coarse, begin, centre, wrong, turn, at_once)
+    for what, wrong, log_prior in _mistakes(drives, len(set(thinned.recordings.stations)), settings):
+        wider = _Problem(coarse, begin, centre, wrong, turn, stations)
         there = wider.solve(from_there.x)
         its_log_likely = wider.log_posterior(there) + log_prior
         if its_log_likely > log_likely and wider.tells(there, what):
             log_likely, best, settings = its_log_likely, there.x, wrong
-    problem = _Problem(fine, begin, centre, settings, turn, at_once)
+    problem = _Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best), 0.0, 1.0
     if turn.possible:
         turned = [_turned(problem, solved, each) for each in TURNS]
         likeliest = max(turned, key=lambda each: each.log_probability)
-        problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), at_once)
+        problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), stations)
         solved, probability = _among(turned, likeliest, problem.solve(likeliest.x))
         its_turn = likeliest.turn
     standing = sum(map(len, drives)) - sum(map(len, fine))
@@ -213,20 +212,22 @@ def fit_jointly(
     return replace(fit, turn=its_turn, turn_probability=probability, standing=standing)
 
 
-def _mistakes(drives: Sequence[Evidence], settings: JointSettings) -> list[tuple[set[str], JointSettings, float]]:
+def _mistakes(
+    drives: Sequence[Evidence], senders: int, settings: JointSettings
+) -> list[tuple[set[str], JointSettings, float]]:
     """Return what may be wrong by far, what is to be expected then, and how likely that is, as a logarithm.
 
     Positions are those of another place on the vehicle than was said, or headings are not the drive's. To take small
     errors of much else for it is likelier the nearer it is to none, and downhill from there.
     """
-    count, length_m = len(drives), max(drive.vehicle.length_m for drive in drives)
+    length_m = max(drive.vehicle.length_m for drive in drives)
     place = replace(settings, lever_sigma_m=length_m / 2)
     heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
     found = (
         ({"ahead", "left"}, place, 2 * np.log(settings.lever_sigma_m / place.lever_sigma_m)),
         ({"heading"}, heading, np.log(settings.heading_sigma_deg / heading.heading_sigma_deg)),
     )
-    return [(what, each, float(np.log(MISTAKEN) + count * wider)) for what, each, wider in found]
+    return [(what, each, float(np.log(MISTAKEN) + senders * wider)) for what, each, wider in found]
 
 
 def _turned_rad(drive: Evidence) -> float:
@@ -273,7 +274,7 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     settings, turn = settings or JointSettings(), _turn_of([drive])
-    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn, Recordings([0]))
+    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
@@ -323,10 +324,11 @@ class _Problem:
         centre: FloatArray,
         settings: JointSettings,
         turn: Turn,
-        recordings: Recordings,
+        stations: Sequence[int] | None = None,
     ) -> None:
-        self.settings, self.recordings = settings, recordings
+        self.settings = settings
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
+        self.recordings = Recordings(self.models, stations)
         ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
@@ -334,12 +336,8 @@ class _Problem:
         # The knots of the positions' errors are each drive's last: first of all x, then of all y.
         lasts = [(own.stop, len(model.knots_s)) for model, own in zip(self.models, self.own, strict=True)]
         self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
-        self.drifts = None
-        if recordings.shared:
-            sigmas_m = [position_sigma_m(drive.vehicle, settings) for drive in drives]
-            self.drifts = recordings.drifts(
-                [model.knots_s for model in self.models], [model.knots_m for model in self.models], sigmas_m, settings
-            )
+        self.drifts = self.recordings.drifts(settings)
+        self.senders = np.linalg.inv(self.recordings.senders)
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
@@ -354,9 +352,13 @@ class _Problem:
             self.precision[own, own], self.mean[own] = model.prior(None if x is None else x[own])
         clocks = np.ix_(self.clocks, self.clocks)
         self.precision[clocks] = self.recordings.clocks(np.diag(self.precision[clocks]))
-        if self.drifts is not None:
-            for knots in self.knots:
-                self.precision[np.ix_(knots, knots)] = self.drifts
+        for knots in self.knots:
+            self.precision[np.ix_(knots, knots)] = self.drifts
+        # A square root of what each drive knows of its sender, so that any two are correlated by as much as is said.
+        lasting = [own.start + np.array(LASTING) for own in self.own]
+        roots = [np.linalg.cholesky(self.precision[np.ix_(its, its)]).T for its in lasting]
+        for (i, one), (j, other) in product(enumerate(lasting), repeat=2):
+            self.precision[np.ix_(one, other)] = self.senders[i, j] * roots[i].T @ roots[j]
 
     def at_rest(self, offsets: Sequence[float]) -> FloatArray:
         """Return the vector with every correction at its prior's mean, but for the clocks."""

@@ -16,6 +16,7 @@ from laci_stereo.core.drive_model import Correction
 from laci_stereo.core.errors import CombineError, MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.halves import halves_apart, with_doubt
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.passage import Passage
@@ -96,6 +97,10 @@ def place_jointly(
     if choice.beside and (lacks := _lacks(drive, fit.match, fit.time_offsets_s[0])):
         raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
     _check_registered(fit, [drive], settings)
+    doubts = []
+    if apart := halves_apart(own, fit, settings):
+        fit = with_doubt(fit, apart)
+        doubts.append(str(apart))
     registered, remarks = [(own, drive, fit)], []
     for other in others:
         try:
@@ -103,7 +108,6 @@ def place_jointly(
         except MatchError as error:
             remarks.append(f"{other.name} is seen as well, but was not used: {error}")
     seen, drives, alone = zip(*registered, strict=True)
-    doubts = []
     try:
         together = fit_together(seen, drives, alone, settings.joint)
     except CombineError as error:

@@ -10,6 +10,7 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.combine import Combined, combine
 from laci_stereo.core.errors import CombineError, EvidenceError
 from laci_stereo.core.frames import Axes, FloatArray
+from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, Settings
 from laci_stereo.core.world import World
@@ -131,6 +132,43 @@ def test_each_drive_has_its_own_clock(late_s: float) -> None:
     assert sigma_s < 0.02
     assert offsets[1][other.station_id] - offsets[0][other.station_id] == pytest.approx(late_s, abs=sigma_s)
     assert offsets[1][one.station_id] == pytest.approx(offsets[0][one.station_id], abs=sigma_s)
+
+
+@cache
+def cut() -> tuple[Calibration, list[Passage]]:
+    """Calibrate with a steady drive, in one recording and in two that share it, and tell no accuracy of positions."""
+    made = recorded()[2][0]
+    times_s = made.recording.times_s
+    halves = np.array_split(times_s, 2)
+    whole, *parts = (calibrate(replace(made.recording, times_s=part), made.messages) for part in (times_s, *halves))
+    return whole, [replace(each.passages[0], name=f"part {number}") for number, each in enumerate(parts)]
+
+
+def test_a_drive_that_is_cut_in_two_recordings_is_known_no_better_than_as_a_whole() -> None:
+    whole, parts = cut()
+    found = combine(parts)
+    assert found.left_out == ()
+    assert found.calibration.quality.weakest_sigma_m > 0.95 * whole.quality.weakest_sigma_m
+    assert found.calibration.T_utm_sensor[:2, 3] == pytest.approx(
+        whole.T_utm_sensor[:2, 3], abs=0.5 * whole.quality.weakest_sigma_m
+    )
+
+
+def test_a_sender_errs_alike_on_all_days_and_others_do_not() -> None:
+    """A steady drive does not tell the clocks' offset, nor how a sender stamps, nor where its antenna is."""
+    _, alone = recorded()[2]
+    first = replace(alone.passages[0], name="first")
+
+    def again(day: int, station: int) -> Passage:
+        epoch_ns = first.vehicle.epoch_ns + day * DAY_NS
+        return replace(first, name=f"day {day}", station_id=station, vehicle=replace(first.vehicle, epoch_ns=epoch_ns))
+
+    same, others = (
+        combine([first, *(again(day, first.station_id + way * day) for day in range(1, 4))]).calibration.quality
+        for way in (0, 1)
+    )
+    assert others.weakest_sigma_m == pytest.approx(alone.quality.weakest_sigma_m / 2.0, rel=0.1)
+    assert same.weakest_sigma_m > 1.2 * others.weakest_sigma_m
 
 
 @cache

@@ -1,0 +1,95 @@
+"""Whether one half of a drive contradicts the other: the sensor was moved meanwhile, or what is told changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from laci_stereo.core.errors import MatchError
+from laci_stereo.core.evidence import evidence_of
+from laci_stereo.core.frames import FloatArray, wrap
+from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.settings import Settings
+from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking import Track
+
+SURELY = 5.0
+"""Standard deviations by which halves may differ, on three axes: of 60 000 drives without a fault one is beyond. What
+both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
+
+
+@dataclass(frozen=True)
+class Apart:
+    """By how much the second half of a drive puts the sensor elsewhere than the first.
+
+    Attributes
+    ----------
+    off : ndarray, shape (3,)
+        Yaw [rad], and x and y of the world at the middle of the vehicle's points.
+    sigmas : float
+        The same in standard deviations (Mahalanobis distance).
+    since_s : float
+        When the second half begins, in the recording.
+    """
+
+    off: FloatArray
+    sigmas: float
+    since_s: float
+
+    def __str__(self) -> str:
+        turn_deg, shift_m = np.degrees(abs(self.off[0])), float(np.hypot(*self.off[1:]))
+        return (
+            f"what is seen before and after {self.since_s:.1f} s in the recording differs by {turn_deg:.2f} deg and "
+            f"{shift_m:.2f} m ({self.sigmas:.1f} sigma): the sensor was moved meanwhile, or one half of the messages "
+            "is wrong"
+        )
+
+
+def halves_apart(own: Passage, fit: JointFit, settings: Settings) -> Apart | None:
+    """Hold the halves of a drive against each other, each by itself; None where they agree, or one tells too little.
+
+    Parameters
+    ----------
+    own : Passage
+    fit : JointFit
+        Of the whole.
+    settings : Settings
+    """
+    sightings = own.track.sightings
+    middle = len(sightings) // 2
+    try:
+        first, second = (_alone(own, part, fit, settings) for part in (sightings[:middle], sightings[middle:]))
+    except MatchError:
+        return None
+    if min(first.frames, second.frames) < settings.match.min_frames:
+        return None
+    place = fit.centre_level[None]
+    off = np.array(
+        [wrap(second.match.yaw_rad - first.match.yaw_rad), *(second.match(place) - first.match(place))[0]],
+        dtype=np.float64,
+    )
+    covariance = _there(first, fit.centre_level) + _there(second, fit.centre_level)
+    sigmas = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
+    return Apart(off, sigmas, sightings[middle].stamp_s) if sigmas > SURELY else None
+
+
+def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
+    """Return a fit that is as unsure as its halves are apart: it is between them, and either may be right."""
+    return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
+
+
+def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit, settings: Settings) -> JointFit:
+    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m)
+    return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], settings.joint, close=True)
+
+
+def _there(fit: JointFit, place: FloatArray) -> FloatArray:
+    """Return the covariance of yaw, x and y, shape (3, 3), about another place of the level frame."""
+    (arm,) = fit.match(place[None]) - fit.match(fit.centre_level[None])
+    moved = np.eye(3)
+    moved[1:, 0] = -arm[1], arm[0]
+    covariance: FloatArray = moved @ fit.covariance @ moved.T
+    return covariance
