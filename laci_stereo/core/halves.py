@@ -20,6 +20,9 @@ SURELY = 5.0
 """Standard deviations by which halves may differ, on three axes: of 60 000 drives without a fault one is beyond. What
 both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
 
+ROWS = 3000
+"""Points of a half that are registered: what those on one side of a frame have in common makes more of them tell no more."""
+
 
 @dataclass(frozen=True)
 class Apart:
@@ -61,7 +64,7 @@ def halves_apart(own: Passage, fit: JointFit, settings: Settings) -> Apart | Non
     sightings = own.track.sightings
     middle = len(sightings) // 2
     try:
-        first, second = (_alone(own, part, fit, settings) for part in (sightings[:middle], sightings[middle:]))
+        first, second = (_alone(own, part, fit) for part in (sightings[:middle], sightings[middle:]))
     except MatchError:
         return None
     if min(first.frames, second.frames) < settings.match.min_frames:
@@ -81,9 +84,10 @@ def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
     return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
 
 
-def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit, settings: Settings) -> JointFit:
-    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m)
-    return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], settings.joint, close=True)
+def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:
+    """Fit a half as the whole was, whose mistakes it has."""
+    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(ROWS)
+    return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)
 
 
 def _there(fit: JointFit, place: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -128,6 +128,8 @@ class JointFit:
         times are known.
     turn_probability : float
         Of that, by what the points tell.
+    settings : JointSettings
+        What was taken as known: less than was given, where messages are mistaken.
     """
 
     match: PlanarMatch
@@ -143,6 +145,7 @@ class JointFit:
     turn: float = 0.0
     turn_probability: float = 1.0
     standing: int = 0
+    settings: JointSettings = field(default_factory=JointSettings)
 
 
 def fit_jointly(
@@ -153,6 +156,7 @@ def fit_jointly(
     *,
     stations: Sequence[int] | None = None,
     close: bool = False,
+    mistakes: bool = True,
 ) -> JointFit:
     """Estimate yaw and position, and each drive's clock offset, shape, heading error, GNSS bias and growth of borders.
 
@@ -173,6 +177,8 @@ def fit_jointly(
         have nothing in common.
     close : bool
         The start is what each of the drives says by itself, within its doubt: no other is tried.
+    mistakes : bool
+        Messages may be mistaken by more than the settings allow.
 
     Raises
     ------
@@ -191,14 +197,16 @@ def fit_jointly(
     thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     expected = [model.sigmas for model in thinned.models]
-    from_there = thinned.solve(best)
-    log_likely = thinned.log_posterior(from_there)
-    for what, wrong, log_prior in _mistakes(drives, len(set(thinned.recordings.stations)), settings):
-        wider = _Problem(coarse, begin, centre, wrong, turn, stations)
-        there = wider.solve(from_there.x)
-        its_log_likely = wider.log_posterior(there) + log_prior
-        if its_log_likely > log_likely and wider.tells(there, what):
-            log_likely, best, settings = its_log_likely, there.x, wrong
+    if mistakes:
+        from_there = thinned.solve(best)
+        log_likely = thinned.log_posterior(from_there)
+        senders = len(set(thinned.recordings.stations))
+        for what, wrong, log_prior in _mistakes(drives, senders, settings):
+            wider = _Problem(coarse, begin, centre, wrong, turn, stations)
+            there = wider.solve(from_there.x)
+            its_log_likely = wider.log_posterior(there) + log_prior
+            if its_log_likely > log_likely and wider.tells(there, what):
+                log_likely, best, settings = its_log_likely, there.x, wrong
     problem = _Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best), 0.0, 1.0
     if turn.possible:
@@ -209,7 +217,7 @@ def fit_jointly(
         its_turn = likeliest.turn
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
-    return replace(fit, turn=its_turn, turn_probability=probability, standing=standing)
+    return replace(fit, turn=its_turn, turn_probability=probability, standing=standing, settings=settings)
 
 
 def _mistakes(
