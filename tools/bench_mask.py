@@ -231,7 +231,8 @@ class Simulated:
         size = (matched.moving.shape[1], matched.moving.shape[0])
         cut = windows(rectangles, size, LEAST_PX // camera.stride)
         crops = tuple(Crop(stamp_ns, x0, y0, np.zeros((y1 - y0, x1 - x0, 3), np.uint8)) for x0, y0, x1, y1 in cut)
-        return Moving(cloud, u, v, above, crops)
+        height_m = self.scene.T_world_sensor[2, 3] * (1.0 - road / matched.disparity_px[keep])
+        return Moving(cloud, u, v, above, height_m, crops)
 
     def is_vehicle(self, index: int) -> BoolArray:
         """Tell which pixels of a frame truly show a vehicle, shape (rows, columns)."""

@@ -21,7 +21,7 @@ SURELY = 5.0
 both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
 
 ROWS = 3000
-"""Points of a half that are registered: what those on one side of a frame have in common makes more of them tell no more."""
+"""Points of a half that are registered: more would tell no more, by what those on one side of a frame have in common."""
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,16 @@ from scipy.sparse.csgraph import connected_components
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
-from laci_stereo.core.settings import ClusterSettings, VehicleSettings
+from laci_stereo.core.settings import BackgroundSettings, ClusterSettings, VehicleSettings
 from laci_stereo.mask.detect import Vehicle
 from laci_stereo.mask.picture import Crop
 
 GROUND_SIGMAS = VehicleSettings.ground_sigmas
 LEAST_POINTS = VehicleSettings.min_points
 """As the core has them, for what is above the road and for what can be a vehicle at all."""
+
+NOT_GROUND_M = BackgroundSettings.min_height_m
+"""What is higher above the road is no kerb, lawn or verge, and the road itself was not found worse than that."""
 
 GAP_M = ClusterSettings.reach_m
 """A gap in distance that is larger divides what stands behind from the vehicle, as it divides clusters in the core."""
@@ -49,6 +52,8 @@ class Moving:
         Column and row of each point in the rectified left image.
     above : ndarray, shape (n,)
         By how much its disparity is above the road's at that pixel, standard deviations.
+    height_m : ndarray, shape (n,)
+        Above the road.
     crops : tuple of Crop
         Of the rectified left image, in colour: each change, with some of what is around it.
     """
@@ -57,6 +62,7 @@ class Moving:
     u: IntArray
     v: IntArray
     above: FloatArray
+    height_m: FloatArray
     crops: tuple[Crop, ...]
 
 
@@ -83,8 +89,10 @@ def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> 
 
     Of what lies in a box or mask, the dominant layer of distance among what stands above the road. A mask is eroded
     by half of the matcher's window first, within which an edge bleeds; a box is no outline, and grows by as much.
-    Where the vehicle's largest surface goes on beyond the mask's edge, the mask is wrong, and every surface that it
-    touches stays as a whole, with what is as low as the road beneath it.
+    Where the vehicle's largest surface goes on beyond the mask's edge, higher than any ground, the mask is wrong, and
+    every surface that it touches stays as a whole, with what is as low as the road beneath it. Whether it goes on is
+    told by surfaces that are as small as noise allows, and what stays by those that are as large: a right mask cuts a
+    walker off who stands beside the vehicle, and a wrong one nothing.
 
     Parameters
     ----------
@@ -96,18 +104,19 @@ def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> 
     hulls = [_hull(vehicle, moving, half_window_px) for vehicle in vehicles]
     standing = moving.above > GROUND_SIGMAS
     surface = _surfaces(moving, standing) if hulls else None
+    piece = _surfaces(moving, standing, 2 * half_window_px + 1) if hulls else None
     anyone = np.logical_or.reduce([keep, *(hull.wide for hull in hulls)])
     used, grown = [], 0
     for hull in hulls:
         layer = _layer(moving, hull.inside & standing)
         used.append(layer is not None)
-        if layer is None or surface is None:
+        if layer is None or surface is None or piece is None:
             continue
         keep |= hull.inside & layer
-        held = surface[hull.inside & layer & standing]
-        own = surface == np.bincount(held).argmax()
+        held = hull.inside & layer & standing
+        own = (piece == np.bincount(piece[held]).argmax()) & (moving.height_m > NOT_GROUND_M)
         if int((own & ~anyone).sum()) > CUT_SHARE * int((own & hull.inside).sum()):
-            whole = np.isin(surface, held) & (hull.wide | ~anyone)
+            whole = np.isin(surface, surface[held]) & (hull.wide | ~anyone)
             keep |= whole | (layer & ~standing & (hull.wide | ~anyone) & _beneath(moving, whole, half_window_px))
             grown += 1
     return Chosen(keep, tuple(used), grown)
@@ -172,10 +181,12 @@ def _distance(moving: Moving) -> FloatArray:
     return distance
 
 
-def _surfaces(moving: Moving, standing: BoolArray) -> IntArray:
+def _surfaces(moving: Moving, standing: BoolArray, window_px: int | None = None) -> IntArray:
     """Return the number of the surface that each point is on, shape (n,); 0 is none.
 
-    Neighbours in the image are on one surface if their distances differ by no more than their noise explains.
+    Neighbours in the image are on one surface if their distances differ by no more than their noise explains. With
+    ``window_px``, by no more than what noise they do not have in common: two windows that are k pixels apart share all
+    but k of their columns, so that of the variance of the difference k / ``window_px`` is left.
     """
     numbers = np.zeros(len(standing), dtype=np.int64)
     points = np.flatnonzero(standing)
@@ -187,10 +198,11 @@ def _surfaces(moving: Moving, standing: BoolArray) -> IntArray:
     at[v, u] = np.arange(len(points))
     pairs = []
     for step in range(1, BRIDGED_PX + 1):
+        sigmas = NOISE_SIGMAS * min(1.0, step / window_px if window_px else 1.0) ** 0.5
         for other in (at[v + step, u], at[v, u + step]):
             one = np.flatnonzero(other >= 0)
             other = other[one]
-            near = np.abs(distance[one] - distance[other]) <= NOISE_SIGMAS * np.hypot(sigma[one], sigma[other])
+            near = np.abs(distance[one] - distance[other]) <= sigmas * np.hypot(sigma[one], sigma[other])
             pairs.append((one[near], other[near]))
     one, other = (np.concatenate(part) for part in zip(*pairs, strict=True))
     links = coo_array((np.ones(len(one), dtype=bool), (one, other)), shape=(len(points), len(points)))

@@ -282,6 +282,7 @@ class StereoRecording:
             pixels.u,
             pixels.v,
             (pixels.d - road) / pixels.sigma_px,
+            scene.road.height_m * (1.0 - road / pixels.d),
             tuple(crops),
         )
 

@@ -27,7 +27,7 @@ WALKER: Patch = (240, 90, 255, 150, 19.0)
 OTHER_CAR: Patch = (300, 90, 380, 130, 30.0)
 
 
-def moving(*patches: Patch, standing: bool = True) -> Moving:
+def moving(*patches: Patch, standing: bool = True, height_m: float = 1.0, noise_m: float = 0.05) -> Moving:
     """Points in every pixel of some patches that face the camera."""
     parts = []
     for x0, y0, x1, y1, distance in patches:
@@ -35,9 +35,9 @@ def moving(*patches: Patch, standing: bool = True) -> Moving:
         parts.append((u, v, np.full(len(u), distance)))
     u, v, depth = (np.concatenate(part) for part in zip(*parts, strict=True))
     rays = np.column_stack([(u - MIDDLE_PX) / FOCAL_PX, (v - MIDDLE_PX) / FOCAL_PX, np.ones(len(u))])
-    noise = np.full(len(u), 0.05)
+    noise = np.full(len(u), noise_m)
     cloud = PointCloud(7, rays * depth[:, None], noise, 0.1 * noise, np.zeros(len(u), dtype=bool))
-    return Moving(cloud, u, v, np.full(len(u), 10.0 if standing else 0.0), ())
+    return Moving(cloud, u, v, np.full(len(u), 10.0 if standing else 0.0), np.full(len(u), height_m), ())
 
 
 def box(patch: Patch, dx: int = 0, dy: int = 0) -> Vehicle:
@@ -136,6 +136,24 @@ def test_a_false_box_on_a_part_of_the_vehicle_cuts_nothing_off() -> None:
     frame = moving(CAR)
     part = Vehicle(np.array([150.0, 110.0, 180.0, 150.0]), 0.9, 2)
     assert chosen(frame, [part]).keep.all()
+
+
+def test_a_walker_who_touches_the_vehicle_in_the_image_is_no_part_of_it() -> None:
+    """Noise of 0.5 m explains 1.4 m between any two points, but not between neighbours, which have most of it alike."""
+    beside = (220, 100, 235, 160, CAR[4] - 1.4)
+    frame = moving(CAR, beside, noise_m=0.5)
+    found = chosen(frame, [box(CAR)])
+    assert found.grown == 0
+    assert not found.keep[within(frame, (226, 100, 235, 160, 0.0))].any()
+    assert found.keep[within(frame, CAR)].all()
+
+
+@pytest.mark.parametrize(("height_m", "grown"), [(0.4, 0), (0.6, 1)])
+def test_ground_that_rises_beside_the_vehicle_is_no_part_of_it(height_m: float, grown: int) -> None:
+    verge = (220, 130, 250, 160, CAR[4])
+    frame = moving(CAR, verge)
+    risen = replace(frame, height_m=np.where(within(frame, verge), height_m, frame.height_m))
+    assert chosen(risen, [box(CAR)]).grown == grown
 
 
 def test_vehicles_whose_boxes_meet_are_not_taken_for_wrong_masks() -> None:
