@@ -21,7 +21,7 @@ SURELY = 5.0
 both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
 
 ROWS = 3000
-"""Points of a half that are registered: more would tell no more, by what those on one side of a frame have in common."""
+"""Points of a half that are registered: more tell no more, by what those on one side of a frame have in common."""
 
 
 @dataclass(frozen=True)
