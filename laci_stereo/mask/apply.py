@@ -87,8 +87,9 @@ class Chosen:
 def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> Chosen:
     """Choose the points that are vehicles'.
 
-    Of what lies in a box or mask, the dominant layer of distance among what stands above the road. A mask is eroded
-    by half of the matcher's window first, within which an edge bleeds; a box is no outline, and grows by as much.
+    Of what lies in a box or mask, the dominant layer of distance among what stands above the road. A box is no outline,
+    and grows by half of the matcher's window first. A mask stays as it is: what bleeds over its edge goes with the
+    layer, and shrunken it would lack the vehicle's own borders, 0.3 m and more of a vehicle that is 30 m away.
     Where the vehicle's largest surface goes on beyond the mask's edge, higher than any ground, the mask is wrong, and
     every surface that it touches stays as a whole, with what is as low as the road beneath it. Whether it goes on is
     told by surfaces that are as small as noise allows, and what stays by those that are as large: a right mask cuts a
@@ -135,13 +136,13 @@ def _hull(vehicle: Vehicle, moving: Moving, half_window_px: int) -> _Hull:
         x0, y0, x1, y1 = vehicle.box + half_window_px * np.array([-1, -1, 1, 1])
         near = (moving.u >= x0) & (moving.u < x1) & (moving.v >= y0) & (moving.v < y1)
         return _Hull(near, near)
-    padded = cv2.copyMakeBorder(vehicle.mask.astype(np.uint8), *(2 * half_window_px,) * 4, cv2.BORDER_CONSTANT)
+    padded = cv2.copyMakeBorder(vehicle.mask.astype(np.uint8), *(half_window_px,) * 4, cv2.BORDER_CONSTANT)
     window = np.ones((2 * half_window_px + 1,) * 2, np.uint8)
-    u = moving.u - vehicle.corner[0] + 2 * half_window_px
-    v = moving.v - vehicle.corner[1] + 2 * half_window_px
+    u = moving.u - vehicle.corner[0] + half_window_px
+    v = moving.v - vehicle.corner[1] + half_window_px
     within = (u >= 0) & (v >= 0) & (u < padded.shape[1]) & (v < padded.shape[0])
     u, v = np.where(within, u, 0), np.where(within, v, 0)
-    return _Hull(within & (cv2.erode(padded, window)[v, u] > 0), within & (cv2.dilate(padded, window)[v, u] > 0))
+    return _Hull(within & (padded[v, u] > 0), within & (cv2.dilate(padded, window)[v, u] > 0))
 
 
 def _beneath(moving: Moving, surface: BoolArray, half_window_px: int) -> BoolArray:

@@ -53,10 +53,10 @@ def as_mask(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, mask=mask, corner=(int(x0) - 30, int(y0) - 30))
 
 
-def within(frame: Moving, patch: Patch, inset: int = 0) -> BoolArray:
+def within(frame: Moving, patch: Patch) -> BoolArray:
     x0, y0, x1, y1 = patch[:4]
-    across = (frame.u >= x0 + inset) & (frame.u < x1 - inset)
-    inside: BoolArray = across & (frame.v >= y0 + inset) & (frame.v < y1 - inset)
+    across = (frame.u >= x0) & (frame.u < x1)
+    inside: BoolArray = across & (frame.v >= y0) & (frame.v < y1)
     return inside
 
 
@@ -105,10 +105,10 @@ def test_every_vehicle_keeps_its_own_layer() -> None:
     np.testing.assert_array_equal(found.keep, within(frame, CAR) | within(frame, OTHER_CAR))
 
 
-def test_of_a_mask_the_edge_goes_by_half_a_window() -> None:
+def test_of_a_mask_all_stays_to_its_edge() -> None:
     frame = moving(CAR, WALKER)
     found = chosen(frame, [as_mask(box(CAR))])
-    np.testing.assert_array_equal(found.keep, within(frame, CAR, HALF_WINDOW))
+    np.testing.assert_array_equal(found.keep, within(frame, CAR))
     assert found.grown == 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -23,6 +24,7 @@ from tools.bench_mask import (
     Row,
     Simulated,
     TrueDetector,
+    TrueSegmenter,
     everything,
     false,
     missing,
@@ -71,6 +73,22 @@ def test_a_true_mask_keeps_vehicles_and_drops_the_rest(simulated: Simulated) -> 
     standing = frame.above > 3
     assert keep[of_vehicle & standing].mean() > 0.9
     assert of_vehicle[keep & standing].mean() > of_vehicle[standing].mean()
+
+
+def test_true_outlines_hold_vehicles_and_nothing_else(simulated: Simulated) -> None:
+    index = middle_frame(simulated)
+    frame = simulated.moving(index)
+    found = [each for part in TrueSegmenter(simulated.scene, simulated.shown, 0).find(frame.crops) for each in part]
+    of_vehicle = simulated.is_vehicle(index)
+    drawn = np.zeros(of_vehicle.shape, dtype=bool)
+    for vehicle in found:
+        assert vehicle.mask is not None
+        (x0, y0), (height, width) = vehicle.corner, vehicle.mask.shape
+        drawn[y0 : y0 + height, x0 : x0 + width] |= vehicle.mask
+    core = cv2.erode(of_vehicle.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert core.sum() > 100
+    assert drawn[core].mean() > 0.9
+    assert not drawn[cv2.dilate(of_vehicle.astype(np.uint8), np.ones((9, 9), np.uint8)) == 0].any()
 
 
 def test_spoilt_detectors_are_wrong_as_they_say() -> None:
