@@ -345,7 +345,7 @@ def _another_part(
     found = np.zeros(len(fits), dtype=bool)
     left = np.flatnonzero(~fits)
     most = WRONG_SHARE * len(fits)
-    if len(left) > most:
+    if len(left) > max(1, most):
         its = log[left]
         yaw = world.yaw_from_heading(its.heading_deg, its.latitude_deg, its.longitude_deg)
         stamps_s = (its.stamps_ns - its.stamps_ns[0]) / 1e9

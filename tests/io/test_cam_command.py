@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from laci_stereo.core.cam import CamLog
@@ -127,7 +127,11 @@ anything = st.one_of(st.just(float("nan")), st.floats(0.0, 1e3))
 degrees = st.floats(-90.0, 90.0)
 
 
+ONE_IS_ELSEWHERE = [(stamp_ns, 7, 0.0, longitude, *[float("nan")] * 8) for stamp_ns, longitude in enumerate([0, 0, 1])]
+
+
 @fuzz
+@example(ONE_IS_ELSEWHERE)
 @given(
     st.lists(
         st.tuples(st.integers(0, 10**10), st.just(7), degrees, degrees, *([anything] * 8)), min_size=1, max_size=12
