@@ -10,7 +10,15 @@ import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from laci_stereo.core.cam_headings import WRONG_SHARE, check_filled, check_forwards, check_reading
-from laci_stereo.core.cam_repair import dimensions, fitting, levers, onwards_mps, usual_speed, usual_velocity
+from laci_stereo.core.cam_repair import (
+    REAR_AXLE_SHARE,
+    dimensions,
+    fitting,
+    levers,
+    onwards_mps,
+    usual_speed,
+    usual_velocity,
+)
 from laci_stereo.core.cam_steps import largest_step
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import CamError, TrackError
@@ -272,7 +280,8 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         remarks += (left_out,)
         if np.mean(~fits) > WRONG_SHARE:
             doubts = (*doubts, left_out)
-    elsewhere = ((x, y), (float(length) / 2, 0.0), (0.0, 0.0))  # they may be of another place than was said
+    # They may be of another place than was said: the front's, the middle, or the rear axle.
+    elsewhere = ((x, y), *((share * float(length), 0.0) for share in (0.5, 0.0, REAR_AXLE_SHARE)))
     places = [arm for each in elsewhere for arm in levers(each, float(length))]
     whole = fits | _another_part(log, world, xy, fits, arms)
     sigma_m, stepped = _with_steps(log[whole], world, epoch_ns, xy[whole], places)
