@@ -102,16 +102,17 @@ def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> 
     half_window_px : int
     """
     keep = np.zeros(len(moving.cloud), dtype=bool)
+    if not vehicles:
+        return Chosen(keep, (), 0)
     hulls = [_hull(vehicle, moving, half_window_px) for vehicle in vehicles]
     standing = moving.above > GROUND_SIGMAS
-    surface = _surfaces(moving, standing) if hulls else None
-    piece = _surfaces(moving, standing, 2 * half_window_px + 1) if hulls else None
-    anyone = np.logical_or.reduce([keep, *(hull.wide for hull in hulls)])
+    surface, piece = _surfaces(moving, standing), _surfaces(moving, standing, 2 * half_window_px + 1)
+    anyone = np.logical_or.reduce([hull.wide for hull in hulls])
     used, grown = [], 0
     for hull in hulls:
         layer = _layer(moving, hull.inside & standing)
         used.append(layer is not None)
-        if layer is None or surface is None or piece is None:
+        if layer is None:
             continue
         keep |= hull.inside & layer
         held = hull.inside & layer & standing
