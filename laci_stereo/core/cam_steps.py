@@ -94,9 +94,9 @@ def _steps(stamps_s: FloatArray, off: FloatArray, around: IntArray, place: IntAr
 def _noise(steps: FloatArray, place: IntArray) -> FloatArray:
     """Return the standard deviation of steps on both axes, shape (m, 2), where there are none."""
     noise = np.tile(np.maximum(FINEST_M, NORMAL * np.median(np.abs(steps), axis=0)), (len(steps), 1))
-    for i, own in enumerate(place.tolist()):
-        apart = np.abs(place - own)
-        near = (apart > BESIDE) & (apart <= NEAR * BESIDE)
-        if near.any():
-            noise[i] = np.maximum(noise[i], NORMAL * np.median(np.abs(steps[near]), axis=0))
+    ends = (-NEAR * BESIDE, -BESIDE, BESIDE + 1, NEAR * BESIDE + 1)
+    for i, (first, own, after, last) in enumerate(np.searchsorted(place, place[:, None] + np.array(ends)).tolist()):
+        near = np.concatenate([steps[first:own], steps[after:last]])
+        if len(near):
+            noise[i] = np.maximum(noise[i], NORMAL * np.median(np.abs(near), axis=0))
     return noise
