@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -512,7 +511,7 @@ class DriveModel:
             met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
         rows = self._outline_rows(x, poses, met, share)
         if len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
-            rows = _joined([rows, self._border_rows(x, poses)])
+            rows = rows.joined(self._border_rows(x, poses))
         # A message's error is one for all of a frame: so many have together what one of them would have.
         each_frame = self.heading_variance + (poses if chosen is None else chosen).unsure / self.frame_s
         by_heading = (each_frame * np.bincount(rows.frame, rows.share, len(each_frame)))[rows.frame]
@@ -708,7 +707,7 @@ class DriveModel:
                     point=frame + axis * len(self.drive),
                 )
             )
-        return _joined(parts)
+        return parts[0].joined(*parts[1:])
 
     def _jacobian(
         self,
@@ -733,10 +732,6 @@ class DriveModel:
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         jacobian[:, _BEGIN] = about * poses.by_begin[frame]
         return jacobian
-
-
-def _joined(parts: Sequence[Rows]) -> Rows:
-    return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
 
 
 def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> float:
