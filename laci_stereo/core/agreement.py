@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from laci_stereo.core.errors import CombineError
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.frames import FloatArray, wrap
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import JointSettings
@@ -142,11 +142,8 @@ def _at_one_place(alone: Sequence[JointFit]) -> tuple[FloatArray, FloatArray]:
     first = alone[0].match.yaw_rad
     values, covariances = [], []
     for fit in alone:
-        arm = rotate_xy(fit.match.yaw_rad, place - fit.centre_level)
-        moved = np.eye(3)
-        moved[1:, 0] = -arm[1], arm[0]
         values.append([first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]])
-        covariances.append(moved @ fit.covariance @ moved.T)
+        covariances.append(fit.covariance_about(place))
     return np.array(values), np.array(covariances)
 
 

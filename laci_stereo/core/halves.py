@@ -74,7 +74,7 @@ def halves_apart(own: Passage, fit: JointFit, settings: Settings) -> Apart | Non
         [wrap(second.match.yaw_rad - first.match.yaw_rad), *(second.match(place) - first.match(place))[0]],
         dtype=np.float64,
     )
-    covariance = _there(first, fit.centre_level) + _there(second, fit.centre_level)
+    covariance = first.covariance_about(fit.centre_level) + second.covariance_about(fit.centre_level)
     sigmas = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
     return Apart(off, sigmas, sightings[middle].stamp_s) if sigmas > SURELY else None
 
@@ -88,12 +88,3 @@ def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointF
     """Fit a half as the whole was, whose mistakes it has."""
     drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(ROWS)
     return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)
-
-
-def _there(fit: JointFit, place: FloatArray) -> FloatArray:
-    """Return the covariance of yaw, x and y, shape (3, 3), about another place of the level frame."""
-    (arm,) = fit.match(place[None]) - fit.match(fit.centre_level[None])
-    moved = np.eye(3)
-    moved[1:, 0] = -arm[1], arm[0]
-    covariance: FloatArray = moved @ fit.covariance @ moved.T
-    return covariance

@@ -147,6 +147,14 @@ class JointFit:
     standing: int = 0
     settings: JointSettings = field(default_factory=JointSettings)
 
+    def covariance_about(self, place: FloatArray) -> FloatArray:
+        """Return the covariance of yaw, x and y, shape (3, 3), about a place of the level frame, shape (2,)."""
+        arm = rotate_xy(self.match.yaw_rad, place - self.centre_level)
+        moved = np.eye(3)
+        moved[1:, 0] = -arm[1], arm[0]
+        covariance: FloatArray = moved @ self.covariance @ moved.T
+        return covariance
+
 
 def fit_jointly(
     drives: Sequence[Evidence],
