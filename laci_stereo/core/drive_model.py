@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from laci_stereo.core import mixture, outline
+from laci_stereo.core import gloss, mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
@@ -17,13 +17,14 @@ from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
 """Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own: clock offset, heading
-error, heading lever, how the body stood when the messages began, the shape, how partial a detector's boxes are, by how
-much borders grow, and the knots of the GNSS bias."""
+error, heading lever, how the body stood when the messages began, the shape, how partial a detector's boxes are, how
+glossy the body is, by how much borders grow, and the knots of the GNSS bias."""
 
 BIAS, SWEEP = 3, 4
 _CLOCK, _HEADING, _LEVER, _BEGIN, _SHAPE = 5, 6, 7, 8, 9
 _PARTIAL = _SHAPE + len(outline.SHAPE)
-_GROWTH = _PARTIAL + 1
+_GLOSS = _PARTIAL + 1
+_GROWTH = _GLOSS + 1
 _KNOTS = _GROWTH + 2
 
 LASTING = tuple(each - FIRST_OWN for each in (_HEADING, _LEVER, *range(_SHAPE, _PARTIAL)))
@@ -245,7 +246,7 @@ class Rows(Columns):
     distance, variance : ndarray, shape (n,)
     cos : ndarray, shape (n,)
         By which ranges are longer than distances; 0 where there is no range.
-    jacobian : ndarray, shape (n, 23)
+    jacobian : ndarray, shape (n, 24)
         Of the range, times the cosine: what is measured is the range, while the line of sight is known.
     by_time : ndarray, shape (n,)
         The same by the time of the messages, at that moment.
@@ -318,6 +319,7 @@ class DriveModel:
         self.mean = np.zeros(self.own)
         self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
         self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
+        self.mean[_GLOSS - FIRST_OWN] = gloss.SHIFT
         self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
         self.frame_s = max(float(np.median(np.diff(drive.stamps_s))), 1e-9) if len(drive) > 1 else np.inf
         self.heading_variance = _heading_variance(drive, self.frame_s, self.base_sigmas[1])
@@ -355,6 +357,7 @@ class DriveModel:
         covariance[shape, shape] = np.diag(self.shape_sigma**2) + (ways.T * variances[2:]) @ ways
         partial = _PARTIAL - FIRST_OWN
         covariance[partial, partial] = PARTIAL_SIGMA**2
+        covariance[partial + 1, partial + 1] = gloss.SHIFT**2
         growth = range(_GROWTH - FIRST_OWN, _KNOTS - FIRST_OWN)
         covariance[growth, growth] = BORDER_SIGMA**2
         knots, count = _KNOTS - FIRST_OWN, len(self.knots_s)
@@ -619,7 +622,13 @@ class DriveModel:
         # that is narrower than that, for it is grazed.
         window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
         aside_m = BORDER_SIGMA * window_m * (2.0 * met.hits.within < window_m)
-        return replace(rows, variance=rows.variance + (1.0 - met.hits.cos**2) * aside_m**2)
+        rows = replace(rows, variance=rows.variance + (1.0 - met.hits.cos**2) * aside_m**2)
+        if drive.window_rad == 0.0:
+            return rows
+        rows.jacobian[:, _GLOSS] = (
+            gloss.mirrored(met.hits.cos * np.cos(drive.above_rad[points])) * rows.jacobian[:, BIAS]
+        )
+        return replace(rows, distance=rows.distance + x[_GLOSS] * rows.jacobian[:, _GLOSS])
 
     def _window_m(self, range_m: FloatArray) -> FloatArray:
         """Return how wide a matcher's window is at ranges on the ground plan, shape (n,)."""

@@ -272,7 +272,7 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     assert np.median(off) < 0.01 * max(1.0, float(np.abs(slope).max()))
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 11 + len(SHAPE))])
+@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 12 + len(SHAPE))])
 def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = with_borders(evidence(sigma_m=0.05, per_frame=10), sigma=0.1)
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
@@ -338,7 +338,7 @@ def test_by_how_much_borders_grow_hardly_moves_the_result(growth: tuple[float, f
 @pytest.mark.parametrize("growth", [(0.4, 0.4), (-0.4, -0.4), (0.3, -0.3)])
 def test_where_the_vehicle_is_known_so_is_by_how_much_each_border_has_grown(growth: tuple[float, float]) -> None:
     model, x = at_the_truth(with_borders(evidence(), growth=growth))
-    free = slice(FIRST_OWN + 5 + len(SHAPE), FIRST_OWN + 7 + len(SHAPE))  # behind clock, heading, lever, begin, shape
+    free = slice(FIRST_OWN + 6 + len(SHAPE), FIRST_OWN + 8 + len(SHAPE))  # behind the shape, partial boxes, and gloss
     precision = model.prior()[0][free.start - FIRST_OWN : free.stop - FIRST_OWN, free.start - FIRST_OWN :][:, :2]
     shares = model.shares()
     for _ in range(5):

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core import gloss
+from laci_stereo.core.drive_model import FIRST_OWN, DriveModel
+from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.joint import fit_jointly
+from laci_stereo.core.settings import JointSettings
+from tests.core.outlines import TRUTH, evidence, with_borders
+from tests.core.test_joint import error
+from tests.simulated import Drive
+
+_BEGIN = TRUTH(np.array([[65.0, 6.0]]))[0]
+COMING = Drive((_BEGIN[0], _BEGIN[1]), np.degrees(TRUTH.yaw_rad) + 180.0, speeds=((0.0, 7.0),))
+"""From 65 m away, 6 m beside the sensor, it comes to 25 m away: its side is grazed."""
+
+
+def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
+    model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
+    x = np.zeros(FIRST_OWN + model.own)
+    x[0], x[1:3] = TRUTH.yaw_rad, TRUTH(model.centre[None])[0]
+    x[FIRST_OWN:] = model.mean
+    return model, x
+
+
+def glossy(drive: Evidence, by: float) -> Evidence:
+    """Return a drive whose points are too far by so many standard deviations where all is mirrored."""
+    model, x = at_the_truth(drive)
+    met = model._meet(x, model._poses(x), np.arange(len(drive.points)))
+    sensor = np.array([0.0, 0.0, drive.height_m])
+    sight = drive.points - sensor
+    level_m = np.hypot(*sight[:, :2].T)
+    cos = met.hits.cos * level_m / np.linalg.norm(sight, axis=1)
+    deeper = by * gloss.mirrored(cos) * drive.sigma_along_m * (met.hits.cos > 0.0)
+    return replace(drive, points=sensor + sight * (1.0 + deeper / level_m)[:, None])
+
+
+def seen(seed: int, by: float) -> Evidence:
+    plain = replace(evidence(COMING, seed=seed, sigma_m=0.3, per_frame=60), window_rad=0.01)
+    return with_borders(glossy(plain, by), COMING, sigma=0.2, seed=seed)
+
+
+def test_what_is_mirrored_grows_from_nearly_nothing_to_nearly_all_as_a_side_is_grazed() -> None:
+    cos = np.linspace(0.0, 1.0, 101)
+    share = gloss.mirrored(cos)
+    assert (np.diff(share) < 0.0).all()
+    assert share[-1] == pytest.approx(0.04**2 / (0.04**2 + 0.2**2))
+    assert share[0] > 0.95
+    assert gloss.mirrored(np.array([1.0 + 1e-12])) == pytest.approx(share[-1:])
+
+
+@pytest.mark.parametrize("by", [0.0, 4.0, 8.0])
+def test_a_side_that_mirrors_turns_the_result_by_no_more_than_is_claimed(by: float) -> None:
+    squared = []
+    for seed in range(4):
+        fit = fit_jointly([seen(seed, by)], TRUTH, close=True)
+        squared.append(error(fit)[0] ** 2 / fit.covariance[0, 0])
+    # What may last from frame to frame is in the doubt and not in these points, so that the error is a part of it.
+    assert np.mean(squared) < 1.0
+
+
+def test_the_derivative_by_gloss_is_that_of_the_distances() -> None:
+    model, x = at_the_truth(seen(0, 4.0))
+    index, step = _index(model), np.zeros(FIRST_OWN + model.own)
+    step[index] = 0.5
+    rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
+    assert more.distance - less.distance == pytest.approx(rows.jacobian[:, index], abs=1e-9)
+    assert (rows.jacobian[rows.cos > 0.0, index] > 0.0).all()
+
+
+def test_the_less_is_known_of_gloss_the_less_a_grazed_side_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+    doubts = []
+    for shift in (0.01, gloss.SHIFT):
+        monkeypatch.setattr(gloss, "SHIFT", shift)
+        doubts.append(np.sqrt(fit_jointly([seen(0, 0.0)], TRUTH, close=True).covariance[0, 0]))
+    matt, unknown = doubts
+    assert unknown > 1.02 * matt
+
+
+def test_a_scanner_sees_no_gloss() -> None:
+    model, x = at_the_truth(evidence(COMING))
+    rows = model.rows(x)
+    assert (rows.jacobian[:, _index(model)] == 0.0).all()
+
+
+def _index(model: DriveModel) -> int:
+    """Return which of the parameters is the gloss."""
+    (index,) = np.flatnonzero(model.mean == gloss.SHIFT)
+    return FIRST_OWN + int(index)
