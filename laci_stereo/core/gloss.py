@@ -12,7 +12,7 @@ import numpy as np
 from laci_stereo.core.frames import FloatArray
 
 MIRRORED = 0.04
-"""Share of the light that clear coat and glass (refractive index 1.5) mirror at normal incidence: ((n - 1) / (n + 1))^2."""
+"""Share of the light that clear coat and glass mirror at normal incidence: ((n - 1) / (n + 1))^2, their index n 1.5."""
 
 SCATTERED = 0.2
 """Share of the light that paint scatters: between black's 0.04 and white's 0.8, in their logarithms."""

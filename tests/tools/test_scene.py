@@ -319,6 +319,23 @@ def test_bleeding_makes_near_things_grow():
     assert widths[1] - widths[0] == pytest.approx(6.0, abs=1.0)
 
 
+@pytest.mark.parametrize(
+    ("material", "across_m", "least", "most"),
+    [(Material.CAR_PAINT, 1.0, 0.1, 1.0), (Material.CAR_PAINT, 20.0, 0.0, 0.5), (Material.ROAD, 1.0, 0.0, 0.0)],
+    ids=["grazed paint", "paint from the front", "grazed road"],
+)
+def test_what_a_grazed_side_mirrors_is_behind_it(material, across_m, least, most):
+    # A wall of so much width leads 10 m away from before the camera, on its right.
+    corners = np.array([[2.0, -3.0, 10.0], [2.0, 3.0, 10.0], [2.0 + across_m, -3.0, 20.0], [2.0 + across_m, 3.0, 20.0]])
+    wall = Mesh(corners, WALL.triangles, np.full(2, material, dtype=np.int64))
+    mounted = Mounted(stereo_camera("stereo_05"), RayCaster([Body("wall", wall, still(np.eye(4)), True)]), np.eye(4))
+    matt, glossy = (match_frame(mounted, replace(SHARP, gloss_px=by), 0.0, (1, 2)).disparity_px for by in (0.0, 1.0))
+    known = np.isfinite(matt) & np.isfinite(glossy)
+    assert known.sum() > 100
+    assert least <= np.median((matt - glossy)[known]) <= most
+    assert (glossy[known] <= matt[known]).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["lidar_64", "stereo_10"])
 def test_an_easy_scene_is_calibrated_to_a_part_of_a_car(sensor):

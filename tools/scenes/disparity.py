@@ -17,6 +17,7 @@ from laci_stereo.stereo.recording import POINTING_SIGMA_PX
 from laci_stereo.stereo.scene import BLEED_PX
 from laci_stereo.stereo.settings import StereoSettings
 from tools.scenes.geometry import Hits, Material, RayCaster
+from tools.scenes.textures import mirror
 
 StereoName = Literal["stereo_02", "stereo_05", "stereo_10"]
 STEREOS: tuple[StereoName, ...] = get_args(StereoName)
@@ -88,6 +89,9 @@ GROSS_SIGMA_PX = 5.0
 GROSS_PX = (1.0, 2.0)
 """By so much they are too far at least, and so much more, as a standard deviation; the same comparison: medians of 1.3
 to 1.9 px on paint and 1 to 5 px on glass, which shows what it mirrors."""
+
+ALBEDOS = (0.04, 0.8)
+"""Of black and of white paint: whatever scatters little shows what it mirrors."""
 
 BESIDE_PX, BESIDE_OPEN = 6, 0.2
 """So far outside of a near outline this share at least is open; the same comparison: 0.1 to 0.4."""
@@ -213,6 +217,9 @@ class StereoFlaws:
         Scales the share of mismatches.
     open_ : float
         Scales the share of pixels without a disparity.
+    gloss_px : float
+        By so much disparities are too small where nothing is seen but what a body mirrors: on sides of cars that are
+        grazed by 13 deg, the median was 0 to 0.45 px too small in nine rendered scenes.
     """
 
     noise: float = 1.0
@@ -220,6 +227,7 @@ class StereoFlaws:
     bleed_px: float = 1.25
     gross: float = 1.0
     open_: float = 1.0
+    gloss_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -273,6 +281,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     told = np.hypot(StereoSettings().disparity_floor_px, TOLD * sigma)
     values = matched + flaws.offset_px + sigma * _smooth(shape, WINDOW_SIGMA_PX / camera.stride, rng)
     elsewhere = _smooth(shape, GROSS_SIGMA_PX / camera.stride, rng) > -ndtri(flaws.gross * gross)
+    values -= flaws.gloss_px * _mirrored(mounted, hits, faces, seed[0]).reshape(shape)
     too_far = GROSS_PX[0] + GROSS_PX[1] * np.abs(_smooth(shape, GROSS_SIGMA_PX / camera.stride, rng))
     values = np.where(elsewhere, values - too_far, values)
     known = (texture > ndtri(open_)) & ~hidden & (true > 0.5) & (values > told)
@@ -318,6 +327,19 @@ def _surfaces(caster: RayCaster, faces: IntArray) -> tuple[FloatArray, ...]:
     table = np.array([(kind.open_, kind.sigma_px, kind.gross) for kind in kinds])
     # A ray that meets nothing has the last number.
     return tuple(table[np.append(caster.materials, len(Material))[faces]].T)
+
+
+def _mirrored(mounted: Mounted, hits: Hits, faces: IntArray, seed: int) -> FloatArray:
+    """Return how much of the contrast that rays meet is mirrored, by Schlick's approximation."""
+    caster = mounted.caster
+    least, most = np.log(ALBEDOS)
+    scattered = np.exp(np.random.default_rng([seed, 6]).uniform(least, most, len(caster.bodies) + 1))[hits.body]
+    shares = np.array([*(mirror(material) for material in Material), 0.0])
+    share = shares[np.append(caster.materials, len(Material))[faces]]
+    cos = -(mounted.directions * hits.normal).sum(axis=1)
+    light = np.where(share > 0.0, share + (1.0 - share) * (1.0 - cos.clip(0.0, 1.0)) ** 5, 0.0)
+    mirrored: FloatArray = light**2 / (light**2 + scattered**2)
+    return mirrored
 
 
 def _texture(caster: RayCaster, body: IntArray, faces: IntArray, seed: int) -> FloatArray:

@@ -140,8 +140,8 @@ class Factors:
         Standard deviation by which the frames' stamps miss the frames.
     systematic : float
         Scales the sensors' errors that are common to many points.
-    bleed_px, gross, focal_px
-        Of stereo cameras; ``gross`` scales the share of mismatches.
+    bleed_px, gross, gloss_px, focal_px
+        Of stereo cameras, see `StereoFlaws`.
     """
 
     layout: LayoutKind | None = None
@@ -189,6 +189,7 @@ class Factors:
     systematic: float = 1.0
     bleed_px: float | None = None
     gross: float | None = None
+    gloss_px: float | None = None
     focal_px: float | None = None
 
 
@@ -637,6 +638,7 @@ def _stereo_flaws(draw: Draw, factors: Factors) -> StereoFlaws:
         offset_px=factors.systematic * float(draw.rng("offset").normal(0.0, 0.04)),
         bleed_px=draw.given(factors.bleed_px, "bleed", lambda rng: float(rng.uniform(0.5, 2.0))),
         gross=draw.given(factors.gross, "gross", lambda rng: float(rng.uniform(0.0, 2.0))),
+        gloss_px=draw.given(factors.gloss_px, "gloss", lambda rng: float(rng.uniform(0.0, 0.6))),
     )
 
 
