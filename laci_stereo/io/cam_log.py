@@ -13,11 +13,10 @@ from laci_stereo.io.cam_nmea import looks_like_nmea, read_cam_nmea
 from laci_stereo.io.cam_pcap import read_cam_capture
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.cam_uper import is_cam
-from laci_stereo.io.file_content import read_content
+from laci_stereo.io.file_content import BAG_MAGICS, begins_with, read_content
 from laci_stereo.io.packet_capture import is_capture
 from laci_stereo.io.text_file import read_text
 
-_BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 _TEXTS = (
     (looks_like_xml, read_cam_gpx),
     (looks_like_nmea, read_cam_nmea),
@@ -39,7 +38,7 @@ def read_cam_log(path: Path) -> CamRecording:
     CamError
         If it is in none of these formats, or unusable.
     """
-    if path.is_dir() or _head(path).startswith(_BAG_MAGICS):
+    if path.is_dir() or begins_with(path, BAG_MAGICS):
         return _read_bag(path)
     content = read_content(path, CamError)
     if is_capture(content):
@@ -51,15 +50,6 @@ def read_cam_log(path: Path) -> CamRecording:
         if fits(text):
             return read(path, text)
     return read_cam_csv(path)
-
-
-def _head(path: Path) -> bytes:
-    """Return the first bytes of a file; none if it cannot be read, which whoever reads on will say."""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(16)
-    except (OSError, ValueError):
-        return b""
 
 
 def _read_bag(path: Path) -> CamRecording:

@@ -11,8 +11,20 @@ from laci_stereo.core.errors import InputError
 
 GZIP_MAGIC = b"\x1f\x8b"
 
+BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+"""How ROS 1 bags, MCAP files and ROS 2 bags begin."""
+
 LARGEST_UNPACKED = 1 << 28
 """Bytes: an hour of a dozen senders' messages as text; what unpacks to more may be made to fill the memory."""
+
+
+def begins_with(path: Path, magics: tuple[bytes, ...]) -> bool:
+    """Tell whether a file begins with one of some bytes; not if it cannot be read, which whoever reads on will say."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(max(map(len, magics))).startswith(magics)
+    except (OSError, ValueError):
+        return False
 
 
 def read_content(path: Path, error: type[InputError]) -> bytes:

@@ -8,9 +8,9 @@ from laci_lidar.errors import ScanError
 from laci_lidar.folder import ScanFolder
 from laci_lidar.read import SUFFIXES
 from laci_lidar.sequence import ScanSequence
+from laci_stereo.io.file_content import BAG_MAGICS, begins_with
 from laci_stereo.io.packet_capture import PCAP_FORMATS, PCAPNG_MAGIC
 
-_BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 _BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _CAPTURE_SUFFIXES = frozenset({".pcap", ".pcapng"})
 
@@ -55,7 +55,7 @@ def _is_capture(path: Path) -> bool:
     if path.is_dir():
         inside = [entry.suffix.lower() for entry in path.iterdir()]
         return not SUFFIXES.intersection(inside) and bool(_CAPTURE_SUFFIXES.intersection(inside))
-    return _begins(path, (*PCAP_FORMATS, PCAPNG_MAGIC))
+    return begins_with(path, (*PCAP_FORMATS, PCAPNG_MAGIC))
 
 
 def _is_bag(path: Path) -> bool:
@@ -63,12 +63,4 @@ def _is_bag(path: Path) -> bool:
         return (path / "metadata.yaml").is_file() or any(
             entry.suffix in _BAG_SUFFIXES[1:] and entry.is_file() for entry in path.iterdir()
         )
-    return _begins(path, _BAG_MAGICS) or (path.is_file() and path.suffix.lower() in _BAG_SUFFIXES)
-
-
-def _begins(path: Path, magics: tuple[bytes, ...]) -> bool:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(16).startswith(magics)
-    except (OSError, ValueError):
-        return False
+    return begins_with(path, BAG_MAGICS) or (path.is_file() and path.suffix.lower() in _BAG_SUFFIXES)
