@@ -14,8 +14,8 @@ from laci_stereo.core.frames import FloatArray
 MIRRORED = 0.04
 """Share of the light that clear coat and glass mirror at normal incidence: ((n - 1) / (n + 1))^2, their index n 1.5."""
 
-SCATTERED = 0.2
-"""Share of the light that paint scatters: between black's 0.04 and white's 0.8, in their logarithms."""
+SCATTERED = (0.04, 0.8)
+"""Share of the light that black and white paint scatter; any in between is as likely, in their logarithms."""
 
 SHIFT = 2.0
 """By so much ranges are too long, in standard deviations of points, where nothing but what is mirrored is seen: more
@@ -27,8 +27,12 @@ def mirrored(cos: FloatArray) -> FloatArray:
     """Return how much of what a matcher sees is mirrored, shape (n,), by the cosine of the angle of incidence, (n,).
 
     A least-squares shift is the mean of those of two layers, weighted by their squared gradients, so by the squares of
-    the light that is mirrored (Schlick, Computer Graphics Forum 1994, equation 15) and of that which is scattered.
+    the light that is mirrored (Schlick, Computer Graphics Forum 1994, equation 15) and of that which is scattered. Its
+    mean over all paints is in closed form.
     """
     light = MIRRORED + (1.0 - MIRRORED) * (1.0 - np.minimum(cos, 1.0)) ** 5
-    share: FloatArray = light**2 / (light**2 + SCATTERED**2)
+    black, white = SCATTERED
+    share: FloatArray = np.log((1.0 + (light / black) ** 2) / (1.0 + (light / white) ** 2)) / (
+        2.0 * np.log(white / black)
+    )
     return share
