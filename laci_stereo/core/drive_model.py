@@ -27,7 +27,7 @@ _GLOSS = _PARTIAL + 1
 _GROWTH = _GLOSS + 1
 _KNOTS = _GROWTH + 2
 
-LASTING = tuple(each - FIRST_OWN for each in (_HEADING, _LEVER, *range(_SHAPE, _PARTIAL)))
+LASTING = tuple(each - FIRST_OWN for each in (_HEADING, _LEVER, *range(_SHAPE, _PARTIAL), _GLOSS))
 """Of a drive's own parameters, what is the sender's and its vehicle's in all drives that they make."""
 
 GRAZING = 0.3
@@ -357,7 +357,7 @@ class DriveModel:
         covariance[shape, shape] = np.diag(self.shape_sigma**2) + (ways.T * variances[2:]) @ ways
         partial = _PARTIAL - FIRST_OWN
         covariance[partial, partial] = PARTIAL_SIGMA**2
-        covariance[partial + 1, partial + 1] = gloss.SHIFT**2
+        covariance[_GLOSS - FIRST_OWN, _GLOSS - FIRST_OWN] = gloss.SHIFT**2
         growth = range(_GROWTH - FIRST_OWN, _KNOTS - FIRST_OWN)
         covariance[growth, growth] = BORDER_SIGMA**2
         knots, count = _KNOTS - FIRST_OWN, len(self.knots_s)

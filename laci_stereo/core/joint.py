@@ -166,7 +166,7 @@ def fit_jointly(
     close: bool = False,
     mistakes: bool = True,
 ) -> JointFit:
-    """Estimate yaw and position, and each drive's clock offset, shape, heading error, GNSS bias and growth of borders.
+    """Estimate yaw, position, and of each drive clock offset, shape, gloss, GNSS and heading errors, growth of borders.
 
     Where a scanner does not tell the points' times, how it turns is estimated too, taken for the likeliest of what it
     can be, and the result is as uncertain as the others are different and likely.

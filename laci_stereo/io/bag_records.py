@@ -17,6 +17,7 @@ from urllib.parse import quote
 
 import lz4.frame
 
+from laci_stereo.io.file_content import MCAP_MAGIC, SQLITE_MAGIC
 from laci_stereo.io.text_file import quoted, shortened
 
 if sys.version_info >= (3, 14):
@@ -24,7 +25,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\x00"
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
 
 LARGEST_CHUNK = 1 << 28
 """Bytes of a chunk of messages, unpacked; writers close them after some megabytes."""

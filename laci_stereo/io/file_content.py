@@ -11,7 +11,8 @@ from laci_stereo.core.errors import InputError
 
 GZIP_MAGIC = b"\x1f\x8b"
 
-BAG_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
+BAG_MAGICS = (b"#ROSBAG", MCAP_MAGIC, SQLITE_MAGIC)
 """How ROS 1 bags, MCAP files and ROS 2 bags begin."""
 
 LARGEST_UNPACKED = 1 << 28

@@ -321,7 +321,7 @@ def test_bleeding_makes_near_things_grow():
 
 @pytest.mark.parametrize(
     ("material", "across_m", "least", "most"),
-    [(Material.CAR_PAINT, 1.0, 0.1, 1.0), (Material.CAR_PAINT, 20.0, 0.0, 0.5), (Material.ROAD, 1.0, 0.0, 0.0)],
+    [(Material.CAR_PAINT, 1.0, 0.9, 1.0), (Material.CAR_PAINT, 20.0, 0.0, 0.4), (Material.ROAD, 1.0, 0.0, 0.0)],
     ids=["grazed paint", "paint from the front", "grazed road"],
 )
 def test_what_a_grazed_side_mirrors_is_behind_it(material, across_m, least, most):

@@ -17,7 +17,7 @@ from laci_stereo.stereo.recording import POINTING_SIGMA_PX
 from laci_stereo.stereo.scene import BLEED_PX
 from laci_stereo.stereo.settings import StereoSettings
 from tools.scenes.geometry import Hits, Material, RayCaster
-from tools.scenes.textures import mirror
+from tools.scenes.textures import mirror, mirrored
 
 StereoName = Literal["stereo_02", "stereo_05", "stereo_10"]
 STEREOS: tuple[StereoName, ...] = get_args(StereoName)
@@ -91,7 +91,7 @@ GROSS_PX = (1.0, 2.0)
 to 1.9 px on paint and 1 to 5 px on glass, which shows what it mirrors."""
 
 ALBEDOS = (0.04, 0.8)
-"""Of black and of white paint: whatever scatters little shows what it mirrors."""
+"""Of black and of white bodies: whatever scatters little shows what it mirrors."""
 
 BESIDE_PX, BESIDE_OPEN = 6, 0.2
 """So far outside of a near outline this share at least is open; the same comparison: 0.1 to 0.4."""
@@ -330,16 +330,16 @@ def _surfaces(caster: RayCaster, faces: IntArray) -> tuple[FloatArray, ...]:
 
 
 def _mirrored(mounted: Mounted, hits: Hits, faces: IntArray, seed: int) -> FloatArray:
-    """Return how much of the contrast that rays meet is mirrored, by Schlick's approximation."""
+    """Return how much of the contrast that rays meet is mirrored, shape (n,)."""
     caster = mounted.caster
     least, most = np.log(ALBEDOS)
     scattered = np.exp(np.random.default_rng([seed, 6]).uniform(least, most, len(caster.bodies) + 1))[hits.body]
     shares = np.array([*(mirror(material) for material in Material), 0.0])
     share = shares[np.append(caster.materials, len(Material))[faces]]
     cos = -(mounted.directions * hits.normal).sum(axis=1)
-    light = np.where(share > 0.0, share + (1.0 - share) * (1.0 - cos.clip(0.0, 1.0)) ** 5, 0.0)
-    mirrored: FloatArray = light**2 / (light**2 + scattered**2)
-    return mirrored
+    light = np.where(share > 0.0, mirrored(share, cos), 0.0)
+    contrast: FloatArray = light**2 / (light**2 + ((1.0 - light) * scattered) ** 2)
+    return contrast
 
 
 def _texture(caster: RayCaster, body: IntArray, faces: IntArray, seed: int) -> FloatArray:

@@ -141,7 +141,7 @@ class Factors:
     systematic : float
         Scales the sensors' errors that are common to many points.
     bleed_px, gross, gloss_px, focal_px
-        Of stereo cameras, see `StereoFlaws`.
+        Of stereo cameras; ``gross`` scales the share of mismatches, and see `StereoFlaws`.
     """
 
     layout: LayoutKind | None = None

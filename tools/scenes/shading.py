@@ -10,7 +10,7 @@ import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from tools.scenes.geometry import Body, Material, RayCaster
-from tools.scenes.textures import Patch, mirror, noise, octaves, reflectance
+from tools.scenes.textures import Patch, mirror, mirrored, noise, octaves, reflectance
 
 STRETCHES = (1, 2, 4, 8)
 """Samples of the texture along the longer side of what a pixel covers."""
@@ -255,7 +255,7 @@ class Shader:
             return
         part = surface.part(glossy)
         cosine = -np.einsum("ij,ij->i", part.view, part.normal)
-        share = straight[glossy] + (1.0 - straight[glossy]) * (1.0 - cosine.clip(0.0, 1.0)) ** 5  # Schlick
+        share = mirrored(straight[glossy], cosine)
         away = part.view + 2.0 * cosine[:, None] * part.normal
         seen = self.trace(part.above, away, 4 * spread, time_s, mirrors=False).radiance
         towards_sun = np.clip(away @ self.light.to_sun, 0.0, 1.0) ** GLINT * sunlit[glossy]

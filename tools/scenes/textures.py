@@ -230,6 +230,15 @@ def reflectance(material: Material, patch: Patch) -> FloatArray:
     return _REFLECTANCE[material](patch)
 
 
+def mirrored(at_normal: FloatArray, cos: FloatArray) -> FloatArray:
+    """Return the share of light that is mirrored, shape (n,), by that at normal incidence and the angle's cosine.
+
+    Schlick, Computer Graphics Forum 1994, equation 15.
+    """
+    share: FloatArray = at_normal + (1.0 - at_normal) * (1.0 - cos.clip(0.0, 1.0)) ** 5
+    return share
+
+
 def mirror(material: Material) -> float:
     """Return the share of light that a material mirrors at normal incidence; 0 for what is matt."""
     return _MIRROR.get(material, 0.0)

@@ -38,7 +38,7 @@ class Laid:
     xy_vehicle : ndarray, shape (n, 2)
         Metres; x ahead and y to the left of the box's centre.
     distance_m : ndarray, shape (n,)
-        From the outline, positive outside.
+        From the outline, positive outside; what a side that mirrors is off by is taken out here.
     face : ndarray of int, shape (n,)
         The side that the line of sight meets: 0 rear, 1 front, 2 right, 3 left, 4 passed by.
     surface : ndarray, shape (n,)
