@@ -10,9 +10,8 @@ from laci_stereo.core.drive_model import FIRST_OWN, DriveModel
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.joint import fit_jointly
-from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import TRUTH, evidence, with_borders
-from tests.core.test_joint import error
+from tests.core.test_joint import at_the_truth, error
 from tests.simulated import Drive
 
 _BEGIN = TRUTH(np.array([[65.0, 6.0]]))[0]
@@ -20,17 +19,16 @@ COMING = Drive((_BEGIN[0], _BEGIN[1]), np.degrees(TRUTH.yaw_rad) + 180.0, speeds
 """From 65 m away, 6 m beside the sensor, it comes to 25 m away: its side is grazed."""
 
 
-def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
-    model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
-    x = np.zeros(FIRST_OWN + model.own)
-    x[0], x[1:3] = TRUTH.yaw_rad, TRUTH(model.centre[None])[0]
+def expected(drive: Evidence) -> tuple[DriveModel, FloatArray]:
+    """Return the model of a drive, and the parameters of what is expected of any vehicle, where it is."""
+    model, x = at_the_truth(drive)
     x[FIRST_OWN:] = model.mean
     return model, x
 
 
 def glossy(drive: Evidence, by: float) -> Evidence:
     """Return a drive whose points are too far by so many standard deviations where all is mirrored."""
-    model, x = at_the_truth(drive)
+    model, x = expected(drive)
     met = model._meet(x, model._poses(x), np.arange(len(drive.points)))
     sensor = np.array([0.0, 0.0, drive.height_m])
     sight = drive.points - sensor
@@ -70,7 +68,7 @@ def test_what_is_as_glossy_as_it_is_taken_for_lies_where_it_is() -> None:
     plain = replace(evidence(COMING, sigma_m=0.3, per_frame=60), window_rad=0.01)
     distances = []
     for drive, by in ((plain, 0.0), (glossy(plain, 4.0), 4.0), (glossy(plain, 4.0), 0.0)):
-        model, x = at_the_truth(drive)
+        model, x = expected(drive)
         x[_index(model)] = by
         distances.append(model.rows(x).distance)
     matt, undone, mirroring = distances
@@ -89,7 +87,7 @@ def test_the_less_is_known_of_gloss_the_less_a_grazed_side_tells(monkeypatch: py
 
 
 def test_a_scanner_sees_no_gloss() -> None:
-    model, x = at_the_truth(evidence(COMING))
+    model, x = expected(evidence(COMING))
     rows = model.rows(x)
     assert (rows.jacobian[:, _index(model)] == 0.0).all()
 

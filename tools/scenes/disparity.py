@@ -265,7 +265,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     camera, hits = mounted.camera, mounted.hits(time_s)
     shape = camera.pixels[0].shape
     faces = mounted.caster.faces(hits)
-    open_, sigma, gross = (values.reshape(shape) for values in _surfaces(mounted.caster, faces))
+    open_, sigma, gross, shiny = (values.reshape(shape) for values in _surfaces(mounted.caster, faces))
     true = (camera.focal_px * camera.baseline_m * camera.ray_lengths / hits.distance_m).reshape(shape)
     texture = _texture(mounted.caster, hits.body, faces, seed[0]).reshape(shape) + _smooth(shape, 4, rng)
     texture /= np.sqrt(3.0)
@@ -281,7 +281,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     told = np.hypot(StereoSettings().disparity_floor_px, TOLD * sigma)
     values = matched + flaws.offset_px + sigma * _smooth(shape, WINDOW_SIGMA_PX / camera.stride, rng)
     elsewhere = _smooth(shape, GROSS_SIGMA_PX / camera.stride, rng) > -ndtri(flaws.gross * gross)
-    values -= flaws.gloss_px * _mirrored(mounted, hits, faces, seed[0]).reshape(shape)
+    values -= flaws.gloss_px * _mirrored(mounted, hits, shiny.ravel(), seed[0]).reshape(shape)
     too_far = GROSS_PX[0] + GROSS_PX[1] * np.abs(_smooth(shape, GROSS_SIGMA_PX / camera.stride, rng))
     values = np.where(elsewhere, values - too_far, values)
     known = (texture > ndtri(open_)) & ~hidden & (true > 0.5) & (values > told)
@@ -322,22 +322,19 @@ def reproject(camera: StereoCamera, stamp_ns: int, matched: Matched, where: Bool
 
 
 def _surfaces(caster: RayCaster, faces: IntArray) -> tuple[FloatArray, ...]:
-    """Return share without a disparity, standard deviation and share of mismatches where rays meet triangles."""
-    kinds = [*(SURFACES[material] for material in Material), SKY]
-    table = np.array([(kind.open_, kind.sigma_px, kind.gross) for kind in kinds])
+    """Return where rays meet bodies: share without a disparity, standard deviation, share of mismatches, `mirror`."""
+    kinds = [*((SURFACES[material], mirror(material)) for material in Material), (SKY, 0.0)]
+    table = np.array([(kind.open_, kind.sigma_px, kind.gross, shiny) for kind, shiny in kinds])
     # A ray that meets nothing has the last number.
     return tuple(table[np.append(caster.materials, len(Material))[faces]].T)
 
 
-def _mirrored(mounted: Mounted, hits: Hits, faces: IntArray, seed: int) -> FloatArray:
-    """Return how much of the contrast that rays meet is mirrored, shape (n,)."""
-    caster = mounted.caster
+def _mirrored(mounted: Mounted, hits: Hits, shiny: FloatArray, seed: int) -> FloatArray:
+    """Return how much of the contrast that rays meet is mirrored, shape (n,), where they meet what is so shiny."""
     least, most = np.log(ALBEDOS)
-    scattered = np.exp(np.random.default_rng([seed, 6]).uniform(least, most, len(caster.bodies) + 1))[hits.body]
-    shares = np.array([*(mirror(material) for material in Material), 0.0])
-    share = shares[np.append(caster.materials, len(Material))[faces]]
-    cos = -(mounted.directions * hits.normal).sum(axis=1)
-    light = np.where(share > 0.0, mirrored(share, cos), 0.0)
+    of_body = np.exp(np.random.default_rng([seed, 6]).uniform(least, most, len(mounted.caster.bodies) + 1))
+    scattered, cos = of_body[hits.body], -(mounted.directions * hits.normal).sum(axis=1)
+    light = np.where(shiny > 0.0, mirrored(shiny, cos), 0.0)
     contrast: FloatArray = light**2 / (light**2 + ((1.0 - light) * scattered) ** 2)
     return contrast
 
