@@ -15,8 +15,8 @@ from tests.simulated import Drive
 SIZE = (4.6, 1.8)
 CORNERS = np.array(SIZE) / 2 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 HEIGHT_M = 6.0
-SEEN_M = 0.6
-"""So high are the points: near the waist, where a car's sides are hardly drawn in."""
+ENDS_SEEN_M, SIDES_SEEN_M = 0.55, 0.63
+"""So high are the points: below the edges of bonnet and boot, and where a car's sides are hardly drawn in."""
 
 TRUTH = PlanarMatch(0.7, np.array([-30.0, 12.0]))
 TURN = Drive((-20.0, 30.0), -60.0, ((22.0, 0.0), (12.0, 80.0)), ((0.0, 8.0), (4.0, 5.0), (8.0, 9.0)))
@@ -82,7 +82,9 @@ def evidence(
         deeper = np.where(rng.random((per_frame, 1)) < behind, rng.exponential(0.8, (per_frame, 1)), 0.0)
         longer = 1.0 + (sigma_m * rng.normal(size=(per_frame, 1)) + deeper) / far
         middles.append(np.median(level * longer, axis=0))
-        points.append(np.hstack([level * longer, HEIGHT_M + (SEEN_M - HEIGHT_M) * longer]))
+        at_end = np.isclose(np.abs(hit[:, :1]), SIZE[0] / 2)
+        seen_m = np.where(at_end, ENDS_SEEN_M, SIDES_SEEN_M)
+        points.append(np.hstack([level * longer, HEIGHT_M + (seen_m - HEIGHT_M) * longer]))
     return Evidence(
         stamps_s=stamps,
         middles=np.array(middles),

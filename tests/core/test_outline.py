@@ -10,16 +10,19 @@ from hypothesis import strategies as st
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.outline import (
     CAB_M,
+    ENDS_HIGHEST_M,
     HEAVY_FRONT_HIGHEST_M,
     HEAVY_HIGHEST_M,
     HIGHEST_M,
     LOWEST_M,
     MIRRORS_M,
+    OVERHANGS,
     SHAPE,
     SHAPE_MEAN,
     SHARP_M,
     SIDES_HIGHEST_M,
     WAIST_M,
+    WHEEL_M,
     expected_shape,
     highest_of,
     meet,
@@ -41,6 +44,12 @@ def sensor(distance: float, bearing: float) -> FloatArray:
 def met(xy: FloatArray, origin: FloatArray, shape: FloatArray = FLAT, sigma: float = 0.02, z_m: float = 0.4):
     n = len(xy)
     return meet(xy, np.tile(origin, (n, 1)), np.full(n, sigma), np.full(n, 0.003), SIZE, shape, np.full(n, z_m))
+
+
+def beside_axles(x: FloatArray, length_m: float = SIZE[0]) -> FloatArray:
+    """Return how far places along a car's side are from where the nearer axle is expected, shape (n,), metres."""
+    ends = [np.abs(sign * length_m / 2 - x) - share * length_m for sign, share in zip((1, -1), OVERHANGS, strict=True)]
+    return np.abs(ends).min(axis=0)
 
 
 def rounded(radius: float) -> FloatArray:
@@ -103,8 +112,10 @@ def test_the_derivatives_by_the_shape_are_those_of_the_range(place: tuple[float,
     shape = SHAPE_MEAN + rng.normal(0.0, 0.01, len(SHAPE))
     at = met(xy, origin, shape)
     # Away from the corners, where one side takes over from the other. The derivatives leave out that a side which is
-    # grazed is met elsewhere once it has moved.
+    # grazed is met elsewhere once it has moved, which is much where a wheel begins.
     plain = (at.face < 4) & ((np.abs(xy) < 0.6 * np.array(SIZE) / 2).sum(axis=1) == 1)
+    away_m = beside_axles(xy[:, 0])
+    plain &= (at.face < 2) | (away_m < WHEEL_M[0] - 0.05) | (away_m > WHEEL_M[1] + 0.05)
     for index in range(len(SHAPE)):
         step = 1e-5 * np.eye(len(SHAPE))[index]
         more, less = met(xy, origin, shape + step), met(xy, origin, shape - step)
@@ -194,7 +205,7 @@ def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_
 def test_what_passes_by_is_surely_higher_than_the_road() -> None:
     hits = met(np.array([[0.0, 2.0], [0.0, 2.0]]), np.array([20.0, 2.0]))
     assert (hits.cos == 0.0).all()
-    z, nothing = np.array([0.45, 0.6]), np.zeros(2)
+    z, nothing = np.array([0.45, 0.55]), np.zeros(2)
     chosen = on_the_wall(6.0, z, hits, np.full(2, 0.1), nothing, highest_of(1.8, hits.face, nothing, matched=False))
     assert chosen.tolist() == [False, True]
 
@@ -202,8 +213,8 @@ def test_what_passes_by_is_surely_higher_than_the_road() -> None:
 @pytest.mark.parametrize(
     ("width_m", "origin", "highest_m"),
     [
-        (1.8, (12.0, 0.0), HIGHEST_M),
-        (1.8, (-12.0, 0.0), HIGHEST_M),
+        (1.8, (12.0, 0.0), ENDS_HIGHEST_M),
+        (1.8, (-12.0, 0.0), ENDS_HIGHEST_M),
         (1.8, (0.0, 12.0), SIDES_HIGHEST_M),
         (2.5, (12.0, 0.0), HEAVY_FRONT_HIGHEST_M),
         (2.5, (-12.0, 0.0), HEAVY_HIGHEST_M),
@@ -284,11 +295,28 @@ def test_the_sides_of_a_car_draw_in_towards_its_sills_and_its_ends_do_not() -> N
     shape = FLAT.copy()
     shape[SHAPE.index("sill")] = 0.06
     flat = met(xy, origin)
+    away_m = beside_axles(xy[:, 0])
+    beside, wheel = (flat.face == 3) & (away_m > 0.5), (flat.face == 3) & (away_m < 0.15)
     for z_m, in_m in ((LOWEST_M, 0.06), ((LOWEST_M + WAIST_M) / 2, 0.03), (WAIST_M, 0.0), (0.85, 0.0)):
         hits = met(xy, origin, shape, z_m=z_m)
         off = hits.distance - flat.distance
-        assert off[flat.face == 3] == pytest.approx(in_m, abs=0.002)
+        assert off[beside] == pytest.approx(in_m, abs=0.002)
+        assert off[wheel] == pytest.approx(0.0, abs=1e-9)
         assert off[(flat.face == 1) & (hits.face == 1)] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_outline_stands_out_at_its_wheels_wherever_a_maker_puts_them() -> None:
+    # Front and rear overhang, length and width of cars, metres: the axles' tyres are on the outline, doors behind it.
+    sill = FLAT.copy()
+    sill[SHAPE.index("sill")] = 0.06
+    for length_m, front_m, rear_m in ((3.57, 0.71, 0.56), (4.28, 0.88, 0.77), (4.71, 0.79, 1.07), (4.90, 0.91, 1.0)):
+        x = np.array([length_m / 2 - front_m, 0.0, rear_m - length_m / 2])
+        at, origin = np.column_stack([x, np.full(3, 0.9)]), np.tile([0.0, 15.0], (3, 1))
+        off = [
+            meet(at, origin, np.full(3, 0.02), np.full(3, 0.003), (length_m, 1.8), each, np.full(3, LOWEST_M)).distance
+            for each in (FLAT, sill)
+        ]
+        assert off[1] - off[0] == pytest.approx([0.0, 0.06, 0.0], abs=0.006)
 
 
 def test_the_sides_of_lorries_are_upright() -> None:
