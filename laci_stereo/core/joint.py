@@ -57,8 +57,9 @@ FIXED = 1e-3
 FREE_M = 100.0
 """Standard deviation of the position about the start, which only keeps the equations regular."""
 
-COARSE_ROWS = 1500
-"""Points that compare the starts; a few per frame and side say which is best."""
+COARSE_ROWS, ROUGH_ROWS = 1500, 3000
+"""Points that compare the starts, of which a few per frame and side say which is best; and those of a rough estimate,
+of which one in ten choices of half as many lost a vehicle among false masks to a stranger."""
 
 FINE_ROWS, LEAST_ROWS = 40_000, 10_000
 """Points that are registered in the end, of all drives and of each at least. What points on one side of a frame have in
@@ -291,7 +292,7 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     settings, turn = settings or JointSettings(), _turn_of([drive])
-    problem = _Problem([drive.thinned(COARSE_ROWS)], _around(start, centre), centre, settings, turn)
+    problem = _Problem([drive.thinned(ROUGH_ROWS)], _around(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)

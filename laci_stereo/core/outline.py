@@ -26,7 +26,7 @@ HIGHEST_M = 0.65
 """The bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front end leans back."""
 
 ENDS_HIGHEST_M = 0.6
-"""Bonnet and boot begin with an edge that is round by 5 cm and more: a scanner sees it; a matcher's window is taller."""
+"""Bonnet and boot begin with an edge that is round by 5 cm or more: a scanner sees it; a matcher's window is taller."""
 
 SIDES_HIGHEST_M = 0.9
 """A car's sides are as wide as that up to here, where windows begin to stand back and mirrors to stand out by 0.2 m.

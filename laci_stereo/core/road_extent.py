@@ -99,13 +99,20 @@ class Road:
         return self.surfaces[-1]
 
     def apart(self) -> FloatArray:
-        """Return how far the planes are from the last one's, squared and averaged, shape (3, 3): as `Surface.plane`."""
-        planes = np.array([surface.plane()[0] for surface in self.surfaces])
-        for plane, surface in zip(planes, self.surfaces, strict=True):  # where the last one is told
-            plane[0] = height_of(plane, self.found.middle - surface.middle)
-        off = planes - planes[-1]
-        squares: FloatArray = off.T @ off / len(off)
-        return squares
+        """Return how far the planes may be from the last one's, squared and averaged, shape (3, 3): as `Surface.plane`.
+
+        A surface that is torn between an edge and a crown has its plane between what both would make of it: how far
+        these are from one another is in its doubt, of which nothing is left once the edge is taken for one.
+        """
+        last, _, _ = self.found.plane()
+        squares: FloatArray = np.zeros((3, 3))
+        for surface in self.surfaces[:-1]:
+            off, _, torn = surface.plane()
+            by_place = np.eye(3)
+            by_place[0, 1:] = self.found.middle - surface.middle  # where the last one is told
+            off = by_place @ off - last
+            squares += np.outer(off, off) + by_place @ torn @ by_place.T
+        return squares / len(self.surfaces)
 
 
 def places(track: Track) -> FloatArray:

@@ -5,7 +5,7 @@ import pytest
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import FloatArray, rigid
-from laci_stereo.core.road_extent import HALF_VEHICLE_M, REACH_M, places, road_along
+from laci_stereo.core.road_extent import HALF_VEHICLE_M, REACH_M, Road, places, road_along
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
 from tests.core.tracks import sighting
@@ -244,3 +244,17 @@ def test_who_comes_back_over_the_own_way_was_there_once() -> None:
     assert np.diff(np.sort(found[:, 0])).max() < 3.0
     other_lane = there_and_back(0.0, 12.0, -20.0, 3.5)
     assert len(other_lane) == pytest.approx(2 * 44, abs=8)
+
+
+def test_what_a_surface_is_torn_between_stays_in_doubt_once_an_edge_is_taken_for_one() -> None:
+    # A road of 8 m whose far half falls by 3 % more: behind a crown, or on a verge that is as wide as a lane.
+    xy = plan(0.25)
+    left_m = xy[:, 1] - WAY_Y_M
+    height = -0.03 * (left_m - 2.0).clip(0.0, 4.0) + 0.05 * (left_m > 6.0) + 0.1 * (left_m < -2.0)
+    road = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    found, torn = road.found, road.surfaces[0].plane()[2]
+    assert Road((found,)).apart() == pytest.approx(np.zeros((3, 3)))
+    both = Road((road.surfaces[0], found)).apart()
+    assert (np.linalg.eigvalsh(both[1:, 1:] - torn[1:, 1:] / 2) > -1e-12).all()
+    assert both == pytest.approx(both.T)
