@@ -176,7 +176,7 @@ def meet(
     ray = xy - origin
     far = np.hypot(ray[:, 0], ray[:, 1])
     u = ray / far[:, None]
-    u = np.where(np.abs(u) < 1e-6, 1e-6, u)
+    u = np.where(np.abs(u) < 1e-9, 1e-9, u)
     ahead, left = origin[:, 0] > 0.0, origin[:, 1] > lever_y
     sign_x, sign_y = np.where(ahead, 1.0, -1.0), np.where(left, 1.0, -1.0)
     end_x = sign_x * (half[0] + np.where(ahead, front, rear))
@@ -316,8 +316,8 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
 
 def _wheels(x: FloatArray, length_m: float) -> FloatArray:
     """Return how surely there is a wheel at places along a car's side, shape (n,), from 0 to 1."""
-    front, rear = (share * length_m - length_m / 2 for share in OVERHANGS)
-    away = np.minimum(np.abs(x + front), np.abs(x - rear))
+    ahead, behind = ((0.5 - share) * length_m for share in OVERHANGS)
+    away = np.minimum(np.abs(x - ahead), np.abs(x + behind))
     within, beyond = WHEEL_M
     wheels: FloatArray = np.clip((beyond - away) / (beyond - within), 0.0, 1.0)
     return wheels

@@ -205,7 +205,7 @@ def test_the_wall_is_chosen_by_the_ray_not_by_the_noisy_point(off: float, sigma_
 def test_what_passes_by_is_surely_higher_than_the_road() -> None:
     hits = met(np.array([[0.0, 2.0], [0.0, 2.0]]), np.array([20.0, 2.0]))
     assert (hits.cos == 0.0).all()
-    z, nothing = np.array([0.45, 0.55]), np.zeros(2)
+    z, nothing = np.array([0.45, 0.6]), np.zeros(2)
     chosen = on_the_wall(6.0, z, hits, np.full(2, 0.1), nothing, highest_of(1.8, hits.face, nothing, matched=False))
     assert chosen.tolist() == [False, True]
 
