@@ -11,6 +11,9 @@ from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray
 
+CELL_M = 0.5
+"""The side of a square."""
+
 LASER_RAD = float(np.radians(0.2))
 """What is seen in the same elevation was measured by one laser of a scanner: few have layers closer to one another."""
 
@@ -61,6 +64,8 @@ class Patches:
     Attributes
     ----------
     xy : ndarray, shape (m, 2)
+    size_m2 : ndarray, shape (m,)
+        Mean square of the distance of what is in it from there.
     z, variance : ndarray, shape (m,)
         Height, and its variance through noise that no other patch has.
     sigma_m : ndarray, shape (m,)
@@ -73,6 +78,7 @@ class Patches:
     """
 
     xy: FloatArray
+    size_m2: FloatArray
     z: FloatArray
     variance: FloatArray
     sigma_m: FloatArray
@@ -92,7 +98,18 @@ class Patches:
         told = np.bincount(patch, weight / count[alike.reshape(-1)])
         columns = np.column_stack([cells.xy, cells.z, cells.sigma_m, cells.sight, _lasers(cells.layer)])
         xy, z, sigma_m, sight, lasers = np.split(share @ columns, [2, 3, 4, 6], axis=1)
-        return Patches(xy, z[:, 0], 1.0 / told, sigma_m[:, 0], sight, lasers, share)
+        size_m2 = share @ (np.linalg.norm(cells.xy - xy[patch], axis=1) ** 2) + CELL_M**2 / 6.0
+        return Patches(xy, size_m2, z[:, 0], 1.0 / told, sigma_m[:, 0], sight, lasers, share)
+
+    def apart_m(self) -> FloatArray:
+        """Return the root mean square distance of what is in one patch from what is in another, shape (m, m).
+
+        By it, and not by the patches' own, heights of patches are alike: a mean over a patch is less uneven than a
+        place in it. A covariance that is a mixture of Gaussians of the distance stays one, and so positive definite.
+        """
+        square_m2 = ((self.xy[:, None] - self.xy) ** 2).sum(axis=2) + self.size_m2[:, None] + self.size_m2
+        apart_m: FloatArray = np.sqrt(square_m2)
+        return apart_m
 
     def noise(self, shared_noise_share: float) -> FloatArray:
         """Return the covariance, shape (m, m), of the heights through noise.

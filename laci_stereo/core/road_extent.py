@@ -13,7 +13,7 @@ from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
-from laci_stereo.core.road_cells import LASER_RAD, Cells
+from laci_stereo.core.road_cells import CELL_M, LASER_RAD, Cells
 from laci_stereo.core.road_edges import VERGES_M
 from laci_stereo.core.road_surface import OTHER, Surface, height_of
 from laci_stereo.core.robust import NORMAL
@@ -24,8 +24,6 @@ from laci_stereo.core.tracking import Track
 REACH_M = 20.0
 """So far beside a way road is looked for, unless it ends before: from one edge to the other of five lanes. The more is
 seen of a road, the less do its waves tilt it."""
-
-CELL_M = 0.5
 
 NO_WINDOW_RAD = 1e-6
 """Narrower than what two cells are apart."""

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import k1
 
 from laci_stereo.core.box_ground import BENT_PER_M
 from laci_stereo.core.frames import FloatArray
@@ -39,6 +40,9 @@ those that are longer than what is seen of it pass for its slope. That it falls 
 UNEVEN_M = CLASS_B_M * float(np.sqrt(WAVES_M / REACH_M))
 """Standard deviation of a road's height above its even surface, if it is of class B."""
 
+SMOOTH_M = UNEVEN_M * float(np.sqrt(2.0 / np.pi * np.hypot(1.0, 2.0 * np.pi * 0.1 * WAVES_M)))
+"""The same of a road that is smooth, but has long waves: its spectrum is ISO 8608's at the wave number 0.1 / m."""
+
 _PRIOR = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
 _PLANE = len(_PRIOR)
 """A plane and how it is bent: roads that cross are so in both directions."""
@@ -52,7 +56,7 @@ class Surface:
 
     The plane, how the road is bent, how high what is behind an edge is, and how uneven the road is are normal, a
     Gaussian process with explicit basis functions (Rasmussen and Williams 2006, section 2.7). The fall and the place of
-    the crown or crowns, the edge, and the class of unevenness are summed over by their evidence.
+    the crown or crowns, the edge, and the kind and class of unevenness are summed over by their evidence.
 
     Parameters
     ----------
@@ -64,7 +68,8 @@ class Surface:
     along_rad : float
         Direction of the way: crowns and edges that are straight are looked for along it, across, and in between.
     edges : bool
-        Some of the cells may be behind an edge of the road, and another one may cross it there.
+        Some of the cells may be behind an edge of the road, another one may cross it there, and it may be smooth: long
+        waves on a road that were thought to be rough pass for an edge.
 
     Attributes
     ----------
@@ -82,7 +87,8 @@ class Surface:
         z = patches.z - height_of(before, patches.xy)
         own = patches.share @ _bent(off)
         noise = patches.noise(shared_noise_share) + (own * _PRIOR) @ own.T
-        alike = np.exp(-np.linalg.norm(patches.xy[:, None] - patches.xy, axis=2) / WAVES_M)
+        apart_m = patches.apart_m()
+        uneven = [rough(apart_m)]
         self._crowns = Crowns.of_road(off, along_rad)
         raised, kinds = np.zeros((len(cells), 1, 2)), NO_EDGE
         if edges:
@@ -91,17 +97,19 @@ class Surface:
             raised = behind_edges(cells.left_m, off @ directions - way_m)
             there = np.flatnonzero(raised.any(axis=(0, 2)))
             raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
-            told = partial(_evidence, cho_factor(noise + UNEVEN_M**2 * alike, lower=True), z)
+            told = partial(_evidence, cho_factor(noise + uneven[0], lower=True), z)
             self._crowns = self._crowns.and_crossings(patches.xy - self.middle, told)
+            uneven.append(smooth(apart_m))
         in_cells = self._shapes(cells)
         self._in_middle = in_cells.mean(axis=0)
         shapes = patches.share @ in_cells
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
         given = [
-            _given(noise + (2.0**uneven * UNEVEN_M) ** 2 * alike, z, shapes, self._crowns.likely, behind, kinds)
-            for uneven in _CLASSES
+            _given(noise + 4.0**iso_class * each, z, shapes, self._crowns.likely, behind, kinds)
+            for each in uneven
+            for iso_class in _CLASSES
         ]
-        log_likely = np.array([each.log_likely for each in given]) - 0.5 * _CLASSES**2
+        log_likely = np.array([each.log_likely for each in given]) - 0.5 * np.tile(_CLASSES, len(uneven)) ** 2
         likely = np.exp(log_likely - np.logaddexp.reduce(log_likely))
         self._mean = likely @ np.array([each.mean for each in given])
         products = np.tensordot(likely, [each.products for each in given], 1)
@@ -254,6 +262,26 @@ def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray
         (z @ by_crowns)[:, None] * _FALLS - square[:, None] * (_FALLS**2 / 2), axis=1
     )
     return told
+
+
+def rough(apart_m: FloatArray) -> FloatArray:
+    """Return the covariance of a road's heights, if it is of class B, by how far apart they are (any shape).
+
+    Its spectrum falls with the square of the wave number, as that of ISO 8608.
+    """
+    covariance: FloatArray = UNEVEN_M**2 * np.exp(-apart_m / WAVES_M)
+    return covariance
+
+
+def smooth(apart_m: FloatArray) -> FloatArray:
+    """Return the same for a road whose spectrum falls with the cube of the wave number.
+
+    Of roads that were measured it falls with powers of 1.7 to 3.3 (Mitschke and Wallentowitz, Dynamik der
+    Kraftfahrzeuge). This is Matern's covariance for the smoothness 1 (Rasmussen and Williams 2006, equation 4.14).
+    """
+    waves = np.maximum(apart_m / WAVES_M, 1e-9)
+    covariance: FloatArray = SMOOTH_M**2 * waves * k1(waves)
+    return covariance
 
 
 def _bent(off: FloatArray) -> FloatArray:

@@ -1,14 +1,16 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.road_cells import LASER_RAD, Cells
 from laci_stereo.core.road_extent import evened
-from laci_stereo.core.road_surface import FALL, UNEVEN_M, WAVES_M, Surface
+from laci_stereo.core.road_surface import FALL, UNEVEN_M, WAVES_M, Surface, rough, smooth
 
 SIGMA_M = 0.01
 LANE_M = 3.5
@@ -38,7 +40,7 @@ def road(
     """Return noisy cells of a road that is as uneven as ISO 8608's class B, from the one to the other side of a way."""
     along, left = rng.uniform(-15.0, 15.0, 400), rng.uniform(*beside_m, 400)
     away = np.hypot(along - along[:, None], left - left[:, None])
-    uneven = np.linalg.cholesky(UNEVEN_M**2 * np.exp(-away / WAVES_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
+    uneven = np.linalg.cholesky(rough(away) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
     z = slopes @ [along, left] - fall * np.abs(left - crown_m) + uneven + rng.normal(0.0, SIGMA_M, 400)
     return cells(left, along, z)
 
@@ -89,6 +91,33 @@ def test_the_doubt_is_that_of_the_error_over_random_roads() -> None:
     assert np.mean(np.array(squares) > 3.0**2) < 0.05
 
 
+@pytest.mark.parametrize(("covariance", "power"), [(rough, 2.0), (smooth, 3.0)])
+def test_the_spectrum_of_a_road_is_that_of_iso_8608_class_b(
+    covariance: Callable[[FloatArray], FloatArray], power: float
+) -> None:
+    # Of G(0.1 / m) = 64e-6 m^3, and far above 1 / l = 0.011 / m it falls with a power of the wave number.
+    def density(per_m: float) -> float:
+        found, _ = quad(
+            lambda x: 4.0 * float(covariance(np.array(x))), 0.0, np.inf, weight="cos", wvar=2 * np.pi * per_m
+        )
+        return float(found)
+
+    assert density(0.1) == pytest.approx(64e-6, rel=0.03)
+    assert density(0.2) / density(0.1) == pytest.approx(0.5**power, rel=0.03)
+
+
+@pytest.mark.parametrize("height_m", [0.008, 0.015, 0.03])
+def test_long_waves_of_a_street_do_not_make_one_side_of_its_crown_a_verge(height_m: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(6):
+        along, from_crown = rng.uniform(-40.0, 40.0, 800), rng.uniform(-6.5, 6.5, 800)
+        waves = height_m * np.sin(2 * np.pi * (along / rng.uniform(40.0, 60.0) + rng.random()))
+        z = waves - 0.02 * np.abs(from_crown) + rng.normal(0.0, 0.005, 800)
+        seen = cells(from_crown + rng.choice([-2.2, 2.2]), along, z, 0.005)
+        value, covariance, _ = Surface(seen, 0.0, LEVEL, 0.0, edges=True).plane()
+        assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
+
+
 def wandering(along_m: FloatArray) -> FloatArray:
     """Return how far beside its lane a vehicle, or the boxes on it, are: a quarter of a metre."""
     return 0.35 * np.sin(along_m / 5.0)
@@ -126,7 +155,7 @@ def crossed(rng: np.random.Generator, slopes: FloatArray, fall: float, towards_r
     left = rng.uniform(-4.0, 4.0, 400)
     xy = np.column_stack([(radius_m - left) * np.sin(angle), radius_m - (radius_m - left) * np.cos(angle)])
     away = np.linalg.norm(xy[:, None] - xy, axis=2)
-    uneven = np.linalg.cholesky(UNEVEN_M**2 * np.exp(-away / WAVES_M) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
+    uneven = np.linalg.cholesky(rough(away) + 1e-10 * np.eye(400)) @ rng.normal(size=400)
     from_crown = xy @ [np.cos(towards_rad), np.sin(towards_rad)]
     noise = np.full(400, SIGMA_M)
     z = xy @ slopes - fall * np.abs(from_crown) + uneven + rng.normal(0.0, SIGMA_M, 400)
@@ -208,7 +237,7 @@ def test_the_doubt_is_that_of_the_error_where_each_laser_of_a_scanner_errs_in_it
     n, elevation_deg = len(spots), -np.degrees(np.arctan2(height_m, np.linalg.norm(spots, axis=1)))
     laser = np.round(elevation_deg / 0.8).astype(np.int64)
     away = np.linalg.norm(spots[:, None] - spots, axis=2)
-    root = np.linalg.cholesky(UNEVEN_M**2 * np.exp(-away / WAVES_M) + 1e-10 * np.eye(n))
+    root = np.linalg.cholesky(rough(away) + 1e-10 * np.eye(n))
     squares = []
     for _ in range(60):
         z = root @ rng.normal(size=n) + 0.1 * sigma_m * rng.normal(size=n)
