@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 from scipy.special import k1
 
 from laci_stereo.core.box_ground import BENT_PER_M
@@ -49,6 +50,9 @@ _PLANE = len(_PRIOR)
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
+
+_NEVER = 40.0
+"""What is so much less likely than the likeliest, as a logarithm, is not looked at."""
 
 
 class Surface:
@@ -221,33 +225,39 @@ def _given(
     with_z = (shapes.T @ by_z)[:, 0] - (raised[:, None] @ crossed)[:, 0]
     lessened = spread @ crossed
     crown_square = (crowns * by_shapes[:, _PLANE:]).sum(axis=0) - (crossed * lessened)[:, :, _PLANE:].sum(axis=1)
-    with_crown = own.T @ by_shapes[:, _PLANE:] - crossed[:, :, :_PLANE].transpose(0, 2, 1) @ lessened[:, :, _PLANE:]
 
     log_edge = np.log(edges.likely) + (edges.mean * of_z + raised * off).sum(axis=1) / 2
     log_edge += np.linalg.slogdet(spread @ precision)[1] / 2
     log_crown = np.log(crown_likely, where=crown_likely > 0.0, out=np.full_like(crown_likely, -np.inf))
-    chance = (log_edge[:, None] + log_crown)[:, :, None] + np.log(_FALL_LIKELY)
-    chance += with_z[:, _PLANE:, None] * _FALLS - crown_square[:, :, None] * (_FALLS**2 / 2)
+    together, with_fall = log_edge[:, None] + log_crown, with_z[:, _PLANE:]
+    # Most pairs of an edge and a crown need no look, as the likeliest of all falls up to the steepest tells.
+    likeliest = np.divide(with_fall, crown_square, out=np.zeros_like(with_fall), where=crown_square > 0.0)
+    likeliest = likeliest.clip(0.0, _FALLS[-1])
+    best = together + likeliest * (with_fall - crown_square * (likeliest / 2))
+    edge, crown = pairs = np.nonzero(best > best.max() - _NEVER)
+    chance = together[pairs][:, None] + np.log(_FALL_LIKELY)
+    chance += with_fall[pairs][:, None] * _FALLS - crown_square[pairs][:, None] * (_FALLS**2 / 2)
     most = float(chance.max())
     np.exp(chance - most, out=chance)
     total = float(chance.sum())
     chance /= total
-    of_edge, fall, square = chance.sum(axis=(1, 2)), chance @ _FALLS, chance @ _FALLS**2
+    likely, fall, square = chance.sum(axis=1), chance @ _FALLS, chance @ _FALLS**2
+    of_edge = np.bincount(edge, weights=likely, minlength=count).astype(np.float64)
 
-    # Plane and bends are expected[edge] + by_fall[:, edge, crown] fall.
-    expected = _PRIOR * with_z[:, :_PLANE]
-    by_fall = -_PRIOR[:, None, None] * with_crown.transpose(1, 0, 2)
-    of_falls = (by_fall * fall).sum(axis=2)
-    between = of_falls @ expected
-    products = np.diag(np.append(np.zeros(_PLANE), square.sum(axis=0)))
-    products[:_PLANE, :_PLANE] = (expected.T * of_edge) @ expected + between + between.T
-    products[:_PLANE, :_PLANE] += (by_fall * square).reshape(_PLANE, -1) @ by_fall.reshape(_PLANE, -1).T
-    products[:_PLANE, _PLANE:] = expected.T @ fall + (by_fall * square).sum(axis=1)
-    products[_PLANE:, :_PLANE] = products[:_PLANE, _PLANE:].T
+    # Of each pair, plane and bends are expected + by_fall fall.
+    expected = _PRIOR * with_z[edge, :_PLANE]
+    edge_crown = (crossed[edge, :, :_PLANE] * lessened[edge, :, _PLANE + crown][:, :, None]).sum(axis=1)
+    by_fall = _PRIOR * (edge_crown - (own.T @ by_shapes[:, _PLANE:]).T[crown])
+    on_crown = csr_array((np.ones(len(crown)), (crown, np.arange(len(crown)))), (len(crown_likely), len(crown)))
+    between = (expected.T * fall) @ by_fall
+    products = np.diag(np.append(np.zeros(_PLANE), on_crown @ square))
+    products[:_PLANE, :_PLANE] = (expected.T * likely) @ expected + between + between.T + (by_fall.T * square) @ by_fall
+    products[_PLANE:, :_PLANE] = on_crown @ (expected * fall[:, None] + by_fall * square[:, None])
+    products[:_PLANE, _PLANE:] = products[_PLANE:, :_PLANE].T
     of_own = own.T @ by_shapes[:, :_PLANE]
     of_own -= np.tensordot(crossed[:, :, :_PLANE] * of_edge[:, None, None], lessened[:, :, :_PLANE], ((0, 1), (0, 1)))
     log_likely = most + np.log(total) - 0.5 * float(z @ by_z[:, 0]) - np.log(np.diag(factor[0])).sum()
-    mean = np.append(of_edge @ expected + of_falls.sum(axis=1), fall.sum(axis=0))
+    mean = np.append(likely @ expected + fall @ by_fall, on_crown @ fall)
     return _Given(log_likely, mean, products, np.diag(_PRIOR) - _PRIOR[:, None] * of_own * _PRIOR, of_edge)
 
 
