@@ -19,7 +19,7 @@ from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import GroundError, SettingError, VerdictError
 from laci_stereo.core.frames import Axes
-from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, Settings
+from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, QualitySettings, Settings
 from laci_stereo.io.output import check_output
 from laci_stereo.io.rig import MAX_BASELINE_M, MIN_BASELINE_M
 from laci_stereo.job import DriveOptions, Result, Task
@@ -49,6 +49,8 @@ class Asked:
     method: Method
     clock: str
     clock_sigma: float | None
+    max_sigma_m: float
+    max_sigma_deg: float
     name: str | None
     workers: int = 0
     quiet: bool
@@ -70,7 +72,12 @@ class Asked:
             crs=self.crs,
             name=self.name,
             background=background,
-            core=core_settings(self.method, self.height, clock_sigma(self.clock, self.clock_sigma)),
+            core=core_settings(
+                self.method,
+                self.height,
+                clock_sigma(self.clock, self.clock_sigma),
+                limits(self.max_sigma_m, self.max_sigma_deg),
+            ),
         )
 
 
@@ -97,6 +104,25 @@ baseline_option = click.option(
     metavar="M",
     help="Metres between the cameras, where the stereo calibration's lengths are in an unknown unit, such as squares "
     "of a chessboard [default: as it says, else metres].",
+)
+
+max_sigma_m_option = click.option(
+    "--max-sigma-m",
+    type=float,
+    metavar="M",
+    default=QualitySettings.max_sigma_m,
+    show_default=True,
+    help="How well a pass knows places along the track, one standard deviation, m; up to "
+    f"{QualitySettings.fail_factor:g} times that is a warning.",
+)
+
+max_sigma_deg_option = click.option(
+    "--max-sigma-deg",
+    type=float,
+    metavar="DEG",
+    default=QualitySettings.max_sigma_deg,
+    show_default=True,
+    help="The same for the yaw, degrees; a tilt may be known half as well.",
 )
 
 _ASKED = (
@@ -145,6 +171,8 @@ _ASKED = (
         help="How far apart their clocks are, one standard deviation, s [default: "
         f"{JointSettings.clock_sigma_s:g}; {UNKNOWN_CLOCK_S:g} with --clock unknown].",
     ),
+    max_sigma_m_option,
+    max_sigma_deg_option,
     click.option(
         "--name",
         help="What you call the sensor [default: the folder around images or detections, the folder or bag of scans].",
@@ -360,13 +388,28 @@ def clock_sigma(clock: str, sigma_s: float | None) -> float:
     return sigma_s
 
 
-def core_settings(method: Method, height_m: float | None, clock_sigma_s: float) -> Settings:
+def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:
+    """Return what the verdict is by.
+
+    Raises
+    ------
+    SettingError
+        If one is not a positive number.
+    """
+    for option, value, unit in (("--max-sigma-m", max_sigma_m, "m"), ("--max-sigma-deg", max_sigma_deg, "deg")):
+        if not 0 < value < math.inf:
+            raise SettingError(f"{option} is {value} {unit}; needed is a number above 0")
+    return QualitySettings(max_sigma_m=max_sigma_m, max_sigma_deg=max_sigma_deg)
+
+
+def core_settings(method: Method, height_m: float | None, clock_sigma_s: float, quality: QualitySettings) -> Settings:
     """Put what was asked over the core's defaults."""
     return Settings(
         method=method,
         ground=ground_near(height_m),
         match=MatchSettings(clock_sigma_s=clock_sigma_s),
         joint=JointSettings(clock_sigma_s=clock_sigma_s),
+        quality=quality,
     )
 
 

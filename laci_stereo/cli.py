@@ -13,9 +13,12 @@ from laci_stereo.asked import (
     calibrating,
     deliver,
     interval,
+    limits,
     log_to_stderr,
     map_crs_option,
     matching,
+    max_sigma_deg_option,
+    max_sigma_m_option,
     parse_background,
 )
 from laci_stereo.cam_command import cam as cam_command
@@ -25,6 +28,7 @@ from laci_stereo.combine import CombineOptions
 from laci_stereo.combine import combine as combine_runs
 from laci_stereo.compare_command import compare_command
 from laci_stereo.core.errors import SettingError
+from laci_stereo.core.settings import Settings
 from laci_stereo.export_command import export as export_command
 from laci_stereo.import_command import import_command
 from laci_stereo.io.axes import parse_axes
@@ -153,6 +157,8 @@ def match(
 @click.option("--overwrite", is_flag=True, help="Replace a result that is there already.")
 @click.option("--map", "lane_map", type=PATH, help="Lane map; only drawn.")
 @map_crs_option
+@max_sigma_m_option
+@max_sigma_deg_option
 @click.option("--name", help="What you call the sensor [default: as in the first RUN].")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 @click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
@@ -162,6 +168,8 @@ def combine(
     overwrite: bool,
     lane_map: Path | None,
     map_crs: str | None,
+    max_sigma_m: float,
+    max_sigma_deg: float,
     name: str | None,
     quiet: bool,
     verbose: bool,
@@ -173,7 +181,8 @@ def combine(
     """
     log_to_stderr(quiet=quiet, verbose=verbose)
     check_output(out, overwrite=overwrite)
-    result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map, map_crs=map_crs))
+    core = Settings(quality=limits(max_sigma_m, max_sigma_deg))
+    result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map, map_crs=map_crs, core=core))
     deliver(result, (*result.job.provenance.notes, *result.job.skipped), out, overwrite=overwrite, quiet=quiet)
 
 

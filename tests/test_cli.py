@@ -391,6 +391,8 @@ def test_an_empty_road_is_not_calibrated(site: Site) -> None:
         (("--cam-reference", "9" * 20 + ",0"), ("--cam-reference is", "metres, up to 30")),
         (("--clock-sigma", "1e308"), ("--clock-sigma is 1e+308 s", "needed is 1e-06 to 60")),
         (("--clock-sigma", "nan"), ("--clock-sigma is nan s", "needed is 1e-06 to 60")),
+        (("--max-sigma-m", "0"), ("--max-sigma-m is 0.0 m", "needed is a number above 0")),
+        (("--max-sigma-deg", "nan"), ("--max-sigma-deg is nan deg", "needed is a number above 0")),
         (("--crs", "nonsense"), ("'nonsense'", "needed is a UTM zone such as EPSG:32632")),
         (("--height", "-1"), ("--height is -1.0 m", "needed is a number above 0")),
         (("--height", "inf"), ("--height is inf m", "needed is a number above 0")),

@@ -105,6 +105,19 @@ def test_a_drive_that_contradicts_the_others_is_named_and_left_out(site: Site) -
     assert len(document["inputs"]) == 3
 
 
+@pytest.mark.parametrize(("times", "verdict", "code"), [(1.1, "pass", 0), (0.5, "warn", 0), (0.2, "fail", 1)])
+def test_the_verdict_is_by_the_limits_that_are_asked_for(site: Site, times: float, verdict: str, code: int) -> None:
+    runs = [site.lay(0)]
+    assert run(site.arguments(runs), site.root).code == 0
+    sigma_m = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["quality"]["track_xy_sigma_m"]
+    limit = f"{times * sigma_m:.5f}"
+    ran = run(site.arguments(runs, "--overwrite", "--max-sigma-m", limit), site.root)
+    assert ran.code == code, ran
+    quality = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["quality"]
+    assert quality["verdict"] == verdict
+    assert any("the limit is" in reason for reason in quality["reasons"]) == (verdict != "pass")
+
+
 @pytest.mark.slow
 def test_what_cannot_be_combined_is_refused(site: Site) -> None:
     runs = [site.lay(0), site.lay(1, off_by(passages()[1], 1.0, 0.0))]

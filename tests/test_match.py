@@ -86,6 +86,14 @@ def test_boxes_whose_y_points_to_the_right(tmp_path: Path) -> None:
     site.refused(NOT_CALIBRATED, "with left and right exchanged", "left-handed", "y left", options=("--quiet",))
 
 
+def test_an_angle_that_is_known_worse_than_asked_for_is_a_fail_which_is_written_to_be_looked_at(site: Site) -> None:
+    ran = run(site.arguments("--max-sigma-deg", "0.0001"), site.root)
+    assert ran.code == NOT_CALIBRATED, ran
+    assert "the verdict is fail: yaw is known to" in ran.err
+    quality = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["quality"]
+    assert (quality["verdict"], len(quality["reasons"])) == ("fail", 2)
+
+
 def test_a_stranger_that_appears_where_the_sender_is_lost_says_nothing(tmp_path: Path) -> None:
     """By another motion it fits the messages a little, as one of many may by chance."""
     made = traffic(522)
