@@ -19,7 +19,15 @@ from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import GroundError, SettingError, VerdictError
 from laci_stereo.core.frames import Axes
-from laci_stereo.core.settings import GroundSettings, JointSettings, MatchSettings, Method, QualitySettings, Settings
+from laci_stereo.core.settings import (
+    GroundSettings,
+    JointSettings,
+    MatchSettings,
+    Method,
+    QualitySettings,
+    Settings,
+    above_zero,
+)
 from laci_stereo.io.output import check_output
 from laci_stereo.io.rig import MAX_BASELINE_M, MIN_BASELINE_M
 from laci_stereo.job import DriveOptions, Result, Task
@@ -366,8 +374,7 @@ def ground_near(height_m: float | None) -> GroundSettings:
     """
     if height_m is None:
         return GroundSettings()
-    if not 0 < height_m < math.inf:
-        raise SettingError(f"--height is {height_m} m; needed is a number above 0")
+    above_zero("--height", height_m, "m")
     return GroundSettings(min_height_m=height_m * 2 / 3, max_height_m=height_m * 4 / 3)
 
 
@@ -396,10 +403,10 @@ def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:
     SettingError
         If one is not a positive number.
     """
-    for option, value, unit in (("--max-sigma-m", max_sigma_m, "m"), ("--max-sigma-deg", max_sigma_deg, "deg")):
-        if not 0 < value < math.inf:
-            raise SettingError(f"{option} is {value} {unit}; needed is a number above 0")
-    return QualitySettings(max_sigma_m=max_sigma_m, max_sigma_deg=max_sigma_deg)
+    return QualitySettings(
+        max_sigma_m=above_zero("--max-sigma-m", max_sigma_m, "m"),
+        max_sigma_deg=above_zero("--max-sigma-deg", max_sigma_deg, "deg"),
+    )
 
 
 def core_settings(method: Method, height_m: float | None, clock_sigma_s: float, quality: QualitySettings) -> Settings:

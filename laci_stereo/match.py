@@ -11,9 +11,10 @@ import numpy as np
 from laci_stereo.core.box_ground import HEIGHT_SIGMA_M, height_by_boxes
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
-from laci_stereo.core.errors import DetectionError, SettingError
+from laci_stereo.core.errors import DetectionError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import above_zero
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.detections import read_detections
 from laci_stereo.io.lane_map import find_lane_map
@@ -147,8 +148,7 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
     """Raise if nothing tells where the ground is."""
     no_z = bool(np.isnan(log.points_sensor[:, 2]).all())
     if options.level_m is not None:
-        if not 0 < options.level_m < np.inf:
-            raise SettingError(f"--level is {options.level_m} m; needed is a number above 0")
+        above_zero("--level", options.level_m, "m")
         if no_z and options.axes.up[2] == 0.0:
             raise DetectionError(f"{path} lacks z, but {_in_words(options.axes)}; needed is z, or other --axes")
         _check_level(path, log, options.level_m, options.axes)

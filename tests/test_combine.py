@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,6 +36,10 @@ class Site:
     @property
     def out(self) -> Path:
         return self.root / "all"
+
+    def document(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((self.out / "calibration.json").read_text(encoding="utf-8"))
+        return found
 
     def lay(self, number: int, passage: Passage | None = None) -> str:
         """Write the result of a drive, perhaps with another drive in its evidence."""
@@ -67,7 +72,7 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
         "report.html",
         "topdown.png",
     ]
-    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    document = site.document()
     Draft202012Validator(schema()).validate(document)
     assert document["method"] == "joint"
     assert document["sensor"] == {"name": "mast 7", "kind": "lidar", "frame": "as in the scans"}
@@ -89,7 +94,7 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     refusal(run(site.arguments(runs), site.root), UNUSABLE, "holds a result already", "--overwrite")
     again = run(site.arguments(["all"], "--overwrite", "--name", "mast 8", "-q"), site.root)
     assert (again.code, again.out, again.err) == (0, "", "")
-    replaced = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    replaced = site.document()
     assert replaced["sensor"]["name"] == "mast 8"
     assert np.array(replaced["T_utm_sensor"]) == pytest.approx(np.array(document["T_utm_sensor"]), abs=2e-3)
 
@@ -100,7 +105,7 @@ def test_a_drive_that_contradicts_the_others_is_named_and_left_out(site: Site) -
     assert ran.code == 0, ran
     assert "note: run1 left out: it alone is " in ran.err
     assert "3 drives from 3 results, 1 left out" in ran.out
-    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    document = site.document()
     assert any(note.startswith("run1 left out: ") and "sigma" in note for note in document["notes"])
     assert len(document["inputs"]) == 3
 
@@ -109,11 +114,11 @@ def test_a_drive_that_contradicts_the_others_is_named_and_left_out(site: Site) -
 def test_the_verdict_is_by_the_limits_that_are_asked_for(site: Site, times: float, verdict: str, code: int) -> None:
     runs = [site.lay(0)]
     assert run(site.arguments(runs), site.root).code == 0
-    sigma_m = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["quality"]["track_xy_sigma_m"]
+    sigma_m = site.document()["quality"]["track_xy_sigma_m"]
     limit = f"{times * sigma_m:.5f}"
     ran = run(site.arguments(runs, "--overwrite", "--max-sigma-m", limit), site.root)
     assert ran.code == code, ran
-    quality = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["quality"]
+    quality = site.document()["quality"]
     assert quality["verdict"] == verdict
     assert any("the limit is" in reason for reason in quality["reasons"]) == (verdict != "pass")
 
@@ -155,7 +160,7 @@ def test_how_frames_were_read_is_kept(site: Site) -> None:
     document["config"]["lidar"] = {"accumulate": 3}
     path.write_text(json.dumps(document))
     assert run(site.arguments([f"{one}/calibration.json" for one in runs]), site.root).code == 0
-    made = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    made = site.document()
     assert made["config"]["lidar"] == {"accumulate": 3}
     assert made["config"]["method"] == "joint"
 

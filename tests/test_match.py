@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +47,10 @@ class Site:
     @property
     def out(self) -> Path:
         return self.root / "result"
+
+    def document(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((self.out / "calibration.json").read_text(encoding="utf-8"))
+        return found
 
     def arguments(self, *options: str) -> list[str]:
         return ["match", str(self.detections), str(self.cam), "--out", str(self.out), *options]
@@ -90,7 +95,7 @@ def test_an_angle_that_is_known_worse_than_asked_for_is_a_fail_which_is_written_
     ran = run(site.arguments("--max-sigma-deg", "0.0001"), site.root)
     assert ran.code == NOT_CALIBRATED, ran
     assert "the verdict is fail: yaw is known to" in ran.err
-    quality = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["quality"]
+    quality = site.document()["quality"]
     assert (quality["verdict"], len(quality["reasons"])) == ("fail", 2)
 
 
@@ -208,7 +213,7 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     assert ran.code == 0, ran
     assert "note: x, y and z taken for the centre of the boxes (see --box-origin)" in ran.err.splitlines()
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
-    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    document = site.document()
     Draft202012Validator(schema()).validate(document)
     assert document["sensor"] == {
         "name": "radar 3",
@@ -249,7 +254,7 @@ def test_result_that_must_not_be_used_is_written_and_no_success(tmp_path: Path) 
     Rows(rows.header, [row for row, kept in zip(rows.rows, near, strict=True) if kept]).write(site.detections)
     ran = run(site.arguments("--method", "paper"), site.root)
     assert ran.code == NOT_CALIBRATED, ran
-    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    document = site.document()
     assert document["quality"]["verdict"] == "fail"
     assert "Verdict    FAIL: " in ran.out
     line = ran.err.splitlines()[-1]
@@ -278,7 +283,7 @@ def test_yaw_in_degrees_and_doubled_rows_are_put_right_and_said(site: Site) -> N
     assert ran.code == 0, ran
     assert "note: yaw: degrees (up to " in ran.err
     assert "note: 50 doubled rows dropped" in ran.err.splitlines()
-    document = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
+    document = site.document()
     assert np.array(document["T_world_sensor"]) == pytest.approx(plain, abs=1e-6)
 
 

@@ -17,8 +17,9 @@ from laci_stereo.core.frames import FloatArray
 
 # l: a road falls from its crown to its gutter, so its height is common to about as much as half its width.
 REACH_M = 7.0
+N0_PER_M = 0.1
 # Class B, a good paved road: G = 64e-6 m^3.
-CLASS_B_M = float(np.sqrt(np.pi**2 * REACH_M * 0.1**2 * 64e-6))
+CLASS_B_M = float(np.sqrt(np.pi**2 * REACH_M * N0_PER_M**2 * 64e-6))
 # A paved road of class C by ISO 8608 is as uneven; what is more so is more than one surface.
 ONE_SURFACE_M = 2.0 * CLASS_B_M
 # With each class G is four times as large. Paved roads are of class A to C, which is taken as one standard deviation.

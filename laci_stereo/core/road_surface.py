@@ -18,7 +18,7 @@ from scipy.special import k1
 
 from laci_stereo.core.box_ground import BENT_PER_M
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
+from laci_stereo.core.ground_uneven import CLASS_B_M, N0_PER_M, REACH_M
 from laci_stereo.core.road_cells import Cells, Patches
 from laci_stereo.core.road_crowns import Crowns
 from laci_stereo.core.road_edges import EDGES, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
@@ -41,7 +41,7 @@ those that are longer than what is seen of it pass for its slope. That it falls 
 UNEVEN_M = CLASS_B_M * float(np.sqrt(WAVES_M / REACH_M))
 """Standard deviation of a road's height above its even surface, if it is of class B."""
 
-SMOOTH_M = UNEVEN_M * float(np.sqrt(2.0 / np.pi * np.hypot(1.0, 2.0 * np.pi * 0.1 * WAVES_M)))
+SMOOTH_M = UNEVEN_M * float(np.sqrt(2.0 / np.pi * np.hypot(1.0, 2.0 * np.pi * N0_PER_M * WAVES_M)))
 """The same of a road that is smooth, but has long waves: its spectrum is ISO 8608's at the wave number 0.1 / m."""
 
 _PRIOR = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])

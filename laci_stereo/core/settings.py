@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from laci_stereo.core.errors import SettingError
+
 
 @dataclass(frozen=True)
 class GroundSettings:
@@ -229,6 +231,19 @@ class MatchSettings:
     clock_sigma_s: float = 0.010
     position_sigma_m: float = 0.3
     stretch_m: float = 10.0
+
+
+def above_zero(option: str, value: float, unit: str) -> float:
+    """Return what an option says.
+
+    Raises
+    ------
+    SettingError
+        If it is not a positive number.
+    """
+    if not 0 < value < math.inf:
+        raise SettingError(f"{option} is {value} {unit}; needed is a number above 0")
+    return value
 
 
 def with_turn(clock_sigma_s: float, turn_s: float) -> float:

@@ -137,12 +137,15 @@ def lines_found(said: str) -> int:
     return int(found[1])
 
 
-def test_rectified_images_are_not_rectified_again(calibrated: Calibrated, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("k1", "told_apart"), [(-0.6, False), (-0.9, True)])
+def test_rectified_images_are_not_rectified_again(
+    calibrated: Calibrated, tmp_path: Path, k1: float, told_apart: bool
+) -> None:
     """By a calibration with a distortion that they do not have any more."""
     text = calibrated.site.stereo.read_text()
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     entries = {name: storage.getNode(name).mat() for name in ("K1", "D1", "K2", "D2", "R", "T")}
-    entries["D1"] = np.array([[-0.9, 0.3, 0.0, 0.0, 0.0]])
+    entries["D1"] = np.array([[k1, 0.3, 0.0, 0.0, 0.0]])
     size = [int(storage.getNode(name).real()) for name in ("image_width", "image_height")]
     out = cv2.FileStorage(str(tmp_path / "bent.yaml"), cv2.FILE_STORAGE_WRITE)
     for name, matrix in entries.items():
@@ -152,7 +155,7 @@ def test_rectified_images_are_not_rectified_again(calibrated: Calibrated, tmp_pa
     out.release()
     options = ("--stereo", tmp_path / "bent.yaml", "--picture", tmp_path / "check.png", "--overwrite")
     again = calibrated.check(calibrated.result, *options)
-    assert "PASS" not in again.out, again
+    assert not (told_apart and "PASS" in again.out), again
     ran = calibrated.check(calibrated.result, "--rectified", *options)
     assert "PASS" in ran.out, ran
     assert lines_found(again.out) < 0.7 * lines_found(ran.out)

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.road_cells import LASER_RAD, Cells
 from laci_stereo.core.road_extent import evened
-from laci_stereo.core.road_surface import FALL, UNEVEN_M, WAVES_M, Surface, rough, smooth
+from laci_stereo.core.road_surface import FALL, UNEVEN_M, Surface, rough, smooth
 
 SIGMA_M = 0.01
 LANE_M = 3.5
@@ -201,7 +201,7 @@ def test_the_doubt_is_that_of_the_error_where_a_matcher_errs_alike_within_its_wi
     alike = np.maximum(0.0, 1.0 - np.abs(sight[:, None] - sight)).prod(axis=2)
     noise = 0.05 * (x / 25.0) ** 2
     away = np.hypot(x[:, None] - x, y[:, None] - y)
-    both = noise[:, None] * noise * alike + UNEVEN_M**2 * np.exp(-away / WAVES_M)
+    both = noise[:, None] * noise * alike + rough(away)
     root = np.linalg.cholesky(both + 1e-8 * np.eye(len(x)))
     squares = []
     for _ in range(60):
