@@ -177,10 +177,11 @@ class VehicleTrack:
         """
         first, last = self.stretch(stamps_s)
         known = (first <= stamps_s) & (stamps_s <= last) & (first < last)
-        xy = np.full((len(stamps_s), 2), np.nan)
-        yaw = np.full(len(stamps_s), np.nan)
-        xy[known], yaw[known] = self._pose(stamps_s[known])
-        return xy, yaw, known
+        pose = np.full((len(stamps_s), 3), np.nan)
+        for begin in np.unique(first[known]):
+            its = known & (first == begin)
+            pose[its] = self._ways[float(begin)](stamps_s[its])
+        return pose[:, :2], pose[:, 2], known
 
     def stretch(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return from when to when the track is known without a gap, around the last message before each time.
@@ -210,13 +211,6 @@ class VehicleTrack:
     def body(self) -> BodyYaw:
         """By how much the body is turned against the headings, for any lever."""
         return body_yaw(self.stamps_s, self.xy, self.yaw_rad)
-
-    def _pose(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        first = self.stretch(stamps_s)[0]
-        pose = np.zeros((len(stamps_s), 3))
-        for begin in np.unique(first):
-            pose[first == begin] = self._ways[float(begin)](stamps_s[first == begin])
-        return pose[:, :2], pose[:, 2]
 
     @cached_property
     def _ways(self) -> dict[float, Callable[[FloatArray], FloatArray]]:

@@ -20,6 +20,9 @@ FIRST_OWN = 5
 error, heading lever, how the body stood when the messages began, the shape, how partial a detector's boxes are, how
 glossy the body is, by how much borders grow, and the knots of the GNSS bias."""
 
+_NORMAL = slice(1, 3)
+"""The derivatives by x and y: where the normal points on the map."""
+
 BIAS, SWEEP = 3, 4
 _CLOCK, _HEADING, _LEVER, _BEGIN, _SHAPE = 5, 6, 7, 8, 9
 _PARTIAL = _SHAPE + len(outline.SHAPE)
@@ -411,16 +414,31 @@ class DriveModel:
         shares : ndarray
             As `shares` has them.
         """
-        faces, count = len(self.drive) * outline.FACES, int((rows.face < outline.FACES).sum())
-        group = rows.frame * outline.FACES + rows.face
-        group[count:] = rows.face[count:] - outline.FACES
         parts = [
-            mixture.weigh(distance[part], sigma[part], group[part], its, rows.share[part])
-            for part, its in ((slice(count), shares[: faces + 1]), (slice(count, None), shares[faces + 1 :]))
+            mixture.weigh(distance[part], sigma[part], group, its, rows.share[part])
+            for part, group, its in self._kinds(rows, shares)
         ]
         names = ("surface", "behind", "slope", "log_likelihood", "growth")
         whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
+
+    def _log_likelihood(self, rows: Rows, distance: FloatArray, sigma: FloatArray, shares: FloatArray) -> FloatArray:
+        """Return how likely each of some distances is, shape (n,), as `mixed` has it."""
+        return np.concatenate(
+            [
+                mixture.log_likelihood(distance[part], sigma[part], group, its)
+                for part, group, its in self._kinds(rows, shares)
+            ]
+        )
+
+    def _kinds(self, rows: Rows, shares: FloatArray) -> tuple[tuple[slice, IntArray, FloatArray], ...]:
+        """Return which rows are of faces and which of borders, in which group each is, and the shares of these."""
+        faces, count = len(self.drive) * outline.FACES, int((rows.face < outline.FACES).sum())
+        of_faces = rows.frame[:count] * outline.FACES + rows.face[:count]
+        return (
+            (slice(count), of_faces, shares[: faces + 1]),
+            (slice(count, None), rows.face[count:] - outline.FACES, shares[faces + 1 :]),
+        )
 
     def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
         """Return information and gradient, shape (5 + own,), where some distances were taken.
@@ -498,8 +516,8 @@ class DriveModel:
         hit = before.cos > 0.0
         distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
         sigma = np.sqrt(before.variance)
-        there, here = (self.mixed(before, at, sigma, shares).log_likelihood for at in (distance, before.distance))
-        return float((before.share * (there - here)).sum())
+        there, here = (self._log_likelihood(before, at, sigma, shares) for at in (distance, before.distance))
+        return float(before.share @ (there - here))
 
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
         """Return the distances at some parameters, of the points chosen, or of those on the wall there."""
@@ -616,8 +634,8 @@ class DriveModel:
         drive, points, frame = self.drive, met.points, self.drive.frame[met.points]
         late_s = drive.frames_late_s[frame] + drive.points_late_s[points]
         rows = self._rows_of(x, poses, met, frame, late_s, share)
-        sight = rotate_xy(-met.yaw, rotate_xy(x[0], self.sight[points]))
-        rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * dot_xy(sight, met.hits.normal)
+        towards = dot_xy(rotate_xy(x[0], self.sight[points]), rows.jacobian[:, _NORMAL])
+        rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
         # What is seen within half a window of a border may be the border's: beside the outline all of it, and on a side
         # that is narrower than that, for it is grazed.
         window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
@@ -658,18 +676,18 @@ class DriveModel:
     def _rows_of(
         self, x: FloatArray, poses: Poses, met: Met, frame: IntArray, late_s: FloatArray, share: FloatArray
     ) -> Rows:
-        hits, yaw = met.hits, met.yaw
+        hits = met.hits
         # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
         arm = (met.arm + self.centre) * hits.reach[:, None] - self.centre
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
-        jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, hits.normal)
+        jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, met.yaw, hits.normal)
         jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
         return Rows(
             distance=hits.distance,
             variance=hits.variance,
             cos=hits.cos,
             jacobian=jacobian,
-            by_time=by_time(poses.now, frame, xy, yaw, hits.normal),
+            by_time=by_time(poses.now, frame, xy, hits.normal, jacobian[:, _NORMAL]),
             late_s=late_s,
             face=hits.face,
             frame=frame,
@@ -708,7 +726,7 @@ class DriveModel:
                     variance=np.full(len(frame), variances[axis]),
                     cos=np.ones(len(frame)),
                     jacobian=jacobian,
-                    by_time=by_time(poses.now, frame, xy, yaw, normal),
+                    by_time=by_time(poses.now, frame, xy, normal, jacobian[:, _NORMAL]),
                     late_s=late_s,
                     face=np.full(len(frame), axis),
                     frame=frame,
@@ -733,8 +751,8 @@ class DriveModel:
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
         jacobian[:, 0] = dot_xy(normal_world, turned(rotate_xy(x[0], arm)))
-        jacobian[:, 1:3] = normal_world
-        jacobian[:, _CLOCK] = by_time(poses.rates, frame, xy, yaw, normal)
+        jacobian[:, _NORMAL] = normal_world
+        jacobian[:, _CLOCK] = by_time(poses.rates, frame, xy, normal, normal_world)
         jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
         about = -dot_xy(normal, turned(xy - np.asarray(self.drive.vehicle.reference)))
         jacobian[:, _HEADING] = about

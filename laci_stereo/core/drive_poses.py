@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
@@ -30,8 +28,6 @@ LEAST_TOLD = 10
 
 FINEST_RAD = float(np.radians(0.1)) / 12**0.5
 """No heading is better than that: its last digit in the message is a tenth of a degree."""
-
-_Track: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray, BoolArray]]
 
 
 @dataclass(frozen=True)
@@ -88,29 +84,35 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
     begin : float
         How the body stood when the messages began: 1 as that point moved, -1 as in a bend in which it has settled.
     """
-
-    def smoothed(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        return smooth(vehicle, stamps_s)
-
-    def bent(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        (turned, by_lever), (begun, begun_by_lever) = (
-            each(stamps_s, lever) for each in (vehicle.body.at, vehicle.body.begun_at)
-        )
-        return turned + begin * begun, by_lever + begin * begun_by_lever, begun
-
-    xy, heading, known = smoothed(at)
-    turned, by_lever, by_begin = bent(at)
     stretch_s = vehicle.stretch(at)
+    now, rate = (
+        [np.clip(at + shift_s, *stretch_s) for shift_s in (-within_s, within_s)] for within_s in (NOW_S, RATE_S)
+    )
+    # In rows: there, a moment before and after, and so long before and after that noise is no manoeuvre.
+    smoothed, told = smooth(vehicle, np.concatenate([at, *now])), vehicle.at(np.concatenate(rate))
+    xy, heading, known = (
+        np.concatenate(each).reshape(5, len(at), *each[0].shape[1:]) for each in zip(smoothed, told, strict=True)
+    )
+    times_s = np.concatenate([at, *now, *rate])
+    (turned, by_lever), (begun, begun_by_lever) = (
+        each(times_s, lever) for each in (vehicle.body.at, vehicle.body.begun_at)
+    )
+    times_s, yaw = times_s.reshape(heading.shape), heading + (turned + begin * begun).reshape(heading.shape)
+    rates = [
+        _rates(heading[0], times_s[ends], xy[ends], heading[ends], yaw[ends], known[ends])
+        for ends in (slice(1, 3), slice(3, 5))
+    ]
+    here = slice(len(at))
     return Poses(
-        xy=xy,
-        heading=heading,
-        yaw=heading + heading_error + turned,
-        by_lever=by_lever,
-        by_begin=by_begin,
-        rates=_rates(vehicle.at, at, heading, lambda ends_s: bent(ends_s)[0], RATE_S, stretch_s),
-        now=_rates(smoothed, at, heading, lambda ends_s: bent(ends_s)[0], NOW_S, stretch_s),
+        xy=xy[0],
+        heading=heading[0],
+        yaw=yaw[0] + heading_error,
+        by_lever=(by_lever + begin * begun_by_lever)[here],
+        by_begin=begun[here],
+        now=rates[0],
+        rates=rates[1],
         unsure=_unsure(vehicle, at),
-        known=known,
+        known=known[0],
     )
 
 
@@ -162,33 +164,22 @@ def _unsure(vehicle: VehicleTrack, at: FloatArray) -> FloatArray:
 
 
 def _rates(
-    track: _Track,
-    at: FloatArray,
-    heading: FloatArray,
-    bent: Callable[[FloatArray], FloatArray],
-    within_s: float,
-    stretch_s: tuple[FloatArray, FloatArray],
+    heading: FloatArray, at: FloatArray, xy: FloatArray, headings: FloatArray, yaws: FloatArray, known: BoolArray
 ) -> Rates:
-    """Return the rates at some times, from the poses so long before and after, for a vehicle that turns evenly.
+    """Return the rates at some times, from the poses before and after, shape (2, m), for a vehicle that turns evenly.
 
-    At the ends of a stretch that is known, from those at the end: no rate, beside others, would be a manoeuvre.
-    Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
+    At the ends of a stretch that is known, where one of both is at the end: no rate, beside others, would be a
+    manoeuvre. Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
     """
-    earlier, later = (np.clip(at + shift, *stretch_s) for shift in (-within_s, within_s))
-    ends = np.concatenate([earlier, later])
-    begin, end = slice(len(at)), slice(len(at), None)
-    xy, headings, known = track(ends)
-    both = known[begin] & known[end] & (later > earlier)
-    passed = np.where(both, later - earlier, 1.0)
-    half = (headings[end] - headings[begin]) / 2.0
-    arc = (xy[end] - xy[begin]) / np.sinc(half / np.pi)[:, None]
-    velocity = rotate_xy(heading - headings[begin] - half, arc) / passed[:, None]
-    yaws = headings + bent(ends)
-    yaw = yaws[end] - yaws[begin]
-    return Rates(np.where(both[:, None], velocity, 0.0), np.where(both, yaw, 0.0) / passed)
+    both = known[0] & known[1] & (at[1] > at[0])
+    passed_s = np.where(both, at[1] - at[0], 1.0)
+    half = (headings[1] - headings[0]) / 2.0
+    arc = (xy[1] - xy[0]) / np.sinc(half / np.pi)[:, None]
+    velocity = rotate_xy(heading - headings[0] - half, arc) / passed_s[:, None]
+    return Rates(np.where(both[:, None], velocity, 0.0), np.where(both, yaws[1] - yaws[0], 0.0) / passed_s)
 
 
-def by_time(rates: Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, normal: FloatArray) -> FloatArray:
+def by_time(rates: Rates, frame: IntArray, xy: FloatArray, normal: FloatArray, normal_world: FloatArray) -> FloatArray:
     """Return the derivative of normal . xy by the time of the messages, shape (n,).
 
     Parameters
@@ -198,9 +189,9 @@ def by_time(rates: Rates, frame: IntArray, xy: FloatArray, yaw: FloatArray, norm
         Which each point is in.
     xy, normal : ndarray, shape (n, 2)
         In the vehicle frame.
-    yaw : ndarray, shape (n,)
-        Of the body.
+    normal_world : ndarray, shape (n, 2)
+        The same normal in the world frame.
     """
-    moved = dot_xy(rotate_xy(yaw, normal), rates.velocity[frame])
+    moved = dot_xy(normal_world, rates.velocity[frame])
     derivative: FloatArray = -moved - rates.yaw[frame] * dot_xy(normal, turned(xy))
     return derivative

@@ -85,7 +85,9 @@ def rotate_xy(yaw_rad: FloatArray | float, xy: FloatArray) -> FloatArray:
     """Turn points in the plane, shape (..., 2), counter-clockwise by yaw."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     x, y = xy[..., 0], xy[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    moved = np.empty((*np.broadcast_shapes(np.shape(c), x.shape), 2))
+    moved[..., 0], moved[..., 1] = c * x - s * y, s * x + c * y
+    return moved
 
 
 def dot_xy(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -34,6 +34,10 @@ SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
 FIRST_STEPS, FOLLOWED = 3, 4
 """After so many steps a good start is within half a metre, so that the best few of all are followed further."""
 
+TOGETHER = 0.1
+"""Squared distance, in standard deviations at that softness, within which two that were followed are one: by less than
+a third of what separates two hills."""
+
 MAX_ITERATIONS = 40
 ROUNDS = 3
 SETTLING = 3
@@ -332,6 +336,20 @@ class _Solved:
     own: tuple[slice, ...]
 
 
+@dataclass(frozen=True)
+class _Descent:
+    """Where a start has come to: the distances there, and what came out of the step that led there.
+
+    ``log_likely`` is how likely the place is, as a logarithm, at that step's softness.
+    """
+
+    x: FloatArray
+    rows: Sequence[Rows]
+    shares: Sequence[FloatArray]
+    curvature: FloatArray
+    log_likely: float
+
+
 class _Problem:
     """All drives' models over one vector: yaw, x, y, range bias and turn of the sensor, then each drive's own."""
 
@@ -385,10 +403,37 @@ class _Problem:
         return x
 
     def best_of(self, starts: Sequence[FloatArray]) -> FloatArray:
-        """Approach from rough starts, from those that come closest all the way, and return the likeliest end."""
-        closest = sorted((self._descend(x, SOFTENING_M[:FIRST_STEPS]) for x in starts), key=lambda found: -found[0])
-        ends = [self._descend(x, SOFTENING_M[FIRST_STEPS:]) for _, x in closest[:FOLLOWED]]
-        return max(ends, key=lambda found: found[0])[1]
+        """Approach from rough starts, from those that come closest all the way, and return the likeliest end.
+
+        Starts that come together go on as one.
+        """
+        found = [_Descent(x, self._rows(x), self._first_shares(), self.precision, -np.inf) for x in starts]
+        for soft in SOFTENING_M[:FIRST_STEPS]:
+            found = self._apart(self._step(each, soft) for each in found)
+        found = [replace(each, shares=self._first_shares()) for each in found[:FOLLOWED]]
+        for soft in SOFTENING_M[FIRST_STEPS:]:
+            found = self._apart(self._step(each, soft) for each in found)
+        return found[0].x
+
+    def _first_shares(self) -> list[FloatArray]:
+        return [model.shares() for model in self.models]
+
+    def _step(self, at: _Descent, softening_m: float) -> _Descent:
+        """Take a step at some softness, and tell how likely the place is that is reached."""
+        curvature, gradient, fitness = self._sum(at.x, at.rows, softening_m, at.shares)
+        x = at.x - np.linalg.solve(curvature, gradient)
+        rows, shares = self._rows(x), [each.shares for each in fitness]
+        likely = sum(each.log_likelihood for each in self._sum(x, rows, softening_m, shares)[2])
+        return _Descent(x, rows, shares, curvature, likely + self._log_prior(x))
+
+    @staticmethod
+    def _apart(found: Iterable[_Descent]) -> list[_Descent]:
+        """Return the likeliest of those that are in one place, the likeliest of all first."""
+        kept: list[_Descent] = []
+        for each in sorted(found, key=lambda descent: -descent.log_likely):
+            if all((each.x - other.x) @ other.curvature @ (each.x - other.x) > TOGETHER for other in kept):
+                kept.append(each)
+        return kept
 
     def log_posterior(self, solved: _Solved) -> float:
         """Return how likely what was found is, as a logarithm."""
@@ -404,19 +449,9 @@ class _Problem:
             for each in model.corrections(solved.x[own], solved.covariance[own, own])
         )
 
-    def _descend(self, x: FloatArray, softening_m: Sequence[float]) -> tuple[float, FloatArray]:
-        """Take a step at each softness, and tell how likely the place is that is reached."""
-        shares = [model.shares() for model in self.models]
-        for soft in softening_m:
-            curvature, gradient, fitness = self._sum(x, self._rows(x), soft, shares)
-            x = x - np.linalg.solve(curvature, gradient)
-            shares = [each.shares for each in fitness]
-        _, _, fitness = self._sum(x, self._rows(x), softening_m[-1], shares)
-        return sum(each.log_likelihood for each in fitness) + self._log_prior(x), x
-
     def solve(self, x: FloatArray) -> _Solved:
         """Descend to the end from a start nearby; which points are on the wall is told anew after each time."""
-        shares: Sequence[FloatArray] = [model.shares() for model in self.models]
+        shares: Sequence[FloatArray] = self._first_shares()
         for _ in range(ROUNDS):
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
             rows: Sequence[Rows] = self._rows(x, chosen)

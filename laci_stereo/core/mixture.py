@@ -58,6 +58,46 @@ def first_shares(groups: int) -> FloatArray:
     return shares
 
 
+@dataclass(frozen=True)
+class _Sources:
+    """How likely distances are from each source, as logarithms, shape (3, n), and from any; and what tells that."""
+
+    logs: FloatArray
+    total: FloatArray
+    sigma: FloatArray
+    growth: FloatArray
+    depth: float
+    argument: FloatArray
+    tail: FloatArray
+
+
+def _sources(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray) -> _Sources:
+    depth = float(shares[-1, 0])
+    behind, elsewhere, growth = shares[group].T
+    sigma = sigma * growth
+    z = distance / sigma
+    argument = -(z + sigma / depth)
+    tail = log_ndtr(argument)
+    log_surface = -0.5 * z**2 - np.log(sigma) - _LOG_ROOT_TAU
+    log_behind = distance / depth + 0.5 * (sigma / depth) ** 2 - np.log(depth) + tail
+    logs = np.stack(
+        [
+            np.log(np.maximum(1.0 - behind - elsewhere, 1e-6)) + log_surface,
+            np.log(behind) + log_behind,
+            np.log(elsewhere) - np.log(ELSEWHERE_M),
+        ]
+    )
+    highest = logs.max(axis=0)
+    total = highest + np.log(np.exp(logs - highest).sum(axis=0))
+    return _Sources(logs, total, sigma, growth, depth, argument, tail)
+
+
+def log_likelihood(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray) -> FloatArray:
+    """Return how likely distances are, shape (n,), as `weigh` has it."""
+    likely: FloatArray = _sources(distance, sigma, group, shares).total + np.log(ELSEWHERE_M)
+    return likely
+
+
 def weigh(
     distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray, worth: FloatArray | None = None
 ) -> Mixture:
@@ -78,25 +118,11 @@ def weigh(
     worth : ndarray, shape (n,)
         As how many independent points each counts for its group's shares; None: one.
     """
-    depth = float(shares[-1, 0])
-    behind, elsewhere, growth = shares[group].T
-    sigma = sigma * growth
+    sources = _sources(distance, sigma, group, shares)
+    sigma, depth, growth, total = sources.sigma, sources.depth, sources.growth, sources.total
     z = distance / sigma
-    argument = -(z + sigma / depth)
-    tail = log_ndtr(argument)
-    log_surface = -0.5 * z**2 - np.log(sigma) - _LOG_ROOT_TAU
-    log_behind = distance / depth + 0.5 * (sigma / depth) ** 2 - np.log(depth) + tail
-    logs = np.stack(
-        [
-            np.log(np.maximum(1.0 - behind - elsewhere, 1e-6)) + log_surface,
-            np.log(behind) + log_behind,
-            np.log(elsewhere) - np.log(ELSEWHERE_M),
-        ]
-    )
-    highest = logs.max(axis=0)
-    total = highest + np.log(np.exp(logs - highest).sum(axis=0))
-    of_surface, of_behind, of_elsewhere = np.exp(logs - total)
-    hazard = np.exp(-0.5 * argument**2 - _LOG_ROOT_TAU - tail)
+    of_surface, of_behind, of_elsewhere = np.exp(sources.logs - total)
+    hazard = np.exp(-0.5 * sources.argument**2 - _LOG_ROOT_TAU - sources.tail)
     slope = of_surface * z / sigma + of_behind * (hazard / sigma - 1.0 / depth)
     depths = sigma * hazard - distance - sigma**2 / depth
     groups = len(shares) - 1

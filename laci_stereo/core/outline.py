@@ -45,10 +45,6 @@ MIRRORS_M = 1.0
 """...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m. A car's wings are round
 so far behind its front."""
 
-BOW_POWER = 2
-TAPER_POWER = 4
-"""The ends bow as the square of the distance from the middle; the sides taper over the length of a wing."""
-
 CAB_M = 2.0
 """A lorry's cab is 1.6 m long without a berth, 2.3 m with one."""
 
@@ -187,31 +183,31 @@ def meet(
 
     t_end = (end_x - origin[:, 0]) / u[:, 0]
     t_side = (side_y - o_y) / u[:, 1]
-    for _ in range(2):  # bow and taper are centimetres, so this converges at once
+    for _ in range(2):  # ends bow as the square, sides taper: by centimetres, so this converges at once
         eta = np.clip((o_y + t_end * u[:, 1]) / half[1], -1.0, 1.0)
-        t_end = (end_x - sign_x * bow * eta**BOW_POWER - origin[:, 0]) / u[:, 0]
+        t_end = (end_x - sign_x * bow * eta**2 - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
         beside_cab = half[0] * (1.0 - xi) < CAB_M
         drawn = low * (1.0 - _wheels(half[0] * xi, size[0]))
-        t_side = (side_y - sign_y * (taper * xi**TAPER_POWER + cab * beside_cab + sill * drawn) - o_y) / u[:, 1]
+        t_side = (side_y - sign_y * (taper * _tapered(xi)[0] + cab * beside_cab + sill * drawn) - o_y) / u[:, 1]
     t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
     t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
     at_end = t_end >= t_side
     enter = np.maximum(t_end, t_side)
     hit = (enter > 0.0) & (enter < _leave(origin[:, 0], o_y, u, half + np.array([max(front, rear), side])))
     eta, xi = np.where(at_end, eta, 0.0), np.where(at_end, 0.0, xi)
-    lean_end = BOW_POWER * bow * eta ** (BOW_POWER - 1) / half[1]
-    lean_side = TAPER_POWER * taper * xi ** (TAPER_POWER - 1) / half[0]
+    lean_end = 2.0 * bow * eta / half[1]
+    lean_side = taper * _tapered(xi)[1] / half[0]
     normal = np.column_stack([np.where(at_end, sign_x, lean_side), np.where(at_end, lean_end, sign_y)])
     normal /= np.hypot(normal[:, 0], normal[:, 1])[:, None]
 
     # The corner that the line of sight comes nearest to, if it meets or passes the outline there.
     corner = _corners(half, shape)
     beside = np.column_stack([-u[:, 1], u[:, 0]])
-    aside = np.stack([dot_xy(at - origin, beside) for at in corner[:, :2]])
+    aside = corner[:, :2] @ beside.T - dot_xy(origin, beside)
     met = origin + np.where(hit, enter, far)[:, None] * u
     away = np.stack([np.maximum(np.abs(met[:, 0] - x), np.abs(met[:, 1] - y)) for x, y in corner[:, :2]])
-    which = np.where(hit, away.argmin(axis=0), np.abs(aside).argmin(axis=0))
+    which = np.where(hit, away, np.abs(aside)).argmin(axis=0)
     at, radius = corner[which, :2], corner[which, 2]
     outward = np.sign(at - np.array([0.0, lever_y]))
     centre = at - outward * radius[:, None]
@@ -233,32 +229,24 @@ def meet(
     variance = (cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own
     distance = np.where(passes, np.abs(off) - radius, (enter - far) * cos)
 
-    bent = np.where(round_, 1.0, np.abs(eta)) ** BOW_POWER
-    tapered = np.where(round_, 1.0, np.abs(xi)) ** TAPER_POWER
+    bent, tapered = np.where(round_, 1.0, eta**2), np.where(round_, 1.0, _tapered(xi)[0])
     of_front = np.where(round_, outward[:, 0] > 0.0, ahead)
     of_end, of_side = round_ | at_end, round_ | ~at_end
     out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
     fading = 1.0 / (1.0 + np.exp(-np.divide(radii, SHARP_M)))
     by_radius = np.where(round_, np.abs(normal[:, 0]) + np.abs(normal[:, 1]) - 1.0, 0.0) * np.where(of_front, *fading)
+    by_shape = np.empty((len(far), len(SHAPE)))
+    by_ends = ((0, -out_x), (SHAPE.index("front_bow"), out_x * bent), (SHAPE.index("front_radius"), by_radius))
+    for column, by_end in by_ends:  # of the front, and next to it of the rear
+        by_shape[:, column], by_shape[:, column + 1] = np.where(of_front, by_end, 0.0), np.where(of_front, 0.0, by_end)
+    by_shape[:, 2], by_shape[:, 3], by_shape[:, SHAPE.index("taper")] = -out_y, -normal[:, 1], out_y * tapered
+    by_shape[:, _CAB] = out_y * np.where(round_, of_front, beside_cab)
+    by_shape[:, _SILL] = out_y * np.where(round_, 0.0, drawn)
     return Hits(
         distance=distance,
         variance=variance,
         normal=normal,
-        by_shape=np.column_stack(
-            [
-                -np.where(of_front, out_x, 0.0),
-                -np.where(of_front, 0.0, out_x),
-                -out_y,
-                -normal[:, 1],
-                np.where(of_front, out_x * bent, 0.0),
-                np.where(of_front, 0.0, out_x * bent),
-                out_y * tapered,
-                out_y * np.where(round_, of_front, beside_cab),
-                out_y * np.where(round_, 0.0, drawn),
-                np.where(of_front, by_radius, 0.0),
-                np.where(of_front, 0.0, by_radius),
-            ]
-        ),
+        by_shape=by_shape,
         face=np.where(passes, PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
         reach=np.where(passes, 1.0, enter / far),
         cos=np.where(passes, 0.0, cos),
@@ -312,6 +300,15 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
         cos=np.zeros(len(far)),
         within=np.zeros(len(far)),
     )
+
+
+def _tapered(xi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far the sides have tapered at places along them, from -1 to 1, and the slope there.
+
+    By the fourth power of the distance from the middle, that is over the length of a wing.
+    """
+    square = xi**2
+    return square * square, 4.0 * square * xi
 
 
 def _wheels(x: FloatArray, length_m: float) -> FloatArray:
