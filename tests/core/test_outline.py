@@ -113,8 +113,9 @@ def test_the_derivatives_by_the_shape_are_those_of_the_range(place: tuple[float,
     at = met(xy, origin, shape)
     # Away from the corners, where one side takes over from the other. The derivatives leave out that a side which is
     # grazed is met elsewhere once it has moved, which is much within 3 deg and where a wheel begins.
-    plain = (at.face < 4) & (at.cos > 0.05) & ((np.abs(xy) < 0.6 * np.array(SIZE) / 2).sum(axis=1) == 1)
-    away_m = beside_axles(xy[:, 0])
+    there = origin + (xy - origin) * at.reach[:, None]
+    plain = (at.face < 4) & (at.cos > 0.05) & ((np.abs(there) < 0.6 * np.array(SIZE) / 2).sum(axis=1) == 1)
+    away_m = beside_axles(there[:, 0])
     plain &= (at.face < 2) | (away_m < WHEEL_M[0] - 0.05) | (away_m > WHEEL_M[1] + 0.05)
     for index in range(len(SHAPE)):
         step = 1e-5 * np.eye(len(SHAPE))[index]
