@@ -13,7 +13,7 @@ from laci_stereo.core.common_ground import along_ground, lay, merge_grounds
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import EvidenceError, MatchError
 from laci_stereo.core.evidence import Evidence, evidence_of
-from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.placement import place
 from laci_stereo.core.result import Calibration
@@ -88,7 +88,8 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     ground = merge_grounds(passages)
     laid = along_ground([lay(passage, ground, passages[0].world) for passage in passages])
     drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
-    alone = [_fit_alone(*pair, settings) for pair in zip(laid, drives, strict=True)]
+    held = drives if len(drives) == 1 else [drive.thinned(HELD_ROWS) for drive in drives]
+    alone = [_fit_alone(*pair, settings) for pair in zip(laid, held, strict=True)]
     together = fit_together(laid, drives, alone, settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)

@@ -10,7 +10,7 @@ import numpy as np
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import FloatArray, wrap
-from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import Sighting
@@ -19,9 +19,6 @@ from laci_stereo.core.tracking import Track
 SURELY = 5.0
 """Standard deviations by which halves may differ, on three axes: of 60 000 drives without a fault one is beyond. What
 both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
-
-ROWS = 3000
-"""Points of a half that are registered: more tell no more, by what those on one side of a frame have in common."""
 
 
 @dataclass(frozen=True)
@@ -86,5 +83,5 @@ def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
 
 def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:
     """Fit a half as the whole was, whose mistakes it has."""
-    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(ROWS)
+    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(HELD_ROWS)
     return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)

@@ -65,10 +65,14 @@ COARSE_ROWS, ROUGH_ROWS = 1500, 3000
 """Points that compare the starts, of which a few per frame and side say which is best; and those of a rough estimate,
 of which one in ten choices of half as many lost a vehicle among false masks to a stranger."""
 
-FINE_ROWS, LEAST_ROWS = 40_000, 10_000
-"""Points that are registered in the end, of all drives and of each at least. What points on one side of a frame have in
-common makes any number of them weigh as much as four; but a matcher's windows see of a car only what they are laid on,
-and with a quarter of these, which ones moved a result by a third of its doubt."""
+FINE_ROWS, MATCHED_ROWS = 40_000, 10_000
+"""Points that are registered in the end, of all drives, and of each that a matcher saw at least. What points on one
+side of a frame have in common makes any number of them weigh as much as four; but a matcher's windows see of a car only
+what they are laid on, and with a quarter of these, which ones moved a result by a third of its doubt."""
+
+HELD_ROWS = 3000
+"""Of each that a scanner saw at least; and of what is registered only to hold it against something else, a half of a
+drive or one of several."""
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, and its headings as far
@@ -206,7 +210,8 @@ def fit_jointly(
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     turn = _turn_of(drives)
-    most = max(FINE_ROWS // len(drives), LEAST_ROWS)
+    least = MATCHED_ROWS if any(drive.window_rad for drive in drives) else HELD_ROWS
+    most = max(FINE_ROWS // len(drives), least)
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))

@@ -17,7 +17,7 @@ from laci_stereo.core.errors import CombineError, MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.halves import halves_apart, with_doubt
-from laci_stereo.core.joint import JointFit, fit_jointly
+from laci_stereo.core.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
@@ -137,7 +137,7 @@ def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Passage
         If anything speaks against using it.
     """
     drive = evidence_of(other.track, other.vehicle, other.ground.height_m)
-    alone = fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], settings.joint)
+    alone = fit_jointly([drive.thinned(HELD_ROWS)], fit.match, [fit.time_offsets_s[0]], settings.joint)
     _check_registered(alone, [drive], settings)
     for _, against in _contradicted(alone, [drive], [""]):
         raise MatchError(against)

@@ -1,0 +1,112 @@
+"""Time whole runs against one another, by turns: with a mask, jointly, and of several drives.
+
+usage: python -m tools.bench_time mask RECORDING MODEL.onnx [--repeat 3]
+       python -m tools.bench_time joint SCANS CAMS [--repeat 3]
+       python -m tools.bench_time combine RESULT [--drives 10] [--repeat 3]
+
+"mask" holds a calibration of images with a vehicle mask against one without, "joint" one of scans against the paper's
+method; RECORDING is a folder with left/, right/, cam.csv and stereo.yaml. "combine" estimates over so many drives, each
+the result's own on another day and with the noise of its points drawn anew, and holds that against the same for one.
+All are whole processes. The ratio of the medians is told of the time that passes and of the processors' time; where
+others use the processors too, only the latter counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from laci_stereo.core.passage import Passage
+from laci_stereo.core.tracking import Track
+from laci_stereo.io.evidence_file import read_evidence, write_evidence
+from laci_stereo.io.output import EVIDENCE_FILE
+from tools.bench_run import tool
+
+DAY_NS = 86_400_000_000_000
+
+
+def timed(command: list[str]) -> tuple[float, float]:
+    """Run a command and return the time that passed and that of the processors, seconds."""
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    if status != 0:
+        raise SystemExit(f"{' '.join(command)} failed with status {status}")
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime
+
+
+def on_another_day(passage: Passage, day: int) -> Passage:
+    """Return a drive so many days later, with the noise of its points along the line of sight drawn anew."""
+    rng = np.random.default_rng(day)
+    sightings = []
+    for each in passage.track.sightings:
+        towards = each.points[:, :2] / np.linalg.norm(each.points[:, :2], axis=1, keepdims=True)
+        noise_m = rng.normal(0.0, each.sigma_along_m)
+        points = each.points + np.column_stack([noise_m[:, None] * towards, np.zeros(len(towards))])
+        sightings.append(replace(each, points=points))
+    vehicle = replace(passage.vehicle, epoch_ns=passage.vehicle.epoch_ns + day * DAY_NS)
+    return replace(passage, track=Track(tuple(sightings)), vehicle=vehicle)
+
+
+def commands_of(arguments: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
+    """Return the two commands by their names, what is held against first."""
+    out = ["--out", str(folder / "out"), "--overwrite", "--quiet"]
+    if arguments.what == "mask":
+        plain = tool(arguments.recording, folder / "out")
+        return {"without": plain, "with": [*plain, "--vehicle-mask", str(arguments.model)]}
+    if arguments.what == "joint":
+        scans = [sys.executable, "-m", "laci_lidar", "calibrate", str(arguments.scans), str(arguments.cams), *out]
+        return {"paper": [*scans, "--method", "paper"], "joint": [*scans, "--method", "joint"]}
+    kept = read_evidence(arguments.result / EVIDENCE_FILE)
+    drives = []
+    for day in range(arguments.drives):
+        drives.append(folder / f"{day}.npz")
+        write_evidence(drives[-1], replace(kept, passages=tuple(on_another_day(each, day) for each in kept.passages)))
+    combine = [sys.executable, "-m", "laci_stereo", "combine", *out]
+    return {"one": [*combine, str(drives[0])], f"{len(drives)}": [*combine, *map(str, drives)]}
+
+
+def parsed_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    kinds = parser.add_subparsers(dest="what", required=True)
+    mask, joint, combine = (kinds.add_parser(name) for name in ("mask", "joint", "combine"))
+    for name in ("recording", "model"):
+        mask.add_argument(name, type=Path)
+    for name in ("scans", "cams"):
+        joint.add_argument(name, type=Path)
+    combine.add_argument("result", type=Path)
+    combine.add_argument("--drives", type=int, default=10)
+    for kind in (mask, joint, combine):
+        kind.add_argument("--repeat", type=int, default=3)
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Run both commands by turns and print the ratios."""
+    arguments = parsed_arguments()
+    with tempfile.TemporaryDirectory() as folder:
+        commands = commands_of(arguments, Path(folder))
+        seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
+        for _ in range(arguments.repeat):
+            for name, command in commands.items():
+                seconds[name].append(timed(command))
+    middle = {name: [statistics.median(part) for part in zip(*each, strict=True)] for name, each in seconds.items()}
+    for name, (passed, worked) in middle.items():
+        print(f"{name:8} {passed:6.1f} s passed, {worked:6.1f} s of processors")
+    first, second = middle.values()
+    passed, worked = (more / less for more, less in zip(second, first, strict=True))
+    print(f"ratio    {passed:6.2f}           {worked:6.2f}")
+
+
+if __name__ == "__main__":
+    main()
