@@ -12,14 +12,14 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from laci_stereo.core.association import HALF_LANE_M, choose_track
+from laci_stereo.core.association import HALF_LANE_M, Choice, choose_track
 from laci_stereo.core.background import Background, learn_background
 from laci_stereo.core.box import Box
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
-from laci_stereo.core.frames import Axes, FloatArray, invert, transform
+from laci_stereo.core.frames import Axes, FloatArray, invert, rotate_xy, transform
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground_beside
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
@@ -27,7 +27,7 @@ from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.land import learn_land
 from laci_stereo.core.laying import laid_background, laid_track, laid_xy
 from laci_stereo.core.pieces import whole
-from laci_stereo.core.road_extent import places
+from laci_stereo.core.road_extent import places, prolonged
 from laci_stereo.core.road_surface import OTHER
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import Sighting, find_vehicles
@@ -38,6 +38,9 @@ log = logging.getLogger(__name__)
 
 LOOKS = 2
 """So often the road is looked for."""
+
+_BEYOND_S = np.arange(0.0, 20.0, 0.1)
+"""So long after it was last seen, and before it was first, a vehicle's way is asked for: at a walk that is 20 m."""
 
 SAME_M = 0.05
 """By so much another ground may be higher or lower along the way for what was seen from the first to be laid onto it:
@@ -150,17 +153,18 @@ def on_the_road(
     settings : Settings
     """
     settings = settings or Settings()
-    seen, track = _where_driven(seen, source, vehicles, settings)
+    seen, choice = _where_driven(seen, source, vehicles, settings)
     first, before = seen, None
     for _ in range(LOOKS):
         if before is not None:
-            track = _driven(seen, vehicles, settings)
-        if track is None:
+            choice = _driven(seen, vehicles, settings)
+        if choice is None:
             break  # and it will be said why
-        way = laid_xy(first.T_level_sensor @ invert(seen.T_level_sensor), places(track))
+        T_first_seen = first.T_level_sensor @ invert(seen.T_level_sensor)
+        way, *beyond = (laid_xy(T_first_seen, xy) for xy in (places(choice.track), *_sent(choice, vehicles)))
         if before is not None and _is_along(way, before):
             break
-        ground = road_ground(seen.standing, first.axes, first.ground, way, settings.ground)
+        ground = road_ground(seen.standing, first.axes, first.ground, prolonged(way, *beyond), settings.ground)
         log.info("ground: with what is seen of the road, %.3f m below the sensor", ground.height_m)
         T_road_first = ground.T_level_sensor(first.axes) @ invert(first.T_level_sensor)
         if np.abs(way @ T_road_first[2, :2] + T_road_first[2, 3]).max() < SAME_M:
@@ -182,31 +186,41 @@ def _is_along(way: FloatArray, before: FloatArray) -> bool:
 
 def _where_driven(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
-) -> tuple[Observation, Track | None]:
+) -> tuple[Observation, Choice | None]:
     """Return what is seen on the first ground on which a track is clearly a sender's; else, on which one may be."""
     tried = []
     for each in chain([seen], _on_other_grounds(seen, source, settings)):
-        track = _driven(each, vehicles, settings, surely=True)
-        if track is not None:
-            return each, track
+        choice = _driven(each, vehicles, settings, surely=True)
+        if choice is not None:
+            return each, choice
         tried.append(each)
     for each in tried:
-        track = _driven(each, vehicles, settings)
-        if track is not None:
-            return each, track
+        choice = _driven(each, vehicles, settings)
+        if choice is not None:
+            return each, choice
     return seen, None
 
 
 def _driven(
     seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings, *, surely: bool = False
-) -> Track | None:
+) -> Choice | None:
     """Return the track that fits a sender best, if any does: a stranger drives on the road as well."""
     any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
     match = settings.match if surely else any_fit
     try:
-        return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, match).track
+        return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, match)
     except CalibrationError:
         return None
+
+
+def _sent(choice: Choice, vehicles: Mapping[int, VehicleTrack]) -> tuple[FloatArray, FloatArray]:
+    """Return where its messages have a vehicle before it was first seen, backwards, and after it was last, (n, 2)."""
+    found = []
+    for sighting, way in ((choice.track.sightings[0], -1.0), (choice.track.sightings[-1], 1.0)):
+        xy, _, known = vehicles[choice.station].at(sighting.stamp_s + choice.time_offset_s + way * _BEYOND_S)
+        sent = xy[: len(known) if known.all() else max(1, int(known.argmin()))]
+        found.append(rotate_xy(-choice.fit.yaw_rad, np.nan_to_num(sent) - choice.fit.shift))
+    return found[0], found[1]
 
 
 def _on_other_grounds(seen: Observation, source: PointCloudSource, settings: Settings) -> Iterator[Observation]:

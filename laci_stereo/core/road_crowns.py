@@ -24,6 +24,10 @@ mouth is seen as well."""
 
 _LANE_M = LANES_M / 2
 
+_PAST_END = 0.1
+"""Beyond where a road was seen to end, along the way, a crown is as much less likely: the kerb of an island is none of
+the road's."""
+
 _ACROSS_RAD = TOWARDS_RAD[: len(TOWARDS_RAD) // 2]
 """Directions across straight crowns, from that of the way: each crown has two, of which one is enough."""
 
@@ -72,7 +76,7 @@ class Crowns:
     likely: FloatArray
 
     @staticmethod
-    def of_road(off: FloatArray, along_rad: float) -> Crowns:
+    def of_road(off: FloatArray, along_rad: float, ends_m: tuple[float, float] = (-np.inf, np.inf)) -> Crowns:
         """Return those of one road: one that is along the way is as likely as a straight one, and all of each kind are.
 
         Parameters
@@ -81,12 +85,18 @@ class Crowns:
             What is seen of it, from the origin.
         along_rad : float
             Direction of the way.
+        ends_m : tuple of float
+            How far to the left of the way the road was seen to end on its right and on its left.
         """
         directions = towards(along_rad)[:, : len(_ACROSS_RAD)]
         at_m = np.quantile(off @ directions, _CROSSED, axis=0)
         straight = np.ones_like(at_m)
         straight[[0, -1]] = 0.5 ** ((at_m[-1] - at_m[0] - LANES_M).clip(0.0) / _LANE_M)
-        kinds = np.full(len(_ALONG_M), 1.0 / len(_ALONG_M)), straight.ravel() / straight.sum()
+        right_m, left_m = ends_m
+        straight[0, _LEFT] *= _PAST_END if np.isfinite(right_m) else 1.0
+        straight[-1, _LEFT] *= _PAST_END if np.isfinite(left_m) else 1.0
+        along = np.where((right_m < _ALONG_M) & (left_m > _ALONG_M), 1.0, _PAST_END)
+        kinds = along / along.sum(), straight.ravel() / straight.sum()
         none = np.zeros(0, dtype=np.int64)
         return Crowns(directions, at_m, none, np.zeros((0, 2)), np.concatenate(kinds) / 2)
 

@@ -131,10 +131,37 @@ def places(track: Track) -> FloatArray:
     smooth: FloatArray = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
     # Where it was not seen for longer, the way may have turned.
     gap_m = np.append(np.diff(along_m), 0.0)[np.searchsorted(along_m, at_m, side="right") - 1]
-    seen_m, smooth = at_m[gap_m < PIECE_M], smooth[gap_m < PIECE_M]
-    again = np.linalg.norm(smooth[:, None] - smooth, axis=2) < HALF_VEHICLE_M
-    again &= seen_m < seen_m[:, None] - 2 * HALF_VEHICLE_M
-    once: FloatArray = smooth[~again.any(axis=1)]
+    return _once(smooth[gap_m < PIECE_M], at_m[gap_m < PIECE_M])
+
+
+def prolonged(way: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return a way and what comes before and after it, as far as it is long itself, but no farther than `REACH_M`.
+
+    A scanner's rings meet a vehicle nearer than the road that is below it, so that where it was seen may be none of the
+    road, but some is before and behind that. Over more than its own length a way's direction is not known.
+
+    Parameters
+    ----------
+    way : ndarray, shape (n, 2)
+        See `places`.
+    before, after : ndarray, shape (m, 2)
+        From its first and its last place on, outwards; as a whole they may be off.
+    """
+    most_m = min(REACH_M, float(along_line(way)[-1]))
+    parts = []
+    for end, path in ((way[0], before), (way[-1], after)):
+        along_m = along_line(path)
+        at_m = np.arange(CELL_M, min(most_m, along_m[-1]), CELL_M)
+        parts.append(np.column_stack([np.interp(at_m, along_m, column) for column in (path - path[0] + end).T]))
+    whole = np.concatenate([parts[0][::-1], way, parts[1]])
+    return _once(whole, along_line(whole))
+
+
+def _once(way: FloatArray, along_m: FloatArray) -> FloatArray:
+    """Return a way without where it comes back over itself."""
+    again = np.linalg.norm(way[:, None] - way, axis=2) < HALF_VEHICLE_M
+    again &= along_m < along_m[:, None] - 2 * HALF_VEHICLE_M
+    once: FloatArray = way[~again.any(axis=1)]
     return once
 
 
@@ -188,7 +215,8 @@ def road_along(
         return None
     land = off_m**2 < GATE**2 * (variance + NO_ROAD_M**2)
     on_road |= land & _beyond_verges(cells, height, limit_m, on_road)
-    return _without_edges(evened(cells[on_road]), settings.shared_noise_share, before, along_rad)
+    ends_m = _ends(cells, off_m, variance, limit_m)
+    return _without_edges(evened(cells[on_road]), settings.shared_noise_share, before, along_rad, ends_m)
 
 
 def evened(cells: Cells) -> Cells:
@@ -203,11 +231,13 @@ def evened(cells: Cells) -> Cells:
     return replace(cells, left_m=even_m) if wanders else cells
 
 
-def _without_edges(cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float) -> Road:
+def _without_edges(
+    cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float, ends_m: tuple[float, float]
+) -> Road:
     """Return a road, without what is rather behind an edge than not: it may have another edge then."""
     surfaces: list[Surface] = []
     while len(surfaces) < MOST_EDGES:
-        surfaces.append(Surface(cells, shared_noise_share, before, along_rad, edges=True))
+        surfaces.append(Surface(cells, shared_noise_share, before, along_rad, ends_m, edges=True))
         within = surfaces[-1].behind < 0.5
         if within.all() or within.sum() < LEAST_CELLS:
             break
@@ -357,9 +387,7 @@ def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: Floa
         How far each is above the surface, and the variance of that if it is road.
     limit_m : ndarray, shape (k,)
     """
-    other = variance + NO_ROAD_M**2
-    evidence = ((off_m - KERB_M) ** 2 / other + np.log(other) - off_m**2 / variance - np.log(variance)) / 2
-    evidence = np.clip(evidence, -MOST_LIKELY, MOST_LIKELY)
+    evidence = _evidence(off_m, variance)
     away_m = np.abs(cells.left_m)
     found = np.minimum(limit_m + STEP_M, REACH_M)
     for piece, most_m in enumerate(found.tolist()):
@@ -371,3 +399,26 @@ def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: Floa
         if beyond < len(members):
             found[piece] = max(HALF_VEHICLE_M, float(away_m[members[beyond]]) - CELL_M)
     return found
+
+
+def _ends(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> tuple[float, float]:
+    """Return how far to the left of the way the road was seen to end on its right and on its left.
+
+    That is where what is beyond is surely none and higher, in the middle of all pieces; infinitely far where that is
+    nowhere. What is lower may be the other side of a crown. Parameters are those of `_limits`.
+    """
+    evidence, away_m = _evidence(off_m, variance), np.abs(cells.left_m)
+    ends: tuple[list[float], list[float]] = ([], [])
+    for piece, end_m in enumerate(limit_m.tolist()):
+        beyond = np.isin(cells.piece, (piece - 2, piece, piece + 2)) & (away_m >= end_m) & (away_m < end_m + STEP_M)
+        if evidence[beyond].sum() < -MOST_LIKELY and off_m[beyond].mean() > 0.0:
+            ends[piece % 2].append(end_m)
+    right, left = (float(np.median(each)) if each else np.inf for each in ends)
+    return -right, left
+
+
+def _evidence(off_m: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return how likely it is that cells are road and no kerb or bank, shape (n,), as a logarithm of odds."""
+    other = variance + NO_ROAD_M**2
+    evidence = ((off_m - KERB_M) ** 2 / other + np.log(other) - off_m**2 / variance - np.log(variance)) / 2
+    return np.clip(evidence, -MOST_LIKELY, MOST_LIKELY)

@@ -71,6 +71,8 @@ class Surface:
         Height at the origin, and slopes, of the ground near which the road is beforehand, by `OTHER`.
     along_rad : float
         Direction of the way: crowns and edges that are straight are looked for along it, across, and in between.
+    ends_m : tuple of float
+        How far to the left of the way the road was seen to end on its right and on its left.
     edges : bool
         Some of the cells may be behind an edge of the road, another one may cross it there, and it may be smooth: long
         waves on a road that were thought to be rough pass for an edge.
@@ -82,7 +84,14 @@ class Surface:
     """
 
     def __init__(
-        self, cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float, *, edges: bool = False
+        self,
+        cells: Cells,
+        shared_noise_share: float,
+        before: FloatArray,
+        along_rad: float,
+        ends_m: tuple[float, float] = (-np.inf, np.inf),
+        *,
+        edges: bool = False,
     ) -> None:
         self.cells, self.before = cells, before
         self.middle = cells.xy.mean(axis=0)
@@ -93,7 +102,7 @@ class Surface:
         noise = patches.noise(shared_noise_share) + (own * _PRIOR) @ own.T
         apart_m = patches.apart_m()
         uneven = [rough(apart_m)]
-        self._crowns = Crowns.of_road(off, along_rad)
+        self._crowns = Crowns.of_road(off, along_rad, ends_m)
         raised, kinds = np.zeros((len(cells), 1, 2)), NO_EDGE
         if edges:
             directions, away_m = towards(along_rad), np.abs(cells.left_m)

@@ -45,6 +45,18 @@ def test_crowns_of_one_road_are_as_likely_along_the_way_as_across_it() -> None:
     assert crowns.likely[-straight:].sum() == pytest.approx(0.5)
 
 
+def test_beyond_where_a_road_was_seen_to_end_a_crown_is_a_tenth_as_likely() -> None:
+    off = np.random.default_rng(2).uniform(-9.0, 9.0, (50, 2))
+    open_, ended = Crowns.of_road(off, ALONG_RAD), Crowns.of_road(off, ALONG_RAD, (-2.0, 5.0))
+    assert ended.likely.sum() == pytest.approx(1.0)
+    odds = ended.likely / open_.likely
+    at_m = -Crowns.of_road(off, ALONG_RAD).raised(np.zeros((1, 2)), np.zeros(1))[0]  # how far from the way each is
+    along = odds[: -open_.at_m.size]
+    assert along.max() / along.min() == pytest.approx(10.0)
+    assert (along[at_m[: len(along)] < 1.9] == along.max()).all()
+    assert (along[at_m[: len(along)] > 5.1] == along.min()).all()
+
+
 def test_what_is_smaller_than_a_square_shows_no_crossing() -> None:
     off = np.random.default_rng(3).uniform(0.0, 0.3, (40, 2))
     crowns = Crowns.of_road(off, ALONG_RAD).and_crossings(off, lambda pairs: np.zeros(pairs.shape[1]))

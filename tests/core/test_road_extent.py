@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import FloatArray, rigid
-from laci_stereo.core.road_extent import HALF_VEHICLE_M, REACH_M, Road, places, road_along
+from laci_stereo.core.frames import FloatArray, along_line, rigid
+from laci_stereo.core.road_extent import HALF_VEHICLE_M, REACH_M, Road, places, prolonged, road_along
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.tracking import Track
 from tests.core.tracks import sighting
@@ -260,3 +260,56 @@ def test_what_a_surface_is_torn_between_stays_in_doubt_once_an_edge_is_taken_for
         off = value[1:] - slopes
         assert off @ np.linalg.solve(doubt[1:, 1:], off) < 3.0**2
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) > 3.0**2  # which nothing else would tell
+
+
+def beyond(way: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what comes 30 m before and after a straight way along x, half a metre aside of it, as messages may be."""
+    out_m = np.arange(0.0, 30.0, 2.0)
+    aside = np.full(len(out_m), WAY_Y_M + 0.5)
+    return np.column_stack([way[0, 0] - out_m, aside]), np.column_stack([way[-1, 0] + out_m, aside])
+
+
+@pytest.mark.parametrize(("length_m", "more_m"), [(8.0, 8.0), (40.0, REACH_M)])
+def test_a_way_goes_on_as_far_as_it_is_long_and_no_farther_than_road_is_looked_for(
+    length_m: float, more_m: float
+) -> None:
+    x = np.arange(0.0, length_m + 0.1, 0.5)
+    seen = np.column_stack([x, np.full(len(x), WAY_Y_M)])
+    found = prolonged(seen, *beyond(seen))
+    assert found[0] == pytest.approx([-more_m, WAY_Y_M], abs=0.6)
+    assert found[-1] == pytest.approx([length_m + more_m, WAY_Y_M], abs=0.6)
+    assert np.diff(along_line(found)).max() < 0.6
+    nothing = seen[:1]
+    assert (prolonged(seen, nothing, nothing) == seen).all()
+    # Who backs over the own way was there once.
+    assert len(prolonged(seen, nothing, seen[::-1])) == pytest.approx(len(seen), abs=6)
+
+
+def test_road_that_is_seen_only_before_and_behind_where_the_vehicle_was_is_found() -> None:
+    """A ring of a scanner meets the vehicle where the road below it is between two rings."""
+    seen, xy = way()[20:40], plan(0.2, 6.0)
+    xy = xy[np.abs(xy[:, 0]) > 7.0]
+    scan, settings = cloud(0.01 * xy[:, 0] - 0.02 * (xy[:, 1] - WAY_Y_M), xy), GroundSettings()
+    assert road_along(seen, [scan], T_LEVEL_SENSOR, UP, np.zeros(3), settings) is None
+    road = road_along(prolonged(seen, *beyond(seen)), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), settings)
+    assert road is not None
+    value, covariance, _ = road.found.plane()
+    off = value[1:] - [0.01, -0.02]
+    assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
+    assert np.degrees(np.linalg.norm(off)) < 0.1
+
+
+@pytest.mark.parametrize("half_m", [3.25, 5.0])
+def test_a_road_of_which_both_kerbs_are_seen_has_no_other_side(half_m: float) -> None:
+    """Nothing of the land is seen: a level strip may be one side of a crowned road then, unless kerbs bound it."""
+    xy = plan(0.25)
+    beyond_m = np.abs(xy[:, 1] - WAY_Y_M - 1.5) - half_m
+    doubts_deg = []
+    for kept in (beyond_m < 2.0, beyond_m < 0.0):
+        scan = cloud(np.where(beyond_m > 0.0, 0.1, 0.0)[kept], xy[kept])
+        road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+        assert road is not None
+        value, covariance, _ = road.found.plane()
+        assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
+        doubts_deg.append(np.degrees(np.sqrt(covariance[2, 2])))
+    assert doubts_deg[0] < 0.7 * doubts_deg[1]
