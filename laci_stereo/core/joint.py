@@ -35,8 +35,8 @@ FIRST_STEPS, FOLLOWED = 3, 4
 """After so many steps a good start is within half a metre, so that the best few of all are followed further."""
 
 TOGETHER = 0.1
-"""Squared distance, in standard deviations at that softness, within which two that were followed are one: by less than
-a third of what separates two hills."""
+"""Squared distance, in standard deviations at that softness, within which two starts have come to one place: by a third
+of one they are on the same hill."""
 
 MAX_ITERATIONS = 40
 ROUNDS = 3
