@@ -38,14 +38,14 @@ for name in sorted(left.iterdir()):
 """
 
 
-def run(command: list[str]) -> tuple[float, float]:
-    """Run a command and return its wall time in seconds and its peak memory in MB."""
+def run(command: list[str]) -> tuple[float, float, float]:
+    """Run a command and return how long it took, and processors for it, in seconds, and its peak memory in MB."""
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status != 0:
         raise SystemExit(f"{' '.join(command)} failed with status {status}")
-    return time.perf_counter() - start, usage.ru_maxrss / 1024
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
 
 
 def tool(recording: Path, out: Path) -> list[str]:
@@ -94,8 +94,8 @@ def main() -> None:
         plain = [sys.executable, "-c", PLAIN, str(recording / "left"), str(recording / "right"), str(disparities)]
         ratios, times = [], []
         for _ in range(arguments.repeat):
-            own, _ = run(tool(recording, Path(scratch) / "out"))
-            other, _ = run(plain)
+            own, *_ = run(tool(recording, Path(scratch) / "out"))
+            other, *_ = run(plain)
             times.append((own, other))
             ratios.append(own / other)
         own, other = (statistics.median(column) for column in zip(*times, strict=True))
@@ -104,7 +104,7 @@ def main() -> None:
         memory = {}
         for pairs in arguments.pairs:
             folder = repeated(recording, pairs, Path(scratch) / str(pairs))
-            seconds, memory[pairs] = run(tool(folder, Path(scratch) / f"out{pairs}"))
+            seconds, _, memory[pairs] = run(tool(folder, Path(scratch) / f"out{pairs}"))
             print(f"{pairs} pairs: {memory[pairs]:.0f} MB at most, {seconds:.1f} s")
         few, many = (memory[pairs] for pairs in arguments.pairs)
         print(f"memory ratio: {many / few:.3f}")

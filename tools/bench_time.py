@@ -14,12 +14,9 @@ others use the processors too, only the latter counts.
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,19 +26,9 @@ from laci_stereo.core.passage import Passage
 from laci_stereo.core.tracking import Track
 from laci_stereo.io.evidence_file import read_evidence, write_evidence
 from laci_stereo.io.output import EVIDENCE_FILE
-from tools.bench_run import tool
+from tools.bench_run import run, tool
 
 DAY_NS = 86_400_000_000_000
-
-
-def timed(command: list[str]) -> tuple[float, float]:
-    """Run a command and return the time that passed and that of the processors, seconds."""
-    start = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    if status != 0:
-        raise SystemExit(f"{' '.join(command)} failed with status {status}")
-    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime
 
 
 def on_another_day(passage: Passage, day: int) -> Passage:
@@ -99,7 +86,7 @@ def main() -> None:
         seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
         for _ in range(arguments.repeat):
             for name, command in commands.items():
-                seconds[name].append(timed(command))
+                seconds[name].append(run(command)[:2])
     middle = {name: [statistics.median(part) for part in zip(*each, strict=True)] for name, each in seconds.items()}
     for name, (passed, worked) in middle.items():
         print(f"{name:8} {passed:6.1f} s passed, {worked:6.1f} s of processors")

@@ -106,6 +106,15 @@ def along_line(xy: FloatArray) -> FloatArray:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
 
 
+def between(at: FloatArray, along: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return places on a line, shape (m, d), of which points of shape (n, d) are known.
+
+    ``at`` and ``along``, shape (m,) and (n,), say how far along it, or when, each is; before its begin and behind its
+    end it stays there.
+    """
+    return np.column_stack([np.interp(at, along, column) for column in xy.T])
+
+
 def wrap(angle_rad: FloatArray | float) -> FloatArray:
     """Bring angles into [-pi, pi)."""
     wrapped: FloatArray = (np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi

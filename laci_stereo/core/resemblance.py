@@ -12,7 +12,7 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import KNOTS_PER_TIME, Correction, decay, position_sigma_m
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
-from laci_stereo.core.frames import BoolArray, FloatArray, along_line, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, along_line, between, rotate_xy
 from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.pieces import seen_share
@@ -122,7 +122,7 @@ def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: J
     stamps_s = fit.knots_s + time_offset_s
     xy, _, known = vehicle.at(np.clip(stamps_s, *vehicle.stamps_s[[0, -1]]))
     if not known.all():
-        xy = np.column_stack([np.interp(stamps_s, vehicle.stamps_s, vehicle.xy[:, axis]) for axis in (0, 1)])
+        xy = between(stamps_s, vehicle.stamps_s, vehicle.xy)
     told_m = position_sigma_m(vehicle, settings)
     apart_s = fit.knots_s - fit.knots_s.mean()
     span_s = max(float(np.ptp(apart_s)), 1e-3)

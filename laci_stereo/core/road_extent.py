@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.cluster import cells_of
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, dot_xy, transform, turned
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, between, dot_xy, transform, turned
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
 from laci_stereo.core.road_cells import CELL_M, LASER_RAD, Cells
@@ -124,7 +124,7 @@ def places(track: Track) -> FloatArray:
     seen = (cells[first] + 0.5) * CELL_M
     along_m = along_line(seen)
     at_m = np.arange(0.0, along_m[-1] + CELL_M, CELL_M)
-    middles = np.column_stack([np.interp(at_m, along_m, column) for column in seen.T])
+    middles = between(at_m, along_m, seen)
     number = np.arange(len(middles))
     reach = np.minimum(np.minimum(number, number[::-1]), round(SMOOTH_M / CELL_M))
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(middles, axis=0)])
@@ -152,7 +152,7 @@ def prolonged(way: FloatArray, before: FloatArray, after: FloatArray) -> FloatAr
     for end, path in ((way[0], before), (way[-1], after)):
         along_m = along_line(path)
         at_m = np.arange(CELL_M, min(most_m, along_m[-1]), CELL_M)
-        parts.append(np.column_stack([np.interp(at_m, along_m, column) for column in (path - path[0] + end).T]))
+        parts.append(between(at_m, along_m, path - path[0] + end))
     whole = np.concatenate([parts[0][::-1], way, parts[1]])
     return _once(whole, along_line(whole))
 
@@ -391,8 +391,7 @@ def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: Floa
     away_m = np.abs(cells.left_m)
     found = np.minimum(limit_m + STEP_M, REACH_M)
     for piece, most_m in enumerate(found.tolist()):
-        near = np.isin(cells.piece, (piece - 2, piece, piece + 2))
-        members = np.flatnonzero(near & (away_m < most_m))
+        members = np.flatnonzero(_with_next(cells, piece) & (away_m < most_m))
         members = members[np.argsort(away_m[members])]
         total = np.cumsum(evidence[members])
         beyond = int(np.argmax(total)) + 1 if (total > 0.0).any() else 0
@@ -410,11 +409,16 @@ def _ends(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatA
     evidence, away_m = _evidence(off_m, variance), np.abs(cells.left_m)
     ends: tuple[list[float], list[float]] = ([], [])
     for piece, end_m in enumerate(limit_m.tolist()):
-        beyond = np.isin(cells.piece, (piece - 2, piece, piece + 2)) & (away_m >= end_m) & (away_m < end_m + STEP_M)
+        beyond = _with_next(cells, piece) & (away_m >= end_m) & (away_m < end_m + STEP_M)
         if evidence[beyond].sum() < -MOST_LIKELY and off_m[beyond].mean() > 0.0:
             ends[piece % 2].append(end_m)
     right, left = (float(np.median(each)) if each else np.inf for each in ends)
     return -right, left
+
+
+def _with_next(cells: Cells, piece: int) -> BoolArray:
+    """Tell which cells are on a piece of the road or on the next ones on its side, shape (n,)."""
+    return np.isin(cells.piece, (piece - 2, piece, piece + 2))
 
 
 def _evidence(off_m: FloatArray, variance: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import FloatArray, between
 
 STEP_S = 0.02
 """In which a car moves half a metre at most, a fraction of any lever that matters."""
@@ -87,7 +87,7 @@ def body_yaw(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> BodyY
     """
     first, last = stamps_s[[0, -1]]
     stamps = np.linspace(first, last, max(2, int(np.ceil((last - first) / STEP_S)) + 1))
-    path = np.column_stack([np.interp(stamps, stamps_s, xy[:, axis]) for axis in (0, 1)])
+    path = between(stamps, stamps_s, xy)
     theta = np.interp(stamps, stamps_s, yaw_rad)
     if len(stamps_s) > 2:  # as `VehicleTrack.at` has it
         theta = Akima1DInterpolator(stamps_s, yaw_rad, method="makima")(stamps)
