@@ -124,6 +124,7 @@ def locate(
             station_id=station,
             match=choice.fit,
             time_offset_s=choice.time_offset_s,
+            method="paper",
             clock_sigma_s=settings.joint.clock_sigma_s,
             name=f"station {station}",
         )

@@ -134,7 +134,9 @@ def _in_words(passage: Passage) -> str:
 
 
 def _fit_alone(passage: Passage, drive: Evidence, settings: Settings) -> JointFit:
+    """Estimate from one drive; where that was done before, it is near there, on another ground."""
+    close = passage.method == "joint"
     try:
-        return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint)
+        return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint, close=close)
     except MatchError as error:
         raise MatchError(f"{passage.name}: {error}") from error

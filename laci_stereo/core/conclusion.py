@@ -56,7 +56,7 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
         clock_sigma_s=settings.joint.clock_sigma_s,
         turn=placement.turn,
         found=placement.remarks,
-        others=tuple(replace(each, match=match, turn=placement.turn) for each in others),
+        others=tuple(replace(each, match=match, method=settings.method, turn=placement.turn) for each in others),
         body=own.body,
     )
 

@@ -305,6 +305,7 @@ class DriveModel:
         self.block = _blocks(drive, settings.block_s)
         self.worth = _worth(drive, SAME_VIEW_M)
         self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
+        self.bordered = bool(np.isfinite(self.borders).any())
         self.error_worth = _worth(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
         self.border_worth = _worth(drive, SAME_BORDER_M)
         self.sigma_m = position_sigma_m(drive.vehicle, settings)
@@ -400,8 +401,8 @@ class DriveModel:
 
     def shares(self) -> FloatArray:
         """Return the mixture's shares to begin with: of each frame's faces, then of the borders of all frames."""
-        groups = (len(self.drive) * outline.FACES, outline.BORDERS)
-        return np.concatenate([mixture.first_shares(each) for each in groups])
+        of_borders = [mixture.first_shares(outline.BORDERS)] if self.bordered else []
+        return np.concatenate([mixture.first_shares(len(self.drive) * outline.FACES), *of_borders])
 
     def mixed(self, rows: Rows, distance: FloatArray, sigma: FloatArray, shares: FloatArray) -> mixture.Mixture:
         """Weigh distances by what they can come from; what hides a border is another thing than what is behind a face.
@@ -434,11 +435,9 @@ class DriveModel:
     def _kinds(self, rows: Rows, shares: FloatArray) -> tuple[tuple[slice, IntArray, FloatArray], ...]:
         """Return which rows are of faces and which of borders, in which group each is, and the shares of these."""
         faces, count = len(self.drive) * outline.FACES, int((rows.face < outline.FACES).sum())
-        of_faces = rows.frame[:count] * outline.FACES + rows.face[:count]
-        return (
-            (slice(count), of_faces, shares[: faces + 1]),
-            (slice(count, None), rows.face[count:] - outline.FACES, shares[faces + 1 :]),
-        )
+        of_faces = slice(count), rows.frame[:count] * outline.FACES + rows.face[:count], shares[: faces + 1]
+        of_borders = slice(count, None), rows.face[count:] - outline.FACES, shares[faces + 1 :]
+        return (of_faces, of_borders) if self.bordered else (of_faces,)
 
     def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
         """Return information and gradient, shape (5 + own,), where some distances were taken.
@@ -531,7 +530,7 @@ class DriveModel:
             known = poses.known[self.drive.frame[chosen.points]]
             met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
         rows = self._outline_rows(x, poses, met, share)
-        if len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
+        if self.bordered and len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
             rows = rows.joined(self._border_rows(x, poses))
         # A message's error is one for all of a frame: so many have together what one of them would have.
         each_frame = self.heading_variance + (poses if chosen is None else chosen).unsure / self.frame_s

@@ -46,6 +46,9 @@ SETTLING = 3
 CONVERGED = 1e-4
 """Squared step, in standard deviations, at which the iteration ends: a hundredth of the error that is claimed."""
 
+COMPARED = 1e-2
+"""The same where only likelihoods are compared: as logarithms they lack no more than half of that."""
+
 START_YAWS_DEG = (-4.0, 0.0, 4.0)
 SHIFTS_M = ((0.0, 0.0), (-0.9, -0.9), (-0.9, 0.9), (0.9, -0.9), (0.9, 0.9))
 """Starts around the paper's match: its yaw leans on one box and is a few degrees off at most; its position is off by
@@ -217,17 +220,17 @@ def fit_jointly(
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     expected = [model.sigmas for model in thinned.models]
     if mistakes:
-        from_there = thinned.solve(best)
+        from_there = thinned.solve(best, COMPARED)
         log_likely = thinned.log_posterior(from_there)
         senders = len(set(thinned.recordings.stations))
         for what, wrong, log_prior in _mistakes(drives, senders, settings):
             wider = _Problem(coarse, begin, centre, wrong, turn, stations)
-            there = wider.solve(from_there.x)
+            there = wider.solve(from_there.x, COMPARED)
             its_log_likely = wider.log_posterior(there) + log_prior
             if its_log_likely > log_likely and wider.tells(there, what):
                 log_likely, best, settings = its_log_likely, there.x, wrong
     problem = _Problem(fine, begin, centre, settings, turn, stations)
-    solved, its_turn, probability = problem.solve(best), 0.0, 1.0
+    solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
         turned = [_turned(problem, solved, each) for each in TURNS]
         likeliest = max(turned, key=lambda each: each.log_probability)
@@ -454,7 +457,7 @@ class _Problem:
             for each in model.corrections(solved.x[own], solved.covariance[own, own])
         )
 
-    def solve(self, x: FloatArray) -> _Solved:
+    def solve(self, x: FloatArray, converged: float = CONVERGED) -> _Solved:
         """Descend to the end from a start nearby; which points are on the wall is told anew after each time."""
         shares: Sequence[FloatArray] = self._first_shares()
         for _ in range(ROUNDS):
@@ -463,16 +466,21 @@ class _Problem:
             for _ in range(SETTLING):
                 shares = [each.shares for each in self._sum(x, rows, 0.0, shares)[2]]
             before = x
-            x, rows, shares = self._climb(x, rows, shares, chosen)
+            x, rows, shares = self._climb(x, rows, shares, chosen, converged)
             fitness = self._sum(x, rows, 0.0, shares)[2]
             information = self._with_prior([each.information for each in fitness])
-            if (x - before) @ information @ (x - before) < CONVERGED:
+            if (x - before) @ information @ (x - before) < converged:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         return _Solved(x, self._covariance(inverse, fitness, rows), tuple(fitness), tuple(self.own))
 
     def _climb(
-        self, x: FloatArray, rows: Sequence[Rows], shares: Sequence[FloatArray], chosen: Sequence[Chosen]
+        self,
+        x: FloatArray,
+        rows: Sequence[Rows],
+        shares: Sequence[FloatArray],
+        chosen: Sequence[Chosen],
+        converged: float,
     ) -> tuple[FloatArray, Sequence[Rows], Sequence[FloatArray]]:
         """Return the likeliest place near a start, with the distances and the shares there.
 
@@ -485,7 +493,7 @@ class _Problem:
             curvature, gradient, fitness = self._sum(x, rows, 0.0, shares)
             step = np.linalg.solve(curvature, gradient)
             size = float(step @ curvature @ step)
-            while pace**2 * size >= CONVERGED:
+            while pace**2 * size >= converged:
                 there = self._rows(x - pace * step, chosen)
                 if self._gain(x - pace * step, there, x, rows, shares) > 0.0:
                     break

@@ -9,6 +9,7 @@ from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.settings import Method
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
 
@@ -34,6 +35,8 @@ class Passage:
         Where this drive alone puts the level frame in the world.
     time_offset_s : float
         To be added to the sensor's stamps to get the CAMs' time.
+    method : {"joint", "paper"}
+        By which match and clock offset were estimated.
     clock_sigma_s : float
         What was known of that beforehand, one standard deviation.
     turn : float
@@ -53,6 +56,7 @@ class Passage:
     station_id: int
     match: PlanarMatch
     time_offset_s: float
+    method: Method
     clock_sigma_s: float
     turn: float = 0.0
     name: str = ""

@@ -145,6 +145,7 @@ class Calibration:
             station_id=self.station_id,
             match=self.match,
             time_offset_s=self.time_offset_s,
+            method=self.method,
             clock_sigma_s=self.clock_sigma_s,
             turn=self.turn,
             body=self.body,

@@ -12,7 +12,7 @@ import zipfile
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.joint import TURNS
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.settings import Method
 from laci_stereo.core.sighting import Flaw, Low, Sighting
 from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
@@ -35,8 +36,9 @@ from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-FORMAT = "laci-evidence/4"
+FORMAT = "laci-evidence/5"
 KINDS = ("stereo", "lidar", "detections")
+METHODS: dict[str, Method] = {each: each for each in get_args(Method)}
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
 MAX_BYTES = 1 << 28
@@ -61,6 +63,7 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 where it is not known
     "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
     "window": ("f", ()),  # side of a matcher's, within which points have their noise in common, rad; 0 for none
+    "method": ("U", ()),  # by which its own match and clock offset were estimated
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
     "middles": ("f", ("frames", 2)),
@@ -243,6 +246,7 @@ def _to_arrays(passage: Passage) -> Arrays:
         "slope": _of_slope(vehicle),
         "turn": np.array([passage.track.turn_s, passage.turn]),
         "window": np.array(passage.track.window_rad),
+        "method": np.array(passage.method),
         "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
         "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
@@ -311,6 +315,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
         station_id=int(found["station_id"]),
         match=PlanarMatch(yaw, np.array([match_x, match_y])),
         time_offset_s=offset_s,
+        method=METHODS[str(found["method"])],
         clock_sigma_s=clock_sigma_s,
         turn=float(found["turn"][1]),
         name=str(found["name"]),
@@ -338,6 +343,7 @@ def _check(path: Path, found: Arrays) -> None:
         "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all() and (found["vehicle"][4:6] >= 0.0).all(),
         "turn, of at least 0 s, by -1, 0 or 1": found["turn"][0] >= 0.0 and found["turn"][1] in TURNS,
         "window, not negative": found["window"] >= 0.0,
+        f"method, one of {', '.join(METHODS)}": str(found["method"]) in METHODS,
         "clock sigma, above 0": found["own"][4] > 0.0,
         "messages' stamps, at least 2 and ascending": len(found["message_stamps_s"]) > 1
         and (np.diff(found["message_stamps_s"]) > 0.0).all(),

@@ -49,8 +49,20 @@ def test_one_drive_gives_what_it_gave() -> None:
         assert found.T_utm_sensor[:3, :3] == pytest.approx(
             alone.T_utm_sensor[:3, :3], abs=np.radians(0.1 * alone.quality.yaw_sigma_deg)
         )
-        assert found.covariance == pytest.approx(alone.covariance, rel=0.05, abs=1e-9)
+        sigma = np.sqrt(np.diag(alone.covariance))
+        assert found.covariance / np.outer(sigma, sigma) == pytest.approx(
+            alone.covariance / np.outer(sigma, sigma), abs=0.02
+        )
         assert found.quality.frames_seen == alone.quality.frames_seen
+
+
+def test_a_drive_that_was_estimated_by_the_papers_method_is_sought_in_a_car_s_width_around() -> None:
+    for passage, (_, alone) in zip(passages(), recorded(), strict=True):
+        rough = replace(passage.match, shift=passage.match.shift + np.array([0.8, -0.6]))
+        found = combine([replace(passage, method="paper", match=rough)]).calibration
+        within_m = 0.1 * alone.quality.track_xy_sigma_m
+        assert found.T_utm_sensor[:3, 3] == pytest.approx(alone.T_utm_sensor[:3, 3], abs=within_m)
+        assert {each.method for each in found.passages} == {"joint"}
 
 
 def test_the_order_of_the_drives_does_not_matter() -> None:

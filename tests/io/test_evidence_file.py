@@ -156,7 +156,7 @@ def test_detections_without_points(tmp_path: Path) -> None:
 def test_other_versions_are_named(tmp_path: Path) -> None:
     path = tmp_path / "evidence.npz"
     np.savez(path, **{**arrays(), "format": np.array("laci-evidence/2")})
-    refused(path, "laci-evidence/2", "needed is laci-evidence/4")
+    refused(path, "laci-evidence/2", "needed is laci-evidence/5")
 
 
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:
@@ -229,7 +229,8 @@ def test_values_that_make_no_sense_are_named(tmp_path: Path, name: str, index: A
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("0.crs", "EPSG:4326"), ("0.crs", "nowhere"), ("drives", -1), ("drives", 3)]
+    ("name", "value"),
+    [("0.crs", "EPSG:4326"), ("0.crs", "nowhere"), ("0.method", "by eye"), ("drives", -1), ("drives", 3)],
 )
 def test_texts_and_numbers_of_drives_that_make_no_sense_are_refused(tmp_path: Path, name: str, value: object) -> None:
     np.savez(tmp_path / "evidence.npz", **{**arrays(), name: np.array(value)})
