@@ -61,8 +61,10 @@ STEP_M = 1.0
 KERB_M, NO_ROAD_M = 0.08, 0.15
 """Mean height above the road of what is none, and its standard deviation: kerbs have 3 to 15 cm, banks rise or fall."""
 
-KNOWN_M = KERB_M / 3
-"""Where the surface is known less well, a kerb may pass for its slope: such places wait until it is known better."""
+KNOWN_M = KERB_M / 2
+"""Where the surface is known less well, a kerb may pass for its slope: such places wait until it is known better, but
+not those below the vehicle. By what roads fall by beforehand (`OTHER`) that is 1.4 m from what is seen: one ring of a
+scanner tells no slope, and the next one may be as far off."""
 
 MOST_LIKELY = 3.0
 """Logarithm of the odds: no cell tells by more than twenty to one whether it is road."""
@@ -206,7 +208,7 @@ def road_along(
         height, variance = Surface(cells[on_road], settings.shared_noise_share, before, along_rad).heights(cells)
         off_m = cells.z - height
         alike = (settings.shared_noise_share * cells.sigma_m) ** 2  # what all points err by is no kerb
-        known = variance - alike < KNOWN_M**2
+        known = (variance - alike < KNOWN_M**2) | (away_m < HALF_VEHICLE_M)
         variance = variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
         on_road = (away_m < limit_m[cells.piece]) & (off_m**2 < GATE**2 * variance) & known

@@ -198,6 +198,32 @@ def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
     assert np.sqrt(covariance[2, 2]) > abs(value[2]) / 3
 
 
+def test_road_is_followed_from_one_ring_of_a_scanner_to_the_next() -> None:
+    """One ring tells no slope, so that the next one may be off by as much as roads fall by."""
+    x, ring_m = np.meshgrid(np.arange(-20.0, 20.0, 0.05), 1.2 * np.arange(-4, 5))
+    xy = np.column_stack([x.ravel(), WAY_Y_M + ring_m.ravel()])
+    scan = cloud(0.02 * ring_m.ravel(), xy)
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    left_m = road.found.cells.left_m
+    assert left_m.max() - left_m.min() > 9.0
+    value, covariance, _ = road.found.plane()
+    off = value[1:] - [0.0, 0.02]
+    assert off @ np.linalg.solve(covariance[1:, 1:], off) < 3.0**2
+    assert np.degrees(np.linalg.norm(off)) < 0.15
+
+
+def test_the_lane_below_a_vehicle_is_road_however_noisy_it_is_seen() -> None:
+    rng = np.random.default_rng(1)
+    xy = plan(0.4, 1.2) + rng.uniform(-0.1, 0.1, (len(plan(0.4, 1.2)), 2))
+    xy = xy[rng.uniform(size=len(xy)) < 0.5]
+    road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.3)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    assert road is not None
+    assert np.ptp(road.found.cells.xy[:, 0]) > 25.0
+    value, covariance, _ = road.found.plane()
+    assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
+
+
 def test_where_nothing_is_seen_there_is_no_road() -> None:
     xy = plan(0.2)
     assert (
