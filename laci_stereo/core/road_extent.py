@@ -324,8 +324,12 @@ def _cells(
 
 
 def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: float) -> Cells:
-    """Move cells along their lines of sight from the plane to a height, shape (n,): a crown is seen from aside."""
-    xy = cells.xy * (1.0 - height / sensor_m)[:, None]
+    """Move cells along their lines of sight from the plane to a height, shape (n,): a crown is seen from aside.
+
+    Where a surface is not known it may be anywhere, above the sensor as well, and cells would be at no place.
+    """
+    most_m = min(2 * LOW_M, sensor_m / 2)
+    xy = cells.xy * (1.0 - height.clip(-most_m, most_m) / sensor_m)[:, None]
     return replace(cells, xy=xy, left_m=_beside(way, xy)[1])
 
 

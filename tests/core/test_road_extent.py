@@ -224,6 +224,25 @@ def test_the_lane_below_a_vehicle_is_road_however_noisy_it_is_seen() -> None:
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seed", [20, 22, 24, 29, 35])
+def test_what_a_few_steep_places_would_make_of_all_the_land_moves_nothing_out_of_sight(seed: int) -> None:
+    """Far from them their plane is above the sensor, where nothing can be seen."""
+    rng = np.random.default_rng(seed)
+    sensor_m = rng.uniform(1.0, 4.0)
+    near = np.column_stack([rng.uniform(-3.0, 3.0, 400), WAY_Y_M + rng.uniform(-1.2, 1.2, 400)])
+    far = np.column_stack([rng.uniform(-15.0, 15.0, 600), WAY_Y_M + rng.uniform(-20.0, 20.0, 600)])
+    along, bent, across = rng.uniform([-0.1, -0.05, -0.2], [0.1, 0.05, 0.2])
+    steep = along * near[:, 0] + bent * near[:, 0] ** 2 + across * (near[:, 1] - WAY_Y_M)
+    land = rng.uniform(-0.5, 0.5) + rng.uniform(-0.03, 0.03) * (far[:, 1] - WAY_Y_M)
+    points = np.column_stack([np.concatenate([near, far]), np.concatenate([steep, land]) - sensor_m])
+    noise = np.full(len(points), 0.03)
+    scan = PointCloud(0, points, noise, 0.01 * noise, np.zeros(len(points), dtype=bool))
+    low = rigid(np.eye(3), np.array([0.0, 0.0, sensor_m]))
+    road = road_along(way(), [scan], low, UP, np.zeros(3), GroundSettings())
+    assert road is None or np.isfinite(road.found.plane()[0]).all()
+
+
 def test_where_nothing_is_seen_there_is_no_road() -> None:
     xy = plan(0.2)
     assert (
