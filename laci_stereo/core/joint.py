@@ -47,7 +47,7 @@ CONVERGED = 1e-4
 """Squared step, in standard deviations, at which the iteration ends: a hundredth of the error that is claimed."""
 
 COMPARED = 1e-2
-"""The same where only likelihoods are compared: as logarithms they lack no more than half of that."""
+"""The same where only likelihoods are compared, or another descent begins: a tenth of the error that is claimed."""
 
 START_YAWS_DEG = (-4.0, 0.0, 4.0)
 SHIFTS_M = ((0.0, 0.0), (-0.9, -0.9), (-0.9, 0.9), (0.9, -0.9), (0.9, 0.9))
