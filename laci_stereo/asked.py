@@ -20,6 +20,7 @@ from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import GroundError, SettingError, VerdictError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import (
+    METHODS,
     GroundSettings,
     JointSettings,
     MatchSettings,
@@ -160,7 +161,7 @@ _ASKED = (
     ),
     click.option(
         "--method",
-        type=click.Choice(["joint", "paper"]),
+        type=click.Choice(METHODS),
         default="joint",
         show_default=True,
         help="Estimator: the outline in all frames at once, or the paper's; the result shows both.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from laci_stereo.core.errors import SettingError
 
@@ -326,6 +326,7 @@ class QualitySettings:
 
 
 Method = Literal["joint", "paper"]
+METHODS: tuple[Method, ...] = get_args(Method)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import zipfile
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias, get_args
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.joint import TURNS
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.settings import Method
+from laci_stereo.core.settings import METHODS
 from laci_stereo.core.sighting import Flaw, Low, Sighting
 from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
@@ -38,7 +38,6 @@ Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
 FORMAT = "laci-evidence/5"
 KINDS = ("stereo", "lidar", "detections")
-METHODS: dict[str, Method] = {each: each for each in get_args(Method)}
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
 MAX_BYTES = 1 << 28
@@ -315,7 +314,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
         station_id=int(found["station_id"]),
         match=PlanarMatch(yaw, np.array([match_x, match_y])),
         time_offset_s=offset_s,
-        method=METHODS[str(found["method"])],
+        method=METHODS[METHODS.index(str(found["method"]))],
         clock_sigma_s=clock_sigma_s,
         turn=float(found["turn"][1]),
         name=str(found["name"]),

@@ -215,8 +215,8 @@ def test_road_is_followed_from_one_ring_of_a_scanner_to_the_next() -> None:
 
 def test_the_lane_below_a_vehicle_is_road_however_noisy_it_is_seen() -> None:
     rng = np.random.default_rng(1)
-    xy = plan(0.4, 1.2) + rng.uniform(-0.1, 0.1, (len(plan(0.4, 1.2)), 2))
-    xy = xy[rng.uniform(size=len(xy)) < 0.5]
+    xy = plan(0.4, 1.2)
+    xy = (xy + rng.uniform(-0.1, 0.1, xy.shape))[rng.uniform(size=len(xy)) < 0.5]
     road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.3)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
     assert road is not None
     assert np.ptp(road.found.cells.xy[:, 0]) > 25.0
