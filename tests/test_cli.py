@@ -110,6 +110,7 @@ def test_folders_that_are_no_stereo_recording_are_refused(site: Site, damage: Da
     site.refused(UNUSABLE, *words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("later_ms", "told", "verdict"), [(0.9, False, "pass"), (4, True, "pass"), (30, True, "warn")])
 def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bool, verdict: str) -> None:
     """By their times: the images are of one moment."""
@@ -233,6 +234,7 @@ ASSUMED = (
 """What is to be said of the demonstration's messages."""
 
 
+@pytest.mark.slow
 def test_one_bad_image_of_many_is_skipped_counted_and_named(site: Site) -> None:
     images(site.left)[-1].unlink()
     damaged = images(site.left)[8]
@@ -543,6 +545,7 @@ def until_writing(process: subprocess.Popen[str], site: Site) -> None:
         time.sleep(0.002)
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize(
     ("ending", "wait"),
@@ -669,6 +672,7 @@ def test_paths_and_names_of_any_letters_are_written(recording: Path, tmp_path: P
     assert (tmp_path / "result" / "report.html").stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_quiet_prints_nothing_whatever_decoders_say_and_makes_the_folders_above(site: Site) -> None:
     # Zeros in the compressed data, all markers whole: libjpeg complains and goes on.
     for path in images(site.left)[6:9]:

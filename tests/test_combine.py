@@ -110,7 +110,10 @@ def test_a_drive_that_contradicts_the_others_is_named_and_left_out(site: Site) -
     assert len(document["inputs"]) == 3
 
 
-@pytest.mark.parametrize(("times", "verdict", "code"), [(1.1, "pass", 0), (0.5, "warn", 0), (0.2, "fail", 1)])
+@pytest.mark.parametrize(
+    ("times", "verdict", "code"),
+    [*(pytest.param(*each, marks=pytest.mark.slow) for each in ((1.1, "pass", 0), (0.5, "warn", 0))), (0.2, "fail", 1)],
+)
 def test_the_verdict_is_by_the_limits_that_are_asked_for(site: Site, times: float, verdict: str, code: int) -> None:
     runs = [site.lay(0)]
     assert run(site.arguments(runs), site.root).code == 0

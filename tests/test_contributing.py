@@ -16,6 +16,7 @@ from tests.simulated import lidar, scene
 GUIDE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 
 
+@pytest.mark.slow
 def test_the_example_of_a_sensor_finds_where_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

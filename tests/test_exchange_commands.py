@@ -157,7 +157,7 @@ def exported(calibrated: Calibrated, tmp_path_factory: pytest.TempPathFactory) -
     return folder / "T.txt"
 
 
-@pytest.mark.parametrize(("off_m", "code"), [(0.0, 0), (0.5, 1)])
+@pytest.mark.parametrize(("off_m", "code"), [pytest.param(0.0, 0, marks=pytest.mark.slow), (0.5, 1)])
 def test_imported_result_is_held_against_the_map(
     calibrated: Calibrated, exported: Path, tmp_path: Path, off_m: float, code: int
 ) -> None:

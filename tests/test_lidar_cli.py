@@ -145,7 +145,9 @@ ASSUMED = (
 
 
 # The joint estimate within what is required of a LiDAR; the paper's is biased by part of a vehicle's width.
-@pytest.mark.parametrize(("method", "most_m", "most_deg"), [(None, 0.03, 0.08), ("paper", 0.9, 1.5)])
+@pytest.mark.parametrize(
+    ("method", "most_m", "most_deg"), [(None, 0.03, 0.08), pytest.param("paper", 0.9, 1.5, marks=pytest.mark.slow)]
+)
 def test_files_in_and_the_true_transform_out(
     site: Site, made: Scene, method: str | None, most_m: float, most_deg: float
 ) -> None:
@@ -171,6 +173,7 @@ def test_files_in_and_the_true_transform_out(
     assert f"{'Height':<11}{found['height_m']:.2f} m above the ground" in ran.out
 
 
+@pytest.mark.slow
 def test_sweep_that_contradicts_the_points_own_times_is_refused(
     site: Site, made: Scene, columns: list[dict[str, Array]]
 ) -> None:
@@ -242,7 +245,10 @@ def test_scans_that_are_none_are_refused(site: Site, columns: list[dict[str, Arr
 
 
 @posix
-@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize(
+    "encoding",
+    [*(pytest.param(encoding, marks=pytest.mark.slow) for encoding in ("ascii", "binary_compressed")), "binary"],
+)
 def test_a_header_takes_no_memory_by_what_it_promises(site: Site, encoding: str) -> None:
     for path in site.files():
         path.unlink()
@@ -252,6 +258,7 @@ def test_a_header_takes_no_memory_by_what_it_promises(site: Site, encoding: str)
     site.refused(UNUSABLE, "header promises 1000000000000 points", within=limited)
 
 
+@pytest.mark.slow
 def test_single_bad_scans_are_left_out_counted_and_named(site: Site, made: Scene) -> None:
     # The frames in which the survey is not taken and the vehicle is in full view.
     damaged = [site.files()[i] for i in (20, 30, 41)]
@@ -346,6 +353,7 @@ def test_a_definition_that_nobody_knows(site: Site) -> None:
     site.refused(UNUSABLE, "/points has a definition of", "needed is that of sensor_msgs/PointCloud2", scans=bag)
 
 
+@pytest.mark.slow
 def test_of_a_bag_that_is_cut_off_the_rest_is_calibrated(
     site: Site, made: Scene, columns: list[dict[str, Array]]
 ) -> None:
@@ -361,7 +369,9 @@ def test_of_a_bag_that_is_cut_off_the_rest_is_calibrated(
     assert errors(made, np.array(found["T_utm_sensor"]))[0] < 3 * found["quality"]["track_xy_sigma_m"]
 
 
-@pytest.mark.parametrize(("module", "extra"), [("laspy", "las"), ("rosbags", "bag")])
+@pytest.mark.parametrize(
+    ("module", "extra"), [("laspy", "las"), pytest.param("rosbags", "bag", marks=pytest.mark.slow)]
+)
 def test_an_extra_that_is_not_installed_is_named(site: Site, made: Scene, module: str, extra: str) -> None:
     hidden = site.root / "modules"
     hidden.mkdir()

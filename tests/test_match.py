@@ -106,7 +106,7 @@ def test_a_stranger_that_appears_where_the_sender_is_lost_says_nothing(tmp_path:
 
 
 @pytest.mark.parametrize("seeds", [SEEDS[:3], pytest.param(SEEDS, marks=pytest.mark.slow)], ids=len)
-@pytest.mark.parametrize("track_ids", [True, False])
+@pytest.mark.parametrize("track_ids", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_one_vehicle_among_thirty_tells_where_the_sensor_is(
     tmp_path: Path, track_ids: bool, seeds: Sequence[int]
 ) -> None:
@@ -163,7 +163,7 @@ def test_another_yaw_of_the_sensor_is_another_yaw_of_the_result(tmp_path: Path) 
     assert there[:3, 3] == pytest.approx(here[:3, 3], abs=1e-3)
 
 
-@pytest.mark.parametrize("position_m", [0.0, 0.3])
+@pytest.mark.parametrize("position_m", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_level_that_the_boxes_contradict_is_refused(tmp_path: Path, position_m: float) -> None:
     """The road rises by 4 % across the sensor's way; what is told is right, or 2 m too low."""
     made = levelled(traffic(6, 10, Noise(position_m=position_m)), 6.0)
@@ -177,6 +177,7 @@ def test_level_that_the_boxes_contradict_is_refused(tmp_path: Path, position_m: 
     assert match(site.detections, site.cam, MatchOptions(level_m=4.0)).calibration.height_m == 4.0
 
 
+@pytest.mark.slow
 def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
     made = traffic(5, 8)
     log, up = made.detections, made.T_world_sensor[2, :3]
@@ -230,7 +231,7 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     refusal(run(site.arguments(), site.root), UNUSABLE, "holds a result already", "--overwrite")
 
 
-@pytest.mark.parametrize("write", [write_gpx, write_nmea])
+@pytest.mark.parametrize("write", [write_gpx, pytest.param(write_nmea, marks=pytest.mark.slow)])
 def test_an_antennas_positions_need_its_place_on_the_vehicle(site: Site, write: Callable[[Path, CamLog], Path]) -> None:
     messages = site.made.messages
     log = write(site.root, replace(messages, altitude_m=np.full(len(messages), 500.0)))
@@ -273,6 +274,7 @@ def test_what_makes_no_sense_for_detections_is_no_option(site: Site) -> None:
     assert "--workers" in run(["calibrate", "--help"], site.root).out
 
 
+@pytest.mark.slow
 def test_yaw_in_degrees_and_doubled_rows_are_put_right_and_said(site: Site) -> None:
     rows = detection_rows(site.made)
     rows.column("yaw", [f"{v:.3f}" for v in np.degrees(site.made.detections.yaw_rad)])

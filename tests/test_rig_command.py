@@ -70,7 +70,9 @@ def said(check: RigCheck) -> str:
     return "; ".join(finding.text for finding in check.findings)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "name", [*KINDS[1:3], *(pytest.param(each, marks=pytest.mark.slow) for each in (KINDS[0], KINDS[3]))]
+)
 def test_the_right_calibration_passes(matched: Callable[[str], Matched], name: str) -> None:
     check = check_rig(RIGS[name], matched(name))
     assert (check.outcome, check.findings, check.skipped) == ("pass", (), ())
@@ -211,7 +213,7 @@ def drive(folder: Path, steps_later: float) -> list[StereoPair]:
     return write_pairs(folder, exposed(frames, seed=2))
 
 
-@pytest.mark.parametrize("later", [0.0, 0.5, -0.5])
+@pytest.mark.parametrize("later", [0.0, 0.5, pytest.param(-0.5, marks=pytest.mark.slow)])
 def test_how_much_later_the_right_images_are(tmp_path: Path, later: float) -> None:
     """Frames are 0.1 s apart, so half a frame is 50 ms."""
     check = check_rig_images(RIGS["five"], drive(tmp_path, later))

@@ -120,6 +120,7 @@ def test_what_is_no_error_of_a_map_is_refused(calibrated: Calibrated, tmp_path: 
     refusal(ran, 2, "--map-sigma", "nan is not a number")
 
 
+@pytest.mark.slow
 def test_one_bad_image_among_many_is_left_out(calibrated: Calibrated, tmp_path: Path) -> None:
     left = Path(shutil.copytree(calibrated.site.left, tmp_path / "left"))
     min(left.iterdir()).write_bytes(b"no image")
@@ -137,7 +138,7 @@ def lines_found(said: str) -> int:
     return int(found[1])
 
 
-@pytest.mark.parametrize(("k1", "told_apart"), [(-0.6, False), (-0.9, True)])
+@pytest.mark.parametrize(("k1", "told_apart"), [pytest.param(-0.6, False, marks=pytest.mark.slow), (-0.9, True)])
 def test_rectified_images_are_not_rectified_again(
     calibrated: Calibrated, tmp_path: Path, k1: float, told_apart: bool
 ) -> None:
@@ -191,6 +192,7 @@ def test_what_is_missing_is_named(calibrated: Calibrated, tmp_path: Path) -> Non
     refusal(ran, 2, "stereo.yaml", "--stereo")
 
 
+@pytest.mark.slow
 def test_run_without_a_map_says_nothing_of_lanes(calibrated: Calibrated, tmp_path: Path) -> None:
     folder = tmp_path / "recording"
     folder.mkdir()
@@ -206,6 +208,7 @@ def test_run_without_a_map_says_nothing_of_lanes(calibrated: Calibrated, tmp_pat
     assert document["T_world_sensor"] == calibrated.document["T_world_sensor"]  # the lanes never enter the estimate
 
 
+@pytest.mark.slow
 def test_map_that_contradicts_a_result_lowers_its_verdict(calibrated: Calibrated, tmp_path: Path) -> None:
     """Whichever of them is wrong, everything that tells the verdict tells that."""
     text = calibrated.site.root.joinpath("map.osm").read_text()

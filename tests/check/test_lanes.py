@@ -35,7 +35,7 @@ def crossing(lens_name: str = "ideal") -> Painted:
     return PAINTED[lens_name]
 
 
-@pytest.mark.parametrize("lens_name", ["ideal", "barrel"])
+@pytest.mark.parametrize("lens_name", ["ideal", pytest.param("barrel", marks=pytest.mark.slow)])
 def test_truth_passes_and_is_measured_as_such(lens_name: str) -> None:
     check = crossing(lens_name).check()
     assert check.judgement.outcome == "pass", check.judgement

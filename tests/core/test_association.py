@@ -420,6 +420,7 @@ def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
     assert choose_track([brief], {42: vehicle()}, likeness=exactly).doubt == ""
 
 
+@pytest.mark.slow
 def test_what_is_taken_with_a_doubt_is_rather_the_vehicle_than_a_stranger() -> None:
     refused, odds = 0, []
     for way in np.arange(-6.0, 8.0, 0.25):

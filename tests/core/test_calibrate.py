@@ -97,6 +97,9 @@ SCENES: dict[str, tuple[Scene, str | None]] = {
     "stereo-curve": (scene(CURVE, stereo(), TROMSO, yaw_deg=-60.0), None),
 }
 
+FEW = ("lidar-left", "stereo-left")
+NAMES = [*FEW, *(pytest.param(name, marks=pytest.mark.slow) for name in SCENES if name not in FEW)]
+
 
 PAPER = Settings(method="paper")
 
@@ -112,7 +115,7 @@ def solved(name: str, method: Method = "joint") -> Calibration:
 
 
 @pytest.mark.parametrize("method", ["joint", "paper"])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_truth_is_found(name: str, method: Method) -> None:
     made, _ = SCENES[name]
     found = solved(name, method)
@@ -123,7 +126,7 @@ def test_the_truth_is_found(name: str, method: Method) -> None:
     assert sum(found.quality.left_out.values()) + found.quality.frames_used == found.quality.frames_seen
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_result_shows_what_the_paper_says(name: str) -> None:
     joint, paper = solved(name), solved(name, "paper")
     assert joint.paper is not None
@@ -132,6 +135,7 @@ def test_every_result_shows_what_the_paper_says(name: str) -> None:
     assert 0 < paper.quality.frames_used <= len(paper.track.usable)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "most"), [("joint", 1.5), ("paper", 1.5)])
 def test_the_doubt_is_as_large_as_the_errors(method: Method, most: float) -> None:
     ratios = [
@@ -141,6 +145,7 @@ def test_the_doubt_is_as_large_as_the_errors(method: Method, most: float) -> Non
     assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sensor", [pytest.param(lidar(), id="lidar", marks=pytest.mark.slow), pytest.param(stereo(), id="stereo")]
 )
@@ -154,6 +159,7 @@ def test_a_drive_that_stops_in_view(sensor: object) -> None:
     assert found.quality.frames_used > 45
 
 
+@pytest.mark.slow
 def test_a_turned_world_gives_the_turned_answer() -> None:
     one, _ = SCENES["lidar-left"]
     other = scene(LEFT_TURN, lidar(), ULM, others=[PASSER_BY], yaw_deg=35.0 + 77.0)
@@ -173,11 +179,13 @@ def in_place(made: Scene, found: Calibration) -> FloatArray:
     return T
 
 
+@pytest.mark.slow
 def test_traffic() -> None:
     made = scene(RIGHT_TURN, others=[OTHER_CAR, PASSER_BY, shrub((15.0, -4.0), 0.4, 0.8)], last_s=7.0)
     check(made, calibrate(made.recording, made.messages))
 
 
+@pytest.mark.slow
 def test_two_senders_in_view() -> None:
     made = scene(LEFT_TURN, others=[OTHER_CAR])
     other = cam_log(ULM, made.recording.movers[1], 6.0, station=7)
@@ -186,6 +194,7 @@ def test_two_senders_in_view() -> None:
     assert errors(made, found).track_xy_m < 1.0
 
 
+@pytest.mark.slow
 def test_a_roadside_unit_that_sends_too_is_no_vehicle() -> None:
     made = scene(LEFT_TURN)
     unit = cam_log(ULM, car(Drive((3.0, 2.0), 0.0, speeds=((0.0, 0.0),))), 6.0, rate_hz=1.0, station=900)
@@ -194,6 +203,7 @@ def test_a_roadside_unit_that_sends_too_is_no_vehicle() -> None:
     assert calibrate(made.recording, together([made.messages, unit])).station_id == 42
 
 
+@pytest.mark.slow
 def test_the_reference_point_matters() -> None:
     made, _ = SCENES["lidar-left"]
     sent_centre = cam_log(ULM, made.vehicle, 6.0, reference=(0.0, 0.0))
@@ -204,6 +214,7 @@ def test_the_reference_point_matters() -> None:
     assert errors(made, calibrate(made.recording, sent_centre, PAPER)).track_xy_m > errors(made, right).track_xy_m + 0.5
 
 
+@pytest.mark.slow
 def test_a_wrong_reference_point_is_noticed_where_the_vehicle_turns() -> None:
     made, _ = SCENES["lidar-left"]
     found = calibrate(made.recording, cam_log(ULM, made.vehicle, 6.0, reference=(0.0, 0.0)))
@@ -216,6 +227,7 @@ def test_a_wrong_reference_point_is_noticed_where_the_vehicle_turns() -> None:
     assert not any("--cam-reference" in reason for reason in solved("lidar-left").quality.reasons)
 
 
+@pytest.mark.slow
 def test_another_zone_gives_the_same_place() -> None:
     made, _ = SCENES["lidar-late"]
     own = solved("lidar-late")
@@ -263,6 +275,7 @@ def test_messages_of_another_time() -> None:
         calibrate(made.recording, late)
 
 
+@pytest.mark.slow
 def test_a_sender_elsewhere() -> None:
     made = scene(LEFT_TURN)
     with pytest.raises(MatchError, match="no moving object fits the CAMs"):

@@ -86,6 +86,7 @@ def test_a_step_within_what_messages_tell_is_none() -> None:
     assert found.position_sigma_m == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_a_result_is_as_sure_as_positions_that_step() -> None:
     """A sudden other solution of the receiver's looks like another direction of the way."""
     made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0)

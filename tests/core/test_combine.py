@@ -23,6 +23,7 @@ def combined(*numbers: int) -> Combined:
     return combine([passages()[number] for number in numbers])
 
 
+@pytest.mark.slow
 def test_two_drives_of_different_vehicles_place_the_sensor_to_centimetres_and_are_surer_than_each() -> None:
     found = combined(0, 1)
     position_m, angle_deg = misplaced(found.calibration)
@@ -65,6 +66,7 @@ def test_a_drive_that_was_estimated_by_the_papers_method_is_sought_in_a_car_s_wi
         assert {each.method for each in found.passages} == {"joint"}
 
 
+@pytest.mark.slow
 def test_the_order_of_the_drives_does_not_matter() -> None:
     one, other = (combined(*order).calibration for order in ((0, 1, 2), (2, 1, 0)))
     assert one.T_utm_sensor[:3, :3] == pytest.approx(other.T_utm_sensor[:3, :3], abs=1e-5)
@@ -104,6 +106,7 @@ def test_a_sensor_that_was_moved_between_the_drives_is_refused() -> None:
         combine([drives[0], replace(drives[1], ground=replace(ground, normal=tilted))])
 
 
+@pytest.mark.slow
 def test_another_origin_of_the_world_changes_nothing() -> None:
     drives = passages()[:2]
     own = drives[1].world
@@ -134,7 +137,7 @@ def test_drives_of_different_zones_or_axes_are_refused() -> None:
         combine([one, replace(other, axes=Axes((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))])
 
 
-@pytest.mark.parametrize("late_s", [-0.2, 0.2])
+@pytest.mark.parametrize("late_s", [-0.2, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_each_drive_has_its_own_clock(late_s: float) -> None:
     one, other = (replace(passage, clock_sigma_s=1.0) for passage in passages()[:2])
     late = replace(other, vehicle=replace(other.vehicle, stamps_s=other.vehicle.stamps_s + late_s))
@@ -156,6 +159,7 @@ def cut() -> tuple[Calibration, list[Passage]]:
     return whole, [replace(each.passages[0], name=f"part {number}") for number, each in enumerate(parts)]
 
 
+@pytest.mark.slow
 def test_a_drive_that_is_cut_in_two_recordings_is_known_no_better_than_as_a_whole() -> None:
     whole, parts = cut()
     found = combine(parts)
@@ -166,6 +170,7 @@ def test_a_drive_that_is_cut_in_two_recordings_is_known_no_better_than_as_a_whol
     )
 
 
+@pytest.mark.slow
 def test_a_sender_errs_alike_on_all_days_and_others_do_not() -> None:
     """A steady drive does not tell the clocks' offset, nor how a sender stamps, nor where its antenna is."""
     _, alone = recorded()[2]

@@ -41,6 +41,7 @@ def drawn(count: int, rng: np.random.Generator) -> list[Passage]:
     ]
 
 
+@pytest.mark.slow
 def test_many_grounds_are_nearer_to_the_truth_than_one() -> None:
     rng = np.random.default_rng(0)
     tilts, heights = [], []

@@ -106,6 +106,7 @@ def test_who_bends_all_the_time_is_told_so() -> None:
         calibrate(made.recording, made.messages, crs=ULM.crs)
 
 
+@pytest.mark.slow
 def test_who_bends_while_in_view_is_told_so() -> None:
     made = articulated(BENDS_IN_VIEW)
     with pytest.raises(TrackError, match=r"station 42's, 16\.5 m long, folds in bends, at \d+ of"):

@@ -54,7 +54,7 @@ def test_what_is_mirrored_grows_from_nearly_nothing_to_nearly_all_as_a_side_is_g
         assert each == pytest.approx(np.mean(light**2 / (light**2 + scattered**2)), rel=1e-3)
 
 
-@pytest.mark.parametrize("by", [0.0, 4.0, 8.0])
+@pytest.mark.parametrize("by", [*(pytest.param(by, marks=pytest.mark.slow) for by in (0.0, 8.0)), 4.0])
 def test_a_side_that_mirrors_turns_the_result_by_no_more_than_is_claimed(by: float) -> None:
     squared = []
     for seed in range(4):

@@ -89,7 +89,7 @@ def tilt_sigma_deg(ground: GroundPlane) -> float:
     return float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
 
 
-@pytest.mark.parametrize("land_slope", [-0.05, 0.05])
+@pytest.mark.parametrize("land_slope", [-0.05, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_land_is_not_taken_for_the_road(land_slope: float) -> None:
     cloud = seen(land_slope)
     ground = fitted(cloud)
@@ -101,6 +101,7 @@ def test_land_is_not_taken_for_the_road(land_slope: float) -> None:
     assert road.height_m == pytest.approx(HEIGHT_M, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.04, pytest.param(0.1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("edge_m", [12.0, pytest.param(13.0, marks=pytest.mark.slow)])
 def test_a_bank_within_reach_of_the_way_is_not_taken_for_the_road(slope: float, edge_m: float) -> None:
@@ -114,6 +115,7 @@ def test_a_bank_within_reach_of_the_way_is_not_taken_for_the_road(slope: float, 
     assert tilt_sigma_deg(road) < np.degrees(FALL)
 
 
+@pytest.mark.slow
 def test_a_ground_that_is_the_road_stays() -> None:
     cloud = seen(0.0)
     ground = fitted(cloud)
@@ -124,6 +126,7 @@ def test_a_ground_that_is_the_road_stays() -> None:
     assert tilt_sigma_deg(kept) < 0.05
 
 
+@pytest.mark.slow
 def test_a_narrow_road_that_few_layers_see_is_told_from_the_land() -> None:
     rng = np.random.default_rng(0)
     ray = rays(np.arange(20.0, 160.0, 0.5), np.arange(8.0, 26.0, 2.0), rng)
@@ -149,7 +152,7 @@ def test_the_side_of_the_crown_that_is_seen_is_not_taken_for_the_road(crown: flo
     assert tilt_sigma_deg(ground) > HALF_FALL_DEG
 
 
-@pytest.mark.parametrize("crown", [0.01, 0.025])
+@pytest.mark.parametrize("crown", [pytest.param(0.01, marks=pytest.mark.slow), 0.025])
 def test_both_sides_of_the_crown_tell_the_road(crown: float) -> None:
     # Most of what is seen is on the near side.
     lane = places(Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50))))
@@ -160,7 +163,7 @@ def test_both_sides_of_the_crown_tell_the_road(crown: float) -> None:
     assert tilt_sigma_deg(ground) < 0.2
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in (1, 2))])
 def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> None:
     """Its sides are nearer and farther than a plane on which they would be seen in the same direction."""
     rng = np.random.default_rng(seed)
@@ -282,6 +285,7 @@ def test_a_recording_is_observed_again_only_where_the_road_is_far_from_the_groun
     assert -0.1 < at[:, 2].min() < at[:, 2].max() < scene.vehicle.height_m + 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("apart_m", "is_seen"), [(1.1, True), (1.3, False)])
 def test_how_far_a_road_may_be_counts_from_the_ground(apart_m: float, is_seen: bool) -> None:
     """And not from where it is looked at, half of that above it."""

@@ -41,6 +41,7 @@ def found(name: str, turn_deg: float) -> tuple[Calibration, float]:
     return one, float(np.degrees(np.arctan2(R[1, 0], R[0, 0])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_the_halves_of_a_drive_agree(name: str) -> None:
     one, off_deg = found(name, 0.0)
@@ -48,6 +49,7 @@ def test_the_halves_of_a_drive_agree(name: str) -> None:
     assert abs(off_deg) < 3.0 * one.quality.yaw_sigma_deg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_sensor_that_is_moved_while_it_records_is_told_and_doubted_by_as_much(name: str) -> None:
     one, off_deg = found(name, 1.0)

@@ -35,6 +35,7 @@ BEND = Drive((24.0, 18.0), -100.0, ((10.0, 0.0), (20.0, 20.0)), ((0.0, 7.0),))
 """It turns by so little that a right bend fits it, but not as well."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [LEFT_TURN, BEND], ids=["left turn", "bend"])
 def test_a_left_handed_frame_is_refused(drive: Drive) -> None:
     made = scene(drive, lidar())
@@ -42,6 +43,7 @@ def test_a_left_handed_frame_is_refused(drive: Drive) -> None:
         calibrate(left_handed(made.recording), made.messages)
 
 
+@pytest.mark.slow
 def test_one_vehicle_on_a_straight_road_does_not_tell() -> None:
     made = scene(STRAIGHT, lidar())
     assert calibrate(left_handed(made.recording), made.messages).quality.verdict == "pass"

@@ -123,7 +123,9 @@ def test_errors_of_a_matcher_that_last_are_in_the_covariance(drive: Drive) -> No
     assert np.max(squared) < 4.0**2
 
 
-@pytest.mark.parametrize("offset_s", [-0.3, 0.12, 0.3])
+@pytest.mark.parametrize(
+    "offset_s", [*(pytest.param(offset_s, marks=pytest.mark.slow) for offset_s in (-0.3, 0.12)), 0.3]
+)
 @pytest.mark.parametrize("drive", [TURN, BRAKING], ids=["turn", "braking"])
 def test_an_unknown_clock_is_found_where_the_speed_changes(drive: object, offset_s: float) -> None:
     seen = evidence(drive, offset_s=offset_s)  # type: ignore[arg-type]
@@ -170,6 +172,7 @@ def with_headings_off(drive: Evidence, sigma_deg: float, seed: int) -> Evidence:
     return replace(drive, vehicle=replace(vehicle, xy=centre, yaw_rad=yaw, reference=(vehicle.length_m / 2, 0.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drive", [pytest.param(STRAIGHT, id="straight"), pytest.param(TURN, id="turn", marks=pytest.mark.slow)]
 )
@@ -214,6 +217,7 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_s", [0.0, 30.0])
 @pytest.mark.parametrize(("own_m", "lasting_m"), [(0.02, 0.15), (0.08, 0.08), (0.1, 0.0)])
 def test_errors_of_boxes_that_last_are_in_the_covariance(own_m: float, lasting_m: float, stop_s: float) -> None:
@@ -237,6 +241,7 @@ def test_an_error_of_positions_stays_while_the_vehicle_stands() -> None:
     assert (np.sqrt(np.diag(stopped)[1:]) > 0.85 * np.sqrt(np.diag(moving)[1:])).all()
 
 
+@pytest.mark.slow
 def test_a_long_stop_makes_the_problem_hardly_larger() -> None:
     seen = [evidence(stopping(TURN, stop_s), per_frame=4, last_s=11.0 + stop_s) for stop_s in (0.0, 900.0)]
     moving, stopped = (DriveModel(one.thinned(10_000), np.zeros(2), JointSettings()) for one in seen)
@@ -310,6 +315,7 @@ def test_borders_tell_what_a_depth_that_is_wrong_does_not() -> None:
     assert np.mean(bordered) < 0.4 * np.mean(alone)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(30), marks=pytest.mark.slow)], ids=["few", "many"])
 def test_a_side_that_is_narrower_than_a_window_tells_no_more_than_its_border(seeds: range) -> None:
     # A vehicle comes from 70 m away, 4 m beside the sensor: its side is seen within 0.2 m there, the window is 0.7 m
@@ -394,7 +400,7 @@ def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
     return model, x
 
 
-@pytest.mark.parametrize("sigma_m", [0.03, 0.5])
+@pytest.mark.parametrize("sigma_m", [0.03, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_at_the_truth_noise_pulls_no_way(sigma_m: float) -> None:
     # Ranges that vary by much more than the outline turn it, if the distances from it are taken for what was measured.
     pulls, information = [], np.zeros((8, 8))
@@ -482,7 +488,9 @@ def test_points_that_change_sides_do_not_judge_a_step() -> None:
     assert model.gain(after, before, shares) == pytest.approx(model.gain(after[stay], before[stay], shares))
 
 
-@pytest.mark.parametrize("offset_s", [-0.08, 0.0, 0.08])
+@pytest.mark.parametrize(
+    "offset_s", [0.0, *(pytest.param(offset_s, marks=pytest.mark.slow) for offset_s in (-0.08, 0.08))]
+)
 def test_on_an_even_turn_the_clock_is_as_unknown_as_before(offset_s: float) -> None:
     drive = evidence(CIRCLE, offset_s=offset_s)
     fit = fit_jointly([drive], TRUTH, settings=JointSettings(clock_sigma_s=0.1))

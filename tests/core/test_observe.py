@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import BoolArray, transform
@@ -31,6 +32,7 @@ class Masked(Recording):
         return found
 
 
+@pytest.mark.slow
 def test_what_a_mask_leaves_out_is_no_road() -> None:
     made = scene(LEFT_TURN, lidar(), others=(WALKER,)).recording
     recording = Masked(made.sensor, made.T_world_sensor, made.static, made.movers, made.times_s)

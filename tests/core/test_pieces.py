@@ -49,6 +49,7 @@ def error_m(made: Scene, found: Calibration) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap_m", "drive"),
     [
@@ -83,6 +84,7 @@ def test_of_a_vehicle_that_is_as_long_as_it_tells_nothing_is_missing() -> None:
     assert found.quality.verdict == "pass"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [pytest.param(PASSES, marks=pytest.mark.slow), LEFT_TURN])
 def test_what_a_car_tows_is_warned_of(drive: Drive) -> None:
     made = seen_as(CARAVAN, CAR, drive)

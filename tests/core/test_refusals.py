@@ -15,7 +15,7 @@ from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.core.test_calibrate import errors
 from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, cam_log, car, lidar, scene, stereo
 
-pytestmark = pytest.mark.usefixtures("observed_once")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
 UNKNOWN_CLOCK = replace(
     Settings(), match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0)

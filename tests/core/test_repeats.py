@@ -26,6 +26,7 @@ class Polled(Recording):
         return replace(super().frame(index - index % 2), stamp_ns=self.stamps_ns[index])
 
 
+@pytest.mark.slow
 def test_each_frame_twice() -> None:
     made = scene(LEFT_TURN, lidar())
     one = made.recording

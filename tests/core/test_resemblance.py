@@ -51,6 +51,7 @@ def test_a_body_of_the_length_that_was_told_speaks_for_its_sender() -> None:
     assert odds(SIZE[0]) > np.log(3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_m", [-0.9, 0.6, 1.5])
 def test_a_body_of_another_length_speaks_against_it(off_m: float) -> None:
     assert odds(SIZE[0] + off_m) < -2.0
@@ -121,7 +122,7 @@ def test_an_outline_that_follows_the_way_to_centimetres_is_hardly_a_strangers() 
     assert way(seen()).way > np.log(1000.0)
 
 
-@pytest.mark.parametrize("faster", [0.9, 1.1])
+@pytest.mark.parametrize("faster", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_another_speed_speaks_against_it(faster: float) -> None:
     vehicle = DRIVE.vehicle
     middle = vehicle.xy.mean(axis=0)

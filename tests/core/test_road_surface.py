@@ -106,6 +106,7 @@ def test_the_spectrum_of_a_road_is_that_of_iso_8608_class_b(
     assert density(0.2) / density(0.1) == pytest.approx(0.5**power, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height_m", [0.008, 0.015, 0.03])
 def test_long_waves_of_a_street_do_not_make_one_side_of_its_crown_a_verge(height_m: float) -> None:
     rng = np.random.default_rng(3)

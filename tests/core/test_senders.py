@@ -14,7 +14,7 @@ from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.passages import meeting
 from tests.simulated import together
 
-pytestmark = pytest.mark.usefixtures("observed_once")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
 LATE_S = 0.03
 LOOSE = Settings(joint=JointSettings(clock_sigma_s=LATE_S))

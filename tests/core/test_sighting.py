@@ -113,7 +113,7 @@ def test_where_noise_hides_a_side_in_the_road_its_farther_half_is_kept_as_well()
     assert np.std(of_whole) == pytest.approx(sigma_m, rel=0.2)
 
 
-@pytest.mark.parametrize("sigma_px", [0.5, 1.0])
+@pytest.mark.parametrize("sigma_px", [0.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_however_much_of_the_road_noise_raises_a_cluster_keeps_points(sigma_px: float) -> None:
     """And as large a share of itself as of that road."""
     sightings = found(alone(standing(17.0, 1.0), stereo(columns=1280, sigma_px=sigma_px)))

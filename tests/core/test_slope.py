@@ -242,6 +242,7 @@ def misplaced(found: Calibration, made: Scene, xy: FloatArray, true_utm: FloatAr
     return rigid_utm - true_utm, found.world.to_utm(exact) - true_utm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", ["untold", "plane", "hill"])
 def test_places_in_view_are_right_on_the_map_whatever_the_road_does_before(log: str) -> None:
     made, seen = approaching()  # at 14 s 27 m of the straight are left before it brakes into the view
@@ -290,6 +291,7 @@ def check_on_one_slope(found: Calibration, logs: dict[int, CamLog], towards_deg:
         assert told_on_map(each.vehicle)[0] == pytest.approx(on_map, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [(True, False), (False, True)])
 def test_drives_with_and_without_altitudes_lie_along_one_ground(told: tuple[bool, bool]) -> None:
     passages, logs = [], {}
@@ -310,6 +312,7 @@ def test_drives_with_and_without_altitudes_lie_along_one_ground(told: tuple[bool
     assert np.linalg.norm(exact, axis=1).max() < 0.05
 
 
+@pytest.mark.slow
 def test_senders_with_and_without_altitudes_lie_along_one_ground() -> None:
     made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0, seed=5)
     cars = car(STRAIGHT), car(Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),)), 4.6, 1.85)

@@ -183,7 +183,7 @@ def replace_points(found: Track) -> Track:
     return Track(tuple(replace(one, points=nothing) for one in found.sightings))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in (1, 2))])
 def test_dense_traffic_with_missing_sightings(seed: int) -> None:
     scene = traffic(seed, CROSSING)
     found = link_tracks(scene.frames)

@@ -282,6 +282,7 @@ def errors(T_utm_sensor: FloatArray, sensor: str) -> tuple[float, float]:
     return float(np.sqrt((moved[:, :2] ** 2).sum(axis=1).mean())), float(np.degrees(np.arccos(min(cosine, 1.0))))
 
 
+@pytest.mark.slow
 @needs_shared
 def test_a_sensor_whose_axes_point_elsewhere_gives_the_same_place(plain: FloatArray, tmp_path: Path):
     axes = parse_axes("y forward, z down")
@@ -333,12 +334,8 @@ def seen_on_map(recording: LidarRecording) -> FloatArray:
 @pytest.mark.parametrize(
     "form",
     [
-        *("mcap", "las"),
-        *(
-            pytest.param(form, marks=pytest.mark.slow)
-            for form in (*FILE_FORMATS, "ros 1 bag", "ros 2 bag")
-            if form != "las"
-        ),
+        "mcap",
+        *(pytest.param(form, marks=pytest.mark.slow) for form in (*FILE_FORMATS, "ros 1 bag", "ros 2 bag")),
     ],
 )
 def test_every_format_gives_the_same_place_to_a_millimetre(

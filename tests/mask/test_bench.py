@@ -107,6 +107,7 @@ def test_spoilt_detectors_are_wrong_as_they_say() -> None:
     assert [len(each) for each in seen(everything)] == [0, 2, 2, 0, 2, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masked", [False, True])
 def test_frames_matched_once_are_those_of_the_recording(masked: bool, tmp_path: Path) -> None:
     pairs = frames("ideal", tmp_path)

@@ -93,6 +93,7 @@ def test_a_network_of_ones_own_from_looking_to_calibrating(tmp_path: Path) -> No
     assert page.count('data-layer="dropped"') == 1
 
 
+@pytest.mark.slow
 def test_interrupted_it_says_what_is_written(tmp_path: Path) -> None:
     model = graphs.save(graphs.yolov8_raw(), tmp_path, {"kind": "yolov8_raw", "vehicle_ids": [1]})
     images, out = tmp_path / "left", tmp_path / "look"

@@ -53,7 +53,9 @@ def frames(name: str, folder: Path, **options: object) -> list[StereoPair]:
     return write_pairs(folder, exposed(seen, **options))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("name", "colour"), [("ideal", True), ("mirrored askew", False)])
+@pytest.mark.parametrize(
+    ("name", "colour"), [("ideal", True), pytest.param("mirrored askew", False, marks=pytest.mark.slow)]
+)
 def test_the_vehicle_stays_in_grey_and_in_colour(name: str, colour: bool, tmp_path: Path) -> None:
     pairs = frames(name, tmp_path, colour=colour)
     finder = TrueBoxes(name, pairs)

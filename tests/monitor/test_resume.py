@@ -57,7 +57,7 @@ def test_killed_and_started_again_ends_the_same_byte_for_byte(
     assert resumed.state.tally == whole.state.tally
 
 
-@pytest.mark.parametrize("junk", [b"7,3,17", b"\x00\xff" * 5000])
+@pytest.mark.parametrize("junk", [b"7,3,17", pytest.param(b"\x00\xff" * 5000, marks=pytest.mark.slow)])
 def test_half_written_lines_are_cut(whole: Monitor, tmp_path: Path, junk: bytes) -> None:
     out = tmp_path / "out"
     killed_at(110, out)
@@ -73,6 +73,7 @@ def test_run_that_is_done_stays_done(whole: Monitor, tmp_path: Path) -> None:
     assert contents(tmp_path) == contents(whole.out)
 
 
+@pytest.mark.slow
 def test_longer_recording_goes_on_where_the_shorter_one_ended(tmp_path: Path) -> None:
     longer = one_by_one(*[drive(0.1)] * 4, sensor=COARSE)
     shorter = replace(longer, episodes=longer.episodes[:2])
@@ -90,6 +91,7 @@ def test_checkpoint_is_what_it_was_written_from(whole: Monitor, tmp_path: Path) 
     assert (tmp_path / "again.json").read_bytes() == (whole.out / "state.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_neither_state_nor_checkpoint_grows_with_time(tmp_path: Path) -> None:
     sizes = []
     for laps in (2, 5):

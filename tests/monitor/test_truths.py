@@ -37,7 +37,7 @@ def driven(tmp_path: Path, source: Traffic, *strips: Strip) -> Monitor:
     return gone_through(source, plan(source, *strips), tmp_path / "out")
 
 
-@pytest.mark.parametrize(("kind", "left_m"), [("lidar", 0.4), ("stereo", -0.4)])
+@pytest.mark.parametrize(("kind", "left_m"), [("lidar", 0.4), pytest.param("stereo", -0.4, marks=pytest.mark.slow)])
 def test_offset_from_the_middle_of_a_lane_is_found_within_its_error(tmp_path: Path, kind: str, left_m: float) -> None:
     habits = np.array([-0.2, 0.0, 0.05, 0.15])
     source = one_by_one(*(drive(left_m + habit) for habit in habits), sensor=SENSORS[kind])
@@ -142,6 +142,7 @@ def test_map_without_lanes_is_held_against_its_boundaries(tmp_path: Path) -> Non
         strips_of(LaneMap((stop,), ()), (), 2.4)
 
 
+@pytest.mark.slow
 def test_scene_is_learnt_from_the_stretch_before(tmp_path: Path) -> None:
     """Who parks is an object while he comes, and background afterwards, so that nothing is linked with him."""
     parks = car(Drive((28.0, 12.0), -90.0, speeds=((0.0, 6.0), (2.0, 0.0))))

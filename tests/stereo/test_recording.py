@@ -86,7 +86,9 @@ def assert_shows_the_movers(
         assert np.mean(off_surfaces(cloud, [mover]) > 3) < 0.02
 
 
-@pytest.mark.parametrize("name", ["askew", "mirrored askew", "fisheye"])
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(name, marks=pytest.mark.slow) for name in ("askew", "mirrored askew")), "fisheye"]
+)
 def test_every_rig_sees_the_same_scene(name: str, tmp_path: Path) -> None:
     pairs = write_pairs(tmp_path, exposed(frames(name, FEW_MOVERS)))
     recording = StereoRecording(pairs, RIGS[name])
@@ -156,7 +158,10 @@ def test_it_says_what_it_is(recording: StereoRecording, ideal: list[StereoPair])
     assert recording.span_ns == (ideal[0].stamp_ns, ideal[-1].stamp_ns)
 
 
-@pytest.mark.parametrize(("bits", "colour"), [(8, True), (12, False), (16, True)])
+@pytest.mark.parametrize(
+    ("bits", "colour"),
+    [(8, True), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((12, False), (16, True)))],
+)
 def test_depth_and_colour_of_the_images_do_not_matter(bits: int, colour: bool, tmp_path: Path) -> None:
     recording = StereoRecording(record(tmp_path, bits=bits, colour=colour), RIGS["ideal"])
     assert_shows_the_movers(list(recording))

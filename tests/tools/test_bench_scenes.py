@@ -19,6 +19,7 @@ def cells(runs):
     return [cell.strip() for cell in table(runs).splitlines()[2].split("|")[1:-1]]
 
 
+@pytest.mark.slow
 def test_one_scene_is_seen_once_for_both_methods():
     runs = run(Job("detections", 9004, METHODS), {"density": 0.2})
     assert [one.method for one in runs] == list(METHODS)

@@ -161,6 +161,7 @@ def test_only_what_is_touched_changes() -> None:
     assert 0.02 < changed.mean() < touched.mean() < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [CLEAR, replace(CLEAR, sun=np.zeros(3), sky=np.ones(3))], ids=["sun", "clouds"])
 def test_what_stands_is_darkened_as_if_it_were_rendered_anew(light: Light) -> None:
     eye = eyes(ASKEW, MOUNT)[0]

@@ -169,6 +169,7 @@ def test_what_is_set_is_so():
     assert scene.T_world_sensor[2, 2] < 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_company_comes_near_the_sender(seed):
     scene = draw_scene(seed, "lidar_16", vehicles=1, walkers=2, cyclists=0, near_m=2.0)
@@ -179,6 +180,7 @@ def test_company_comes_near_the_sender(seed):
         assert not collide(mover, scene.sender, times[::10], 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_shrubs_stand_beside_the_road_and_lean_in_gusts_alone(seed):
     scene = draw_scene(seed, "lidar_16", shrubs=4, **QUIET)
@@ -213,7 +215,10 @@ def test_the_best_plane_of_the_carriageway_is_zero(layout):
     assert np.ptp(road.height(on)) > 0.005
 
 
-@pytest.mark.parametrize("hanging", ["x forward", "upside down", "y forward", "-x forward"])
+@pytest.mark.parametrize(
+    "hanging",
+    ["x forward", "upside down", *(pytest.param(each, marks=pytest.mark.slow) for each in ("y forward", "-x forward"))],
+)
 def test_a_lidars_points_lie_on_what_they_hit(hanging):
     scene = draw_scene(6, "lidar_32", hanging=hanging, noise=0.0, systematic=0.0, rain=0.0)
     swept = swept_frame(scene, 50)
