@@ -37,6 +37,10 @@ ELLIPSE_SIGMAS = 2.4477
 STANDING_MPS = 0.5
 """Below this speed the heading, which is the direction of motion, says nothing about the vehicle's body."""
 
+TIGHTEST_M, HURRIED_MPS2 = 3.0, 2.0
+"""Of a small car (9.5 m from kerb to kerb, 2.4 m from axle to axle) the rear axle's middle goes on that radius at the
+least. Nobody speeds up by more in order to turn round."""
+
 OTHER_SPEEDS = {"km/h": 3.6, "knots": 3.6 / 1.852, "miles per hour": 3.6 / 1.609344, "cm/s": 100.0}
 """What speeds are written in instead of m/s; no two of these are within 10 %."""
 
@@ -420,12 +424,21 @@ def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
             f"according to its CAMs; needed are {STANDING_MPS} m/s"
         )
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
-    drive = np.cumsum(np.diff(stamps_s, prepend=0.0) > MAX_GAP_S)[sure]
+    drive = np.append(0, np.cumsum(_may_turn(np.diff(stamps_s), (speed[1:] + speed[:-1]) / 2)))[sure]
     parts = [
         _without_reversing(yaw[sure][drive == number], speed[sure][drive == number]) for number in np.unique(drive)
     ]
     filled: FloatArray = np.interp(stamps_s, stamps_s[sure], np.unwrap(np.concatenate(parts)))
     return filled
+
+
+def _may_turn(passed_s: FloatArray, speed_mps: FloatArray) -> BoolArray:
+    """Tell in which gaps, shape (n,), a vehicle may turn by a right angle unseen, given its mean speed at their ends.
+
+    It may drive faster meanwhile, but has to speed up and slow down for that.
+    """
+    way_m = passed_s * (np.abs(speed_mps) + HURRIED_MPS2 * passed_s / 4)
+    return (passed_s > MAX_GAP_S) & (way_m > TIGHTEST_M * np.pi / 2)
 
 
 def _without_reversing(yaw: FloatArray, speed_mps: FloatArray) -> FloatArray:

@@ -108,6 +108,17 @@ def test_a_reversing_vehicle_keeps_its_heading(first: str, until_s: float) -> No
     assert track.xy == pytest.approx(in_world(ULM, drive.at(track.stamps_s)[0]), abs=1e-4)
 
 
+@pytest.mark.parametrize("gap_s", [1.0, 1.8])
+def test_who_reverses_beside_a_gap_in_which_it_cannot_turn_keeps_its_heading(gap_s: float) -> None:
+    drive = replace(TURN, speeds=((0.0, 1.0), (2.0, 1.0), (4.0, 2.0), (6.0, 8.0)))
+    log = cam_log(ULM, car(drive), 7.0, rounded=False)
+    at_s = (log.stamps_ns - EPOCH_NS) / 1e9
+    log, at_s = (each[(at_s < 2.0) | (at_s > 2.0 + gap_s)] for each in (log, at_s))
+    assert np.diff(at_s).max() > gap_s
+    track = track_of(replace(log, heading_deg=(log.heading_deg + 180.0 * (at_s < 2.0)) % 360.0))
+    assert track.xy == pytest.approx(in_world(ULM, drive.at(track.stamps_s)[0]), abs=1e-3)
+
+
 def test_a_turn_during_a_gap_is_no_reversing() -> None:
     drive = Drive((0.0, 0.0), 0.0, ((10.0, 0.0), (15.0, 170.0)), ((0.0, 5.0),))
     log = cam_log(ULM, car(drive), 7.0, rounded=False)
