@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.late_senders import late_senders
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import Account, hold_against
@@ -61,6 +62,24 @@ MOST_OUTLINES = 8
 
 
 @dataclass(frozen=True)
+class Other:
+    """Another sender that is as clearly seen.
+
+    Attributes
+    ----------
+    station : int
+    track : Track
+    late_s : float
+        By how much later than the first sender's its clock must be for that: boxes are some decimetres off, which a
+        vehicle drives in less than a tenth of a second; or it is wrong.
+    """
+
+    station: int
+    track: Track
+    late_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class Choice:
     """The track that is the sender's.
 
@@ -87,8 +106,8 @@ class Choice:
         Why the track may yet be a stranger's; empty where that is out of the question.
     beside : int
         In how many frames something else moves as one with it; see `companion`.
-    others : tuple of (int, Track)
-        Other senders that the same motion clearly shows where they must be, and their tracks.
+    others : tuple of Other
+        Other senders that the same motion clearly shows.
     """
 
     station: int
@@ -102,7 +121,7 @@ class Choice:
     second_is: str
     doubt: str = ""
     beside: int = 0
-    others: tuple[tuple[int, Track], ...] = ()
+    others: tuple[Other, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -392,19 +411,31 @@ def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) 
     return float(sum(np.ptp(poses.path_m[stretch]) for stretch in moving))
 
 
-def _others(scene: Scene, best: _Hypothesis) -> Iterator[tuple[int, Track]]:
-    """Yield the other senders that are as clearly seen where a hypothesis has them, and their tracks."""
-    claimed = set(best.account.tracks)
+def _others(scene: Scene, best: _Hypothesis) -> Iterator[Other]:
+    """Yield the other senders that are as clearly seen where a hypothesis has them, or elsewhere on their ways."""
+    claimed, seen = set(best.account.tracks), {best.account.station: best.account}
     for account in sorted(best.accounts, key=lambda one: -one.value):
         if account is best.account or not claimed.isdisjoint(account.tracks):
             continue
         claimed |= set(account.tracks)
-        seen = account.value + account.coincidence + SILENT
-        if seen < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
-            continue
-        track = _on_vehicle(scene, best, account)
-        if len(track.usable) and _seen_path(scene, best, account, track) >= scene.settings.min_path_m:
-            yield account.station, track
+        for other in _clearly_seen(scene, best, account):
+            seen[account.station] = account
+            yield other
+    taken = {index for account in seen.values() for index in account.tracks}
+    unseen = [sender for station, sender in scene.senders.items() if station not in seen]
+    for account, late_s in late_senders(scene, best.motion, unseen, taken):
+        yield from _clearly_seen(scene, best, account, late_s)
+
+
+def _clearly_seen(scene: Scene, best: _Hypothesis, account: Account, late_s: float = 0.0) -> Iterator[Other]:
+    """Yield another sender if what is where it must be, by a clock that is so much later, is surely its vehicle."""
+    surely = account.value + account.coincidence + SILENT
+    if surely < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
+        return
+    by_its_clock = replace(best, motion=replace(best.motion, offset_s=best.motion.offset_s + late_s))
+    track = _on_vehicle(scene, by_its_clock, account)
+    if len(track.usable) and _seen_path(scene, by_its_clock, account, track) >= scene.settings.min_path_m:
+        yield Other(account.station, track, late_s)
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

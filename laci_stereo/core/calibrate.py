@@ -113,7 +113,7 @@ def locate(
     for remark in vehicle.remarks:
         log.warning("%s", remark)
 
-    def passage(station: int, track: Track) -> Passage:
+    def passage(station: int, track: Track, late_s: float = 0.0) -> Passage:
         return Passage(
             world=world,
             axes=seen.axes,
@@ -123,16 +123,16 @@ def locate(
             vehicle=vehicles[station],
             station_id=station,
             match=choice.fit,
-            time_offset_s=choice.time_offset_s,
+            time_offset_s=choice.time_offset_s + late_s,
             method="paper",
             clock_sigma_s=settings.joint.clock_sigma_s,
             name=f"station {station}",
         )
 
     others = [
-        passage(station, track)
-        for station, track in choice.others
-        if not _companion(choice, station, track, tracks, vehicles)[0]
+        passage(other.station, other.track, other.late_s)
+        for other in choice.others
+        if not _companion(choice, other.station, other.track, tracks, vehicles)[0]
     ]
     own, *others = along_ground([passage(choice.station, choice.track), *others])
     passages: tuple[Passage, ...] = (own,)

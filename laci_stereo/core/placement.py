@@ -104,14 +104,14 @@ def place_jointly(
     registered, remarks = [(own, drive, fit)], []
     for other in others:
         try:
-            registered.append(_as_well(other, fit, settings))
+            registered.append(_as_well(other, fit, other.time_offset_s - own.time_offset_s, settings))
         except MatchError as error:
             remarks.append(f"{other.name} is seen as well, but was not used: {error}")
     seen, drives, alone = zip(*registered, strict=True)
     try:
         together = fit_together(seen, drives, alone, settings.joint)
     except CombineError as error:
-        doubts.append(f"only {own.name} was used: {error}")
+        doubts.append(f"only {own.name} was used: {error}{''.join(_late(own, other) for other in seen[1:])}")
         together = fit_together([own], [drive], [fit], settings.joint)
     passages = together.passages
     names = [each.name for each in passages] if len(passages) > 1 else [""]
@@ -128,8 +128,10 @@ def place_jointly(
     return told, passages
 
 
-def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Passage, Evidence, JointFit]:
+def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -> tuple[Passage, Evidence, JointFit]:
     """Register another sender's outline, given the first one's; a direction that it leaves open does no harm.
+
+    It is sought by a clock that is so much later.
 
     Raises
     ------
@@ -137,11 +139,20 @@ def _as_well(other: Passage, fit: JointFit, settings: Settings) -> tuple[Passage
         If anything speaks against using it.
     """
     drive = evidence_of(other.track, other.vehicle, other.ground.height_m)
-    alone = fit_jointly([drive.thinned(HELD_ROWS)], fit.match, [fit.time_offsets_s[0]], settings.joint)
+    alone = fit_jointly([drive.thinned(HELD_ROWS)], fit.match, [fit.time_offsets_s[0] + late_s], settings.joint)
     _check_registered(alone, [drive], settings)
     for _, against in _contradicted(alone, [drive], [""]):
         raise MatchError(against)
     return other, drive, alone
+
+
+def _late(own: Passage, other: Passage) -> str:
+    """Say when another vehicle is seen, if not where its messages have it."""
+    late_s = other.time_offset_s - own.time_offset_s
+    if late_s == 0.0:
+        return ""
+    when = "before" if late_s > 0.0 else "after"
+    return f"; {other.name} is seen {abs(late_s):.2f} s {when} its messages have it there, as by a wrong clock"
 
 
 def place(

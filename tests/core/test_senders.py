@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -12,7 +13,7 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.passages import meeting
-from tests.simulated import together
+from tests.simulated import Drive, car, together
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
@@ -74,3 +75,29 @@ def test_a_sender_that_tells_something_wrong_is_not_used_and_it_is_said() -> Non
     assert (found.station_id, found.others, found.quality.verdict) == (42, (), "pass")
     (remark,) = (remark for remark in found.remarks if "station 43" in remark)
     assert remark.startswith("station 43 is seen as well, but was not used: the messages' heading is ")
+
+
+@pytest.mark.parametrize("late_s", [-0.25, 0.2])
+def test_a_sender_that_is_seen_by_another_clock_alone_is_told(late_s: float) -> None:
+    """Each of the two clocks may be the wrong one, so the result is not taken for right without a warning."""
+    recording, (one, other), _ = meeting()
+    late = replace(other, stamps_ns=other.stamps_ns + round(1e9 * late_s))
+    found = calibrate(recording, together([one, late]))
+    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "warn")
+    reason = found.quality.reasons[0]
+    assert reason.startswith("only station 42 was used: no majority of the 2 drives (station 42, station 43) agrees: ")
+    told = re.search(
+        r"; station 43 is seen (0\.\d\d) s (before|after) its messages have it there, as by a wrong clock$", reason
+    )
+    assert told is not None
+    # Its boxes are 0.3 m off, which it drives in 0.05 s.
+    assert float(told[1]) == pytest.approx(abs(late_s), abs=0.05)
+    assert told[2] == ("before" if late_s > 0.0 else "after")
+
+
+def test_a_sender_that_nobody_sees_has_no_other_clock() -> None:
+    recording, logs, _ = meeting()
+    aside = car(Drive((29.0, -24.0), 90.0, speeds=((0.0, 9.0),)))
+    found = calibrate(replace(recording, movers=(recording.movers[0], aside)), together(logs))
+    assert (found.station_id, found.others) == (42, ())
+    assert not any("43" in each for each in (*found.quality.reasons, *found.remarks))
