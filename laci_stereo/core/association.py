@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.late_senders import late_senders
+from laci_stereo.core.late_senders import by_another_clock
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import Account, hold_against
@@ -413,29 +413,32 @@ def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) 
 
 def _others(scene: Scene, best: _Hypothesis) -> Iterator[Other]:
     """Yield the other senders that are as clearly seen where a hypothesis has them, or elsewhere on their ways."""
-    claimed, seen = set(best.account.tracks), {best.account.station: best.account}
+    claimed, taken, seen = set(best.account.tracks), set(best.account.tracks), {best.account.station}
     for account in sorted(best.accounts, key=lambda one: -one.value):
         if account is best.account or not claimed.isdisjoint(account.tracks):
             continue
         claimed |= set(account.tracks)
-        for other in _clearly_seen(scene, best, account):
-            seen[account.station] = account
+        if (other := _clearly_seen(scene, best, account)) is not None:
+            taken |= set(account.tracks)
+            seen.add(account.station)
             yield other
-    taken = {index for account in seen.values() for index in account.tracks}
-    unseen = [sender for station, sender in scene.senders.items() if station not in seen]
-    for account, late_s in late_senders(scene, best.motion, unseen, taken):
-        yield from _clearly_seen(scene, best, account, late_s)
+    for sender in (sender for station, sender in scene.senders.items() if station not in seen):
+        found = by_another_clock(scene, best.motion, sender, taken)
+        if found is not None and (other := _clearly_seen(scene, best, *found)) is not None:
+            taken |= set(found[0].tracks)
+            yield other
 
 
-def _clearly_seen(scene: Scene, best: _Hypothesis, account: Account, late_s: float = 0.0) -> Iterator[Other]:
-    """Yield another sender if what is where it must be, by a clock that is so much later, is surely its vehicle."""
+def _clearly_seen(scene: Scene, best: _Hypothesis, account: Account, late_s: float = 0.0) -> Other | None:
+    """Return another sender if what is where it must be, by a clock that is so much later, is surely its vehicle."""
     surely = account.value + account.coincidence + SILENT
     if surely < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
-        return
+        return None
     by_its_clock = replace(best, motion=replace(best.motion, offset_s=best.motion.offset_s + late_s))
     track = _on_vehicle(scene, by_its_clock, account)
-    if len(track.usable) and _seen_path(scene, by_its_clock, account, track) >= scene.settings.min_path_m:
-        yield Other(account.station, track, late_s)
+    if not len(track.usable) or _seen_path(scene, by_its_clock, account, track) < scene.settings.min_path_m:
+        return None
+    return Other(account.station, track, late_s)
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:
