@@ -40,8 +40,9 @@ _CROSSING = np.array([0, 1, 2, -2, -1]) % len(_ACROSS_RAD)
 _CROSSING_LIKELY = np.repeat([0.9, 0.1 / 4], [1, 4])
 """Roads are to cross at 72 to 108 deg (RAL 2012); one crossing in ten is older than that. All others are as likely."""
 
-_SEEN = (0.02, 0.98)
-"""Between these shares of what is seen roads cross: with nothing on one side of it, a crown tells nothing."""
+_SEEN = (0.1, 0.9)
+"""Between these shares of what is seen roads cross: with next to nothing on one side of it, a crown tells nothing, and
+the little that is there, such as a pavement where the last rings of a scanner leave the road, would tell all."""
 
 _APART_M, _SQUARES = 1.0, 16
 """How large the squares are in which crossings are looked for, and in how many of them, the likeliest, one is."""
