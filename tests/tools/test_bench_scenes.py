@@ -106,3 +106,17 @@ def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
     first, later = (cv2.imread(str(pair.left), cv2.IMREAD_GRAYSCALE).astype(np.float64) for pair in images.pairs[:2])
     assert first.shape == (64, 96)
     assert np.abs(first - later).max() > 10.0  # something has moved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("job", "factors"),
+    [
+        pytest.param(Job("lidar_32", 150073, ("joint",)), {}, id="a pavement where the last rings leave the road"),
+        pytest.param(Job("stereo_05", 31029, ("joint",)), {"vehicles": 4}, id="reversing between two gaps of the log"),
+    ],
+)
+def test_scenes_that_were_wrong_by_more_than_ten_sigma(job: Job, factors: dict[str, object]) -> None:
+    (one,) = run(job, factors)
+    assert not one.refused
+    assert max(one.sigma_ratio, one.rotation_ratio) < 3.0
