@@ -52,7 +52,7 @@ def by_another_clock(scene: Scene, motion: Motion, sender: Sender, claimed: Set[
 def _possible_s(scene: Scene, sender: Sender, motion: Motion) -> FloatArray:
     """Return by how much a sender's clock may be off, shape (k,), in steps in which positions are not told apart.
 
-    None where it does not drive where it would be seen.
+    Empty where it does not drive in view.
     """
     stamps_s = np.arange(scene.knots.stamp_s.min(), scene.knots.stamp_s.max(), TABLE_S)
     poses = sender.at(stamps_s + motion.offset_s)
