@@ -550,10 +550,10 @@ def until_writing(process: subprocess.Popen[str], site: Site) -> None:
 @pytest.mark.parametrize(
     ("ending", "wait"),
     [
-        pytest.param(signal.SIGINT, until_logged("first look"), id="Ctrl-C in the survey", marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, until_logged("background"), id="Ctrl-C among the frames", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, until_logged("first look"), id="Ctrl-C in the survey"),
+        pytest.param(signal.SIGINT, until_logged("background"), id="Ctrl-C among the frames"),
         pytest.param(signal.SIGINT, until_writing, id="Ctrl-C while it writes"),
-        pytest.param(signal.SIGTERM, until_writing, id="SIGTERM while it writes", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, until_writing, id="SIGTERM while it writes"),
     ],
 )
 def test_an_interrupt_ends_it_and_leaves_everything_as_it_was(

@@ -422,7 +422,9 @@ def _others(scene: Scene, best: _Hypothesis) -> Iterator[Other]:
             taken |= set(account.tracks)
             seen.add(account.station)
             yield other
-    for sender in (sender for station, sender in scene.senders.items() if station not in seen):
+    for station, sender in scene.senders.items():
+        if station in seen:
+            continue
         found = by_another_clock(scene, best.motion, sender, taken)
         if found is not None and (other := _clearly_seen(scene, best, *found)) is not None:
             taken |= set(found[0].tracks)

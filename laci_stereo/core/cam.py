@@ -442,7 +442,7 @@ def _may_turn(passed_s: FloatArray, speed_mps: FloatArray) -> BoolArray:
 
 
 def _without_reversing(yaw: FloatArray, speed_mps: FloatArray) -> FloatArray:
-    """Turn the directions of motion while reversing round, shape (n,), of messages without a gap.
+    """Turn the directions of motion while reversing round, shape (n,), of messages between which it cannot turn unseen.
 
     From one message to the next no body turns by more than a right angle, so a direction that does has been reversed;
     and nobody drives faster backwards than forwards.

@@ -146,9 +146,7 @@ def test_the_doubt_is_as_large_as_the_errors(method: Method, most: float) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "sensor", [pytest.param(lidar(), id="lidar", marks=pytest.mark.slow), pytest.param(stereo(), id="stereo")]
-)
+@pytest.mark.parametrize("sensor", [pytest.param(lidar(), id="lidar"), pytest.param(stereo(), id="stereo")])
 def test_a_drive_that_stops_in_view(sensor: object) -> None:
     # All of the drive passes at the same side, so the paper's yaw is poor; and the result says so.
     made = scene(STOP_AND_GO, sensor, last_s=7.0)  # type: ignore[arg-type]

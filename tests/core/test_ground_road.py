@@ -102,8 +102,8 @@ def test_land_is_not_taken_for_the_road(land_slope: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slope", [0.04, pytest.param(0.1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("edge_m", [12.0, pytest.param(13.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("slope", [0.04, 0.1])
+@pytest.mark.parametrize("edge_m", [12.0, 13.0])
 def test_a_bank_within_reach_of_the_way_is_not_taken_for_the_road(slope: float, edge_m: float) -> None:
     # Within 8 m of the way most of what is seen is the bank, within 2 m the road.
     cloud = seen_from_a_verge(slope, edge_m)

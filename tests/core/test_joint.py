@@ -173,9 +173,7 @@ def with_headings_off(drive: Evidence, sigma_deg: float, seed: int) -> Evidence:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "drive", [pytest.param(STRAIGHT, id="straight"), pytest.param(TURN, id="turn", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("drive", [pytest.param(STRAIGHT, id="straight"), pytest.param(TURN, id="turn")])
 def test_the_noise_of_headings_tells_neither_clock_nor_lever(drive: Drive) -> None:
     # Read as a manoeuvre it would put the straight drive 10 to 60 cm off along its way.
     fits = [fit_jointly([with_headings_off(evidence(drive, seed=seed), 1.0, seed)], TRUTH) for seed in range(4)]
@@ -316,7 +314,7 @@ def test_borders_tell_what_a_depth_that_is_wrong_does_not() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(30), marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.parametrize("seeds", [range(6), range(30)], ids=["few", "many"])
 def test_a_side_that_is_narrower_than_a_window_tells_no_more_than_its_border(seeds: range) -> None:
     # A vehicle comes from 70 m away, 4 m beside the sensor: its side is seen within 0.2 m there, the window is 0.7 m
     # wide, and in each frame all is seen up to half a window beside where it is.

@@ -54,9 +54,9 @@ def error_m(made: Scene, found: Calibration) -> float:
     ("gap_m", "drive"),
     [
         (1.0, TURNS),
-        pytest.param(1.8, PASSES, marks=pytest.mark.slow),
-        pytest.param(1.0, PASSES, marks=pytest.mark.slow),
-        pytest.param(1.8, TURNS, marks=pytest.mark.slow),
+        (1.8, PASSES),
+        (1.0, PASSES),
+        (1.8, TURNS),
     ],
 )
 def test_a_bus_whose_middle_is_dark_is_one_vehicle(drive: Drive, gap_m: float) -> None:
@@ -85,7 +85,7 @@ def test_of_a_vehicle_that_is_as_long_as_it_tells_nothing_is_missing() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drive", [pytest.param(PASSES, marks=pytest.mark.slow), LEFT_TURN])
+@pytest.mark.parametrize("drive", [PASSES, LEFT_TURN])
 def test_what_a_car_tows_is_warned_of(drive: Drive) -> None:
     made = seen_as(CARAVAN, CAR, drive)
     found = calibrated(made)

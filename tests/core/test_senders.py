@@ -43,7 +43,6 @@ def test_all_senders_that_are_seen_are_used_and_tell_the_clock_together() -> Non
     assert found.quality.frames_seen == sum(len(each.track.sightings) for each in found.passages)
 
 
-@pytest.mark.slow
 def test_clocks_that_nobody_knows_are_told_by_cars_that_meet() -> None:
     recording, logs, _ = meeting(LATE_S)
     with pytest.raises(OpenError, match="the clocks' offset"):
@@ -67,7 +66,6 @@ def test_senders_that_contradict_each_other_are_a_warning() -> None:
     assert reason.startswith(f"only station {found.station_id} was used: no majority of the 2 drives (station 4")
 
 
-@pytest.mark.slow
 def test_a_sender_that_tells_something_wrong_is_not_used_and_it_is_said() -> None:
     recording, (one, other), _ = meeting()
     turned = replace(other, heading_deg=(other.heading_deg + 6.0) % 360.0)
