@@ -21,6 +21,7 @@ from laci_stereo.core.errors import GroundError, SettingError, VerdictError
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.settings import (
     METHODS,
+    UNKNOWN_CLOCK_S,
     GroundSettings,
     JointSettings,
     MatchSettings,
@@ -32,9 +33,6 @@ from laci_stereo.core.settings import (
 from laci_stereo.io.output import check_output
 from laci_stereo.io.rig import MAX_BASELINE_M, MIN_BASELINE_M
 from laci_stereo.job import DriveOptions, Result, Task
-
-UNKNOWN_CLOCK_S = 1.0
-"""Standard deviation of the offset between clocks of which nothing is known but that people set them."""
 
 SURE_CLOCK_S, LOST_CLOCK_S = 1e-6, 60.0
 """No clocks are known better than that, and beyond it nobody knows which vehicle would be which message's."""

@@ -42,13 +42,16 @@ def passages() -> list[Passage]:
     return [replace(found.passages[0], name=f"run {number}") for number, (_, found) in enumerate(recorded())]
 
 
-def meeting(late_s: float = 0.0) -> tuple[Recording, list[CamLog], FloatArray]:
-    """Let two cars meet on a straight road, at steady speeds, and send by a clock that is late.
+ONCOMING = Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),))
+
+
+def meeting(late_s: float = 0.0, other: Drive = ONCOMING) -> tuple[Recording, list[CamLog], FloatArray]:
+    """Let a car on a straight road meet another one, at steady speeds, and both send by a clock that is late.
 
     Returns what is recorded, the messages of either (stations 42 and 43), and where the sensor is, UTM.
     """
     made = scene(STRAIGHT, lidar(32, 160), frames_hz=5.0, seed=5)
-    cars = car(STRAIGHT), car(Drive((25.5, -16.0), 90.0, speeds=((0.0, 6.0),)), 4.6, 1.85)
+    cars = car(STRAIGHT), car(other, 4.6, 1.85)
     logs = [cam_log(made.place, vehicle, 6.0, station=STATIONS[number]) for number, vehicle in enumerate(cars)]
     late = [replace(log, stamps_ns=log.stamps_ns + round(1e9 * late_s)) for log in logs]
     truth: FloatArray = made.place.to_utm(made.recording.T_world_sensor[None, :2, 3])[0]

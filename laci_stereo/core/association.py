@@ -219,6 +219,19 @@ def choose_track(
     return _decide(scene, _of_moving(scene, weighed), far)
 
 
+def chosen(
+    tracks: Sequence[Track],
+    vehicles: Mapping[int, VehicleTrack],
+    settings: MatchSettings,
+    likeness: Likeness = no_likeness,
+) -> Choice | None:
+    """Return what `choose_track` does; None where that is nothing."""
+    try:
+        return choose_track(tracks, vehicles, settings, likeness)
+    except (TrackError, MatchError):
+        return None
+
+
 def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
     """Leave out those whose vehicle hardly moves while it is seen: whatever stands there would fit as well."""
     least_m = scene.settings.min_path_m

@@ -24,9 +24,10 @@ from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
 from laci_stereo.core.repeats import repeats_of
 from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.settings import Settings
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, Settings
 from laci_stereo.core.threads import in_one_thread
 from laci_stereo.core.tracking import Track
+from laci_stereo.core.unset_clock import clocks_apart
 from laci_stereo.core.world import World
 
 log = logging.getLogger(__name__)
@@ -96,15 +97,22 @@ def locate(
     """
     settings = settings or Settings()
 
-    def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
-        return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, settings.joint)
+    def likeness_by(joint: JointSettings) -> Likeness:
+        def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
+            return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, joint)
 
+        return likeness
+
+    likeness = likeness_by(settings.joint)
+    by_any_clock = likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S))
     tracks = whole(seen.tracks, vehicles.values(), settings)
     try:
         choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
     except CalibrationError as error:
         if why := mirrored(tracks, vehicles, settings.match, likeness, None):
             raise MatchError(why) from error
+        if why := clocks_apart(tracks, vehicles, settings.match, by_any_clock, None):
+            raise MatchError(f"{error}; {why}") from error
         raise
     if why := mirrored(tracks, vehicles, settings.match, likeness, choice):
         raise MatchError(why)
@@ -140,7 +148,8 @@ def locate(
         placement = place_by_paper(own.track, own.vehicle, settings.match)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    doubts = (*doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
+    clocks = clocks_apart(tracks, vehicles, settings.match, by_any_clock, choice)
+    doubts = (*([clocks] if clocks else []), *doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
     return conclude(passages, placement, settings)
 

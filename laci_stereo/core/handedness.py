@@ -6,9 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import Choice, Likeness, choose_track, no_likeness
+from laci_stereo.core.association import Choice, Likeness, chosen
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.errors import CalibrationError
 from laci_stereo.core.laying import mirrored_track
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
@@ -41,10 +40,10 @@ def mirrored(
     """
     turned = [mirrored_track(track) for track in tracks]
     any_fit = replace(settings, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
-    by_boxes = [_chosen(each, vehicles, any_fit, no_likeness) for each in (turned, tracks)]
+    by_boxes = [chosen(each, vehicles, any_fit) for each in (turned, tracks)]
     if _margin(*by_boxes) < settings.least_log_odds:
         return ""
-    other = _chosen(turned, vehicles, settings, likeness)
+    other = chosen(turned, vehicles, settings, likeness)
     if other is None or other.doubt or _margin(other, choice) < settings.clear_log_odds:
         return ""
     odds = f"by odds of {min(math.exp(_margin(other, choice)), MOST_ODDS):.0f} to 1 " if choice else ""
@@ -52,15 +51,6 @@ def mirrored(
         f"what was seen fits the messages of station {other.station} {odds}with left and right exchanged: the "
         "sensor's frame is left-handed; needed is a right-handed one, such as x forward, y left, z up"
     )
-
-
-def _chosen(
-    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: MatchSettings, likeness: Likeness
-) -> Choice | None:
-    try:
-        return choose_track(tracks, vehicles, settings, likeness)
-    except CalibrationError:
-        return None
 
 
 def _margin(one: Choice | None, other: Choice | None) -> float:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from laci_stereo.core import outline
-from laci_stereo.core.agreement import fit_together
+from laci_stereo.core.agreement import agreeing, fit_together
 from laci_stereo.core.association import Choice
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import Correction
@@ -101,12 +101,8 @@ def place_jointly(
     if apart := halves_apart(own, fit, settings):
         fit = with_doubt(fit, apart)
         doubts.append(str(apart))
-    registered, remarks = [(own, drive, fit)], []
-    for other in others:
-        try:
-            registered.append(_as_well(other, fit, other.time_offset_s - own.time_offset_s, settings))
-        except MatchError as error:
-            remarks.append(f"{other.name} is seen as well, but was not used: {error}")
+    registered, remarks, contradicting = _registered(own, drive, fit, others, settings)
+    doubts += contradicting
     seen, drives, alone = zip(*registered, strict=True)
     try:
         together = fit_together(seen, drives, alone, settings.joint)
@@ -128,7 +124,41 @@ def place_jointly(
     return told, passages
 
 
-def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -> tuple[Passage, Evidence, JointFit]:
+def _registered(
+    own: Passage, drive: Evidence, fit: JointFit, others: Sequence[Passage], settings: Settings
+) -> tuple[list[tuple[Passage, Evidence, JointFit]], list[str], list[str]]:
+    """Register other senders' outlines as well.
+
+    Returns
+    -------
+    registered : list of tuple of Passage, Evidence and JointFit
+        Those that can be used, the first one among them.
+    remarks, doubts : list of str
+        Why others cannot. One whose messages are wrong by themselves does no harm as long as it has the sensor at the
+        same place; where it does not, what is wrong may be the sensor's clock, and so the first one's place.
+    """
+    registered, remarks, doubts = [(own, drive, fit)], [], []
+    for other in others:
+        unused = f"{other.name} is seen as well, but was not used"
+        try:
+            its_drive, alone = _as_well(other, fit, other.time_offset_s - own.time_offset_s, settings)
+        except MatchError as error:
+            remarks.append(f"{unused}: {error}")
+            continue
+        wrong = "; ".join(words for _, words in _contradicted(alone, [its_drive], [""]))
+        if not wrong:
+            registered.append((other, its_drive, alone))
+            continue
+        try:
+            agreeing([own.name, other.name], [fit, alone])
+        except CombineError as error:
+            doubts.append(f"{unused}: {wrong}; {error}")
+        else:
+            remarks.append(f"{unused}: {wrong}")
+    return registered, remarks, doubts
+
+
+def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -> tuple[Evidence, JointFit]:
     """Register another sender's outline, given the first one's; a direction that it leaves open does no harm.
 
     It is sought by a clock that is so much later.
@@ -136,14 +166,12 @@ def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -
     Raises
     ------
     MatchError
-        If anything speaks against using it.
+        If hardly anything of it is seen where it must be.
     """
     drive = evidence_of(other.track, other.vehicle, other.ground.height_m)
     alone = fit_jointly([drive.thinned(HELD_ROWS)], fit.match, [fit.time_offsets_s[0] + late_s], settings.joint)
     _check_registered(alone, [drive], settings)
-    for _, against in _contradicted(alone, [drive], [""]):
-        raise MatchError(against)
-    return other, drive, alone
+    return drive, alone
 
 
 def _late(own: Passage, other: Passage) -> str:

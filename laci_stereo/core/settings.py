@@ -8,6 +8,9 @@ from typing import Literal, get_args
 
 from laci_stereo.core.errors import SettingError
 
+UNKNOWN_CLOCK_S = 1.0
+"""Standard deviation of the offset between clocks of which nothing is known but that people set them."""
+
 
 @dataclass(frozen=True)
 class GroundSettings:

@@ -12,35 +12,30 @@ from hypothesis import strategies as st
 from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError, TrackError
-from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.frames import wrap
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track, link_tracks
-from tests.core.tracks import CROSSING, DRIVE, STRAIGHT_ROAD, TRUTH, Traffic, sighting, track, traffic, vehicle
+from tests.core.tracks import (
+    CROSSING,
+    DRIVE,
+    STAMPS,
+    STRAIGHT_ROAD,
+    TRUTH,
+    Traffic,
+    seen,
+    sighting,
+    track,
+    traffic,
+    vehicle,
+)
 from tests.simulated import Drive
 
-STAMPS = np.arange(0.0, 6.0, 0.1)
 UNKNOWN_CLOCK = MatchSettings(clock_sigma_s=1.0)
 
 angles = st.floats(-np.pi, np.pi)
 shifts = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)).map(np.array)
 motions = st.builds(PlanarMatch, angles, shifts)
-
-
-def seen(
-    drive: Drive = DRIVE,
-    stamps: FloatArray = STAMPS,
-    noise_m: float = 0.1,
-    seed: int = 0,
-    sensor: PlanarMatch = TRUTH,
-    **of_each: object,
-) -> Track:
-    """What a sensor sees of a drive, as whole boxes."""
-    noise = np.random.default_rng(seed).normal(0.0, noise_m, (len(stamps), 2))
-    xy, yaw = drive.at(stamps)
-    level = rotate_xy(-sensor.yaw_rad, xy + noise - sensor.shift)
-    boxes = zip(stamps, level, yaw - sensor.yaw_rad, strict=True)
-    return Track(tuple(sighting(float(t), at, yaw_rad=float(turn), **of_each) for t, at, turn in boxes))  # type: ignore[arg-type]
 
 
 def shifted(drive: Drive, x: float, y: float, later_s: float = 0.0) -> Drive:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.errors import OpenError
+from laci_stereo.core.errors import MatchError, OpenError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.passages import meeting
-from tests.simulated import Drive, car, together
+from tests.simulated import LEFT_TURN, Drive, car, lidar, scene, together
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
@@ -99,3 +99,69 @@ def test_a_sender_that_nobody_sees_has_no_other_clock() -> None:
     found = calibrate(replace(recording, movers=(recording.movers[0], aside)), together(logs))
     assert (found.station_id, found.others) == (42, ())
     assert not any("43" in each for each in (*found.quality.reasons, *found.remarks))
+
+
+def turning(later_s: float) -> Drive:
+    """Come the other way and turn across the road, at different times."""
+    return replace(LEFT_TURN, start_s=later_s)
+
+
+@pytest.mark.parametrize("late_s", [-0.3, 0.2])
+def test_the_sensors_clock_is_told_by_a_second_sender_that_turns(late_s: float) -> None:
+    """The first one is on a straight road: by itself it is as well seen 1.6 m farther on."""
+    recording, logs, truth = meeting(late_s, turning(0.0))
+    found = calibrate(recording, together(logs))
+    assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) > 1.0
+    assert found.quality.verdict == "warn"
+    (told,) = re.findall(
+        r"were the clocks (\d\.\d\d) s apart, stations 43 and 42 would be seen where their messages say: --clock ",
+        "\n".join(found.quality.reasons),
+    )
+    assert float(told) == pytest.approx(abs(late_s), abs=0.05)
+    right = calibrate(recording, together(logs), UNKNOWN)
+    assert np.linalg.norm(right.T_utm_sensor[:2, 3] - truth) < 0.05
+    assert not any("were the clocks" in each for each in right.quality.reasons)
+
+
+def test_of_a_clock_that_is_set_nothing_is_said() -> None:
+    recording, logs, truth = meeting(0.0, turning(0.0))
+    found = calibrate(recording, together(logs))
+    assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) < 0.05
+    assert (found.quality.verdict, found.quality.reasons) == ("pass", ())
+
+
+def test_senders_of_which_none_is_likelier_are_refused_with_the_clock_that_suits_both() -> None:
+    recording, logs, _ = meeting(0.2, turning(-3.0))
+    with pytest.raises(MatchError, match=r"fit equally well .*; were the clocks 0\.1\d s apart, stations 43 and 42 "):
+        calibrate(recording, together(logs))
+
+
+def test_a_refusal_names_the_clock_by_which_the_one_sender_is_seen() -> None:
+    made = scene(LEFT_TURN, lidar(32, 160), frames_hz=5.0)
+    late = replace(made.messages, stamps_ns=made.messages.stamps_ns + 1_200_000_000)
+    with pytest.raises(MatchError, match=r"no moving object fits .*; were the clocks 1\.[12]\d s apart, station 42 "):
+        calibrate(made.recording, late)
+
+
+@pytest.mark.parametrize("late_s", [-0.08, 0.12])
+def test_a_sender_that_contradicts_the_clock_and_the_place_is_a_warning(late_s: float) -> None:
+    recording, logs, truth = meeting(late_s, turning(0.5))
+    found = calibrate(recording, together(logs))
+    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "warn")
+    assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) > 0.5
+    assert re.match(
+        r"station 43 is seen as well, but was not used: the clocks are -?\d+ ms apart, .*; no majority of the 2 ",
+        found.quality.reasons[0],
+    )
+
+
+def test_a_sender_whose_clock_alone_is_wrong_does_no_harm() -> None:
+    """By a clock of its own it has the sensor at the same place."""
+    recording, (one, other), truth = meeting(0.0, turning(1.0))
+    late = replace(other, stamps_ns=other.stamps_ns + 200_000_000)
+    found = calibrate(recording, together([one, late]))
+    assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) < 0.05
+    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "pass")
+    assert any(
+        each.startswith("station 43 is seen as well, but was not used: the clocks are ") for each in found.remarks
+    )

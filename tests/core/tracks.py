@@ -50,6 +50,24 @@ def vehicle(drive: Drive = DRIVE, last_s: float = 8.0, size: tuple[float, float]
 TRUTH = PlanarMatch(2.3, np.array([40.0, -7.0]))
 """Where the sensor stands in the traffic below."""
 
+STAMPS = np.arange(0.0, 6.0, 0.1)
+
+
+def seen(
+    drive: Drive = DRIVE,
+    stamps: FloatArray = STAMPS,
+    noise_m: float = 0.1,
+    seed: int = 0,
+    sensor: PlanarMatch = TRUTH,
+    **of_each: object,
+) -> Track:
+    """What a sensor sees of a drive, as whole boxes."""
+    noise = np.random.default_rng(seed).normal(0.0, noise_m, (len(stamps), 2))
+    xy, yaw = drive.at(stamps)
+    level = rotate_xy(-sensor.yaw_rad, xy + noise - sensor.shift)
+    boxes = zip(stamps, level, yaw - sensor.yaw_rad, strict=True)
+    return Track(tuple(sighting(float(t), at, yaw_rad=float(turn), **of_each) for t, at, turn in boxes))  # type: ignore[arg-type]
+
 
 @dataclass(frozen=True)
 class Car:
