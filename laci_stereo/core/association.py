@@ -276,7 +276,8 @@ def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> floa
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
     best = max(hypotheses, key=lambda one: one.value)
     track = _on_vehicle(scene, best, best.account)
-    rivals = [one for one in hypotheses if one is not best and not _agree(scene, best, one)]
+    agreeing = [one for one in hypotheses if one is not best and _agree(scene, best, one)]
+    rivals = [one for one in hypotheses if one is not best and one not in agreeing]
     # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - set(best.account.tracks))
     _check_whole(scene, best, [one for one in rivals if one.value > math.log(objects)], track)
@@ -313,7 +314,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else _named(scene, best.account, second),
         doubt=doubt,
-        others=tuple(_others(scene, best)),
+        others=tuple(_others(scene, best, agreeing)),
     )
 
 
@@ -424,36 +425,52 @@ def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) 
     return float(sum(np.ptp(poses.path_m[stretch]) for stretch in moving))
 
 
-def _others(scene: Scene, best: _Hypothesis) -> Iterator[Other]:
-    """Yield the other senders that are as clearly seen where a hypothesis has them, or elsewhere on their ways."""
+def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterator[Other]:
+    """Yield the other senders that are as clearly seen: where a hypothesis has them, by themselves, or by other clocks.
+
+    Those that agree with it may have the sensor up to a vehicle's width elsewhere, where it has nothing of them.
+    """
     claimed, taken, seen = set(best.account.tracks), set(best.account.tracks), {best.account.station}
     for account in sorted(best.accounts, key=lambda one: -one.value):
         if account is best.account or not claimed.isdisjoint(account.tracks):
             continue
         claimed |= set(account.tracks)
-        if (other := _clearly_seen(scene, best, account)) is not None:
+        if (other := _clearly_seen(scene, best, account, _where_it_must_be(account))) is not None:
             taken |= set(account.tracks)
             seen.add(account.station)
+            yield other
+    for one in sorted(agreeing, key=lambda one: -one.value):
+        if one.account.station in seen or not taken.isdisjoint(one.account.tracks):
+            continue
+        if (other := _clearly_seen(scene, one, one.account, one.value)) is not None:
+            taken |= set(one.account.tracks)
+            seen.add(one.account.station)
             yield other
     for station, sender in scene.senders.items():
         if station in seen:
             continue
-        found = by_another_clock(scene, best.motion, sender, taken)
-        if found is not None and (other := _clearly_seen(scene, best, *found)) is not None:
-            taken |= set(found[0].tracks)
-            yield other
+        if (found := by_another_clock(scene, best.motion, sender, taken)) is None:
+            continue
+        account, late_s = found
+        by_its_clock = replace(best, motion=replace(best.motion, offset_s=best.motion.offset_s + late_s))
+        if (other := _clearly_seen(scene, by_its_clock, account, _where_it_must_be(account))) is not None:
+            taken |= set(account.tracks)
+            yield replace(other, late_s=late_s)
 
 
-def _clearly_seen(scene: Scene, best: _Hypothesis, account: Account, late_s: float = 0.0) -> Other | None:
-    """Return another sender if what is where it must be, by a clock that is so much later, is surely its vehicle."""
-    surely = account.value + account.coincidence + SILENT
-    if surely < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
+def _where_it_must_be(account: Account) -> float:
+    """Return the log odds that what is where a sender must be is its vehicle."""
+    return account.value + account.coincidence + SILENT
+
+
+def _clearly_seen(scene: Scene, hypothesis: _Hypothesis, account: Account, log_odds: float) -> Other | None:
+    """Return another sender if what a hypothesis takes for its vehicle surely is that."""
+    if log_odds < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
         return None
-    by_its_clock = replace(best, motion=replace(best.motion, offset_s=best.motion.offset_s + late_s))
-    track = _on_vehicle(scene, by_its_clock, account)
-    if not len(track.usable) or _seen_path(scene, by_its_clock, account, track) < scene.settings.min_path_m:
+    track = _on_vehicle(scene, hypothesis, account)
+    if not len(track.usable) or _seen_path(scene, hypothesis, account, track) < scene.settings.min_path_m:
         return None
-    return Other(account.station, track, late_s)
+    return Other(account.station, track)
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

@@ -538,3 +538,23 @@ def test_thirty_vehicles_on_a_straight_road(senders: int, needed: int) -> None:
             assert misplaced_m(choice) < 1.0 or choice.doubt
             right += misplaced_m(choice) < 1.0
     assert right >= needed
+
+
+def test_a_sender_that_only_its_own_motion_shows_is_seen_as_well() -> None:
+    """Its clock is off like the first one's, so that by boxes they are apart; by outlines, less than a vehicle is wide."""
+    straight = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
+    senders = {42: vehicle(), 43: vehicle(straight)}
+    late = {station: replace(one, stamps_s=one.stamps_s + 0.2) for station, one in senders.items()}
+    tracks = [seen(), seen(straight, seed=1)]
+
+    def outlines(_track: Track, station: int, *_: object) -> Resemblance:
+        aside = np.array([0.6, 0.0]) if station == 43 else np.zeros(2)
+        return Resemblance(0.0, 8.0, fit=PlanarMatch(TRUTH.yaw_rad, TRUTH.shift + aside))
+
+    choice = choose_track(tracks, late, likeness=outlines)
+    (other,) = choice.others
+    assert {choice.station, other.station} == {42, 43}
+    assert (other.track, other.late_s) == (tracks[other.station - 42], 0.0)
+    # Of what may be a stranger's nothing is said.
+    by_chance = choose_track(tracks, late, MatchSettings(clear_log_odds=20.0), outlines)
+    assert by_chance.others == ()

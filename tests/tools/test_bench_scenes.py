@@ -120,3 +120,13 @@ def test_scenes_that_were_wrong_by_more_than_ten_sigma(job: Job, factors: dict[s
     (one,) = run(job, factors)
     assert not one.refused
     assert max(one.sigma_ratio, one.rotation_ratio) < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("job", "stations"), [(Job("lidar_16", 600012, ("joint",)), 1), (Job("stereo_05", 600003, ("joint",)), 2)]
+)
+def test_clocks_that_nobody_set_are_a_warning_where_other_senders_are_seen(job: Job, stations: int) -> None:
+    (one,) = run(job, {"clock_offset_s": 0.2, "stations": stations})
+    assert one.sigma_ratio > 5.0
+    assert one.verdict == "warn"
