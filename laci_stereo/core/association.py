@@ -13,6 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -134,6 +135,7 @@ class _Hypothesis:
     way: float
     strayed_s: Times = ()
     fit: PlanarMatch | None = None
+    late_s: float = 0.0
 
     def place(self, xy_level: FloatArray) -> FloatArray:
         """Map points, shape (n, 2), from the level to the world frame, as exactly as is known."""
@@ -314,7 +316,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else _named(scene, best.account, second),
         doubt=doubt,
-        others=tuple(_others(scene, best, agreeing)),
+        others=_others(scene, best, agreeing),
     )
 
 
@@ -425,52 +427,47 @@ def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) 
     return float(sum(np.ptp(poses.path_m[stretch]) for stretch in moving))
 
 
-def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterator[Other]:
-    """Yield the other senders that are as clearly seen: where a hypothesis has them, by themselves, or by other clocks.
+def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> tuple[Other, ...]:
+    """Return other senders that are as clearly seen: where a hypothesis has them, by themselves, or by other clocks.
 
     Those that agree with it may have the sensor up to a vehicle's width elsewhere, where it has nothing of them.
     """
-    claimed, taken, seen = set(best.account.tracks), set(best.account.tracks), {best.account.station}
+    sure, others = [best.account], []
+    by_themselves = ((one, one.account, one.value) for one in sorted(agreeing, key=lambda one: -one.value))
+    for one, account, log_odds in chain(_by_one_motion(best), by_themselves, _by_other_clocks(scene, best, sure)):
+        if any(account.station == each.station or set(account.tracks) & set(each.tracks) for each in sure):
+            continue
+        if log_odds < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
+            continue
+        track = _on_vehicle(scene, one, account)
+        if len(track.usable) and _seen_path(scene, one, account, track) >= scene.settings.min_path_m:
+            sure.append(account)
+            others.append(Other(account.station, track, one.late_s))
+    return tuple(others)
+
+
+def _by_one_motion(best: _Hypothesis) -> Iterator[tuple[_Hypothesis, Account, float]]:
+    """Yield what is where the other senders must be, and the log odds that it is theirs; each track once."""
+    claimed = set(best.account.tracks)
     for account in sorted(best.accounts, key=lambda one: -one.value):
-        if account is best.account or not claimed.isdisjoint(account.tracks):
-            continue
-        claimed |= set(account.tracks)
-        if (other := _clearly_seen(scene, best, account, _where_it_must_be(account))) is not None:
-            taken |= set(account.tracks)
-            seen.add(account.station)
-            yield other
-    for one in sorted(agreeing, key=lambda one: -one.value):
-        if one.account.station in seen or not taken.isdisjoint(one.account.tracks):
-            continue
-        if (other := _clearly_seen(scene, one, one.account, one.value)) is not None:
-            taken |= set(one.account.tracks)
-            seen.add(one.account.station)
-            yield other
+        if account is not best.account and claimed.isdisjoint(account.tracks):
+            claimed |= set(account.tracks)
+            yield best, account, account.value + account.coincidence + SILENT
+
+
+def _by_other_clocks(
+    scene: Scene, best: _Hypothesis, sure: Sequence[Account]
+) -> Iterator[tuple[_Hypothesis, Account, float]]:
+    """Yield the same of what is elsewhere on the ways of senders that are not sure."""
     for station, sender in scene.senders.items():
-        if station in seen:
+        if any(station == each.station for each in sure):
             continue
-        if (found := by_another_clock(scene, best.motion, sender, taken)) is None:
-            continue
-        account, late_s = found
-        by_its_clock = replace(best, motion=replace(best.motion, offset_s=best.motion.offset_s + late_s))
-        if (other := _clearly_seen(scene, by_its_clock, account, _where_it_must_be(account))) is not None:
-            taken |= set(account.tracks)
-            yield replace(other, late_s=late_s)
-
-
-def _where_it_must_be(account: Account) -> float:
-    """Return the log odds that what is where a sender must be is its vehicle."""
-    return account.value + account.coincidence + SILENT
-
-
-def _clearly_seen(scene: Scene, hypothesis: _Hypothesis, account: Account, log_odds: float) -> Other | None:
-    """Return another sender if what a hypothesis takes for its vehicle surely is that."""
-    if log_odds < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
-        return None
-    track = _on_vehicle(scene, hypothesis, account)
-    if not len(track.usable) or _seen_path(scene, hypothesis, account, track) < scene.settings.min_path_m:
-        return None
-    return Other(account.station, track)
+        taken = {track for each in sure for track in each.tracks}
+        if (found := by_another_clock(scene, best.motion, sender, taken)) is not None:
+            account, late_s = found
+            motion = replace(best.motion, offset_s=best.motion.offset_s + late_s)
+            its = replace(best, motion=motion, late_s=late_s)
+            yield its, account, account.value + account.coincidence + SILENT
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

@@ -541,7 +541,7 @@ def test_thirty_vehicles_on_a_straight_road(senders: int, needed: int) -> None:
 
 
 def test_a_sender_that_only_its_own_motion_shows_is_seen_as_well() -> None:
-    """Its clock is off like the first one's, so that by boxes they are apart; by outlines, less than a vehicle is wide."""
+    """Both clocks are off, so that by boxes they are apart; by outlines they are by less than a vehicle's width."""
     straight = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
     senders = {42: vehicle(), 43: vehicle(straight)}
     late = {station: replace(one, stamps_s=one.stamps_s + 0.2) for station, one in senders.items()}

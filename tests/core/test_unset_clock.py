@@ -12,7 +12,7 @@ from laci_stereo.core.association import Resemblance, chosen, no_likeness
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings
 from laci_stereo.core.unset_clock import clocks_apart
-from tests.core.tracks import DRIVE, seen, vehicle
+from tests.core.tracks import seen, vehicle
 from tests.simulated import Drive
 
 STRAIGHT_ON = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
