@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.cam_repair import MIRRORS_M, MIRRORS_SIGMA_M, WIDEST_M
 from laci_stereo.core.evidence import Evidence
-from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import Sighting, together
@@ -57,15 +57,14 @@ def whole(tracks: Sequence[Track], vehicles: Collection[VehicleTrack], settings:
     list of Track
         The one with most sightings first.
     """
-    sizes = [(vehicle.length_m, vehicle.width_m) for vehicle in vehicles]
     joined = list(tracks)
     place = list(range(len(tracks)))
-    for pair in _often_close(tracks, max(length_m for length_m, _ in sizes)):
+    for pair in _often_close(tracks, max(vehicle.length_m for vehicle in vehicles)):
         first, second = sorted(_root(place, index) for index in pair)
         if first == second:
             continue
         pairs = _at_once(joined[first], joined[second])
-        if _move_as_one(pairs, joined[first], joined[second]) and _fit_one(pairs, sizes):
+        if _move_as_one(pairs, joined[first], joined[second]) and _fit_one(pairs, vehicles):
             joined[first] = _both(pairs, joined[first], joined[second], settings)
             place[second] = first
     left = [track for index, track in enumerate(joined) if place[index] == index]
@@ -198,15 +197,29 @@ def _moved_m(piece: Sequence[Sighting]) -> float:
     return float(np.ptp([(at.min(axis=0), at.max(axis=0)) for at in along], axis=0).max())
 
 
-def _fit_one(pairs: Pairs, sizes: Sequence[tuple[float, float]]) -> bool:
-    """Tell whether both together are no larger than one of some vehicles, whose mirrors stand out."""
+def _fit_one(pairs: Pairs, vehicles: Iterable[VehicleTrack]) -> bool:
+    """Tell whether both together are no larger than one of some vehicles, whose mirrors stand out.
+
+    What folds in bends is wider there; it is looked at where it is straight.
+    """
     extents_m = _extents_m(pairs)
     across_m, along_m = extents_m.min(axis=1), extents_m.max(axis=1)
     over_m, widest_m = _over_m(pairs), MIRRORS_M + 2 * MIRRORS_SIGMA_M
-    return any(
-        np.mean((along_m < np.hypot(length_m, width_m) + over_m) & (across_m < width_m + widest_m + over_m)) >= MOSTLY
-        for length_m, width_m in sizes
-    )
+    stamps_s = np.array([one.stamp_s for one, _ in pairs])
+    for vehicle in vehicles:
+        fits = along_m < np.hypot(vehicle.length_m, vehicle.width_m) + over_m
+        fits &= across_m < vehicle.width_m + widest_m + over_m
+        straight = _straight(vehicle, stamps_s)
+        if straight.sum() >= LEAST_FRAMES and fits[straight].mean() >= MOSTLY:
+            return True
+    return False
+
+
+def _straight(vehicle: VehicleTrack, stamps_s: FloatArray) -> BoolArray:
+    """Tell when a vehicle does not fold, as its nearest message says."""
+    nearest = np.abs(vehicle.stamps_s - stamps_s[:, None]).argmin(axis=1)
+    straight: BoolArray = ~vehicle.folded[nearest]
+    return straight
 
 
 def _over_m(pairs: Pairs) -> FloatArray:

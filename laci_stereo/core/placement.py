@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -94,7 +94,8 @@ def place_jointly(
     """
     drive = evidence_of(own.track, own.vehicle, own.ground.height_m)
     fit = fit_jointly([drive], own.match, [own.time_offset_s], settings.joint)
-    if choice.beside and (lacks := _lacks(drive, fit.match, fit.time_offsets_s[0])):
+    if choice.beside and (missing_m := _missing_m(drive, fit.match, fit.time_offsets_s[0])):
+        lacks = _lacks(missing_m, own.vehicle)
         raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
     _check_registered(fit, [drive], settings)
     doubts = []
@@ -209,14 +210,17 @@ def place(
     _check_registered(fit, drives, settings)
     middles = np.concatenate([drive.middles for drive in drives])
     doubt = Doubt(fit.covariance, rotate_xy(fit.match.yaw_rad, middles - fit.centre_level))
-    advice = _advice(fit, doubt, drives[0])
     weakest_m, _ = doubt.weakest
     most_m = max(settings.quality.open_m, 3.0 * min(_told(drive.vehicle) for drive in drives))
     if weakest_m > most_m:
         raise OpenError(
             f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are {most_m:.2f} m: "
-            f"{advice}"
+            f"{_advice(fit, doubt, drives[0])}"
         )
+    # What every drive lacks of its vehicle; one that lacks nothing tells where the others' pieces are.
+    missing_m = min(max(each.values(), default=0.0) for each in _missing(fit, drives))
+    fit = _with_doubt_along(fit, drives[0], missing_m)
+    doubt = Doubt(fit.covariance, doubt.arms)
     known = sum(
         int(drive.vehicle.at(drive.stamps_s + offset_s)[2].sum())
         for drive, offset_s in zip(drives, fit.time_offsets_s, strict=True)
@@ -238,7 +242,7 @@ def place(
             *([_turning(fit)] if any(drive.turn_s for drive in drives) else []),
             *_assumed_accuracies(drives, names, settings.joint),
         ),
-        advice=advice,
+        advice=_advice(fit, doubt, drives[0], missing_m),
         contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
         bodies=fit.bodies,
     )
@@ -260,12 +264,10 @@ def _check_registered(fit: JointFit, drives: Sequence[Evidence], settings: Setti
 def _contradicted(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str]) -> list[tuple[str, str]]:
     """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
     found = []
-    for name, drive, corrections, offset_s in zip(names, drives, fit.corrections, fit.time_offsets_s, strict=True):
-        wrong = [each for each in corrections if abs(each.value) > CONTRADICTED * each.sigma]
-        found += [(name, words) for words in (*map(_in_words, wrong), *drive.vehicle.doubts)]
-        # Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
-        if all(each.what != "ahead" for each in wrong) and (lacks := _lacks(drive, fit.match, offset_s)):
-            found.append((name, f"{lacks}: {ANOTHER_PIECE}"))
+    for name, drive, corrections, missing_m in zip(names, drives, fit.corrections, _missing(fit, drives), strict=True):
+        found += [(name, words) for words in (*map(_in_words, _wrong(corrections)), *drive.vehicle.doubts)]
+        if missing_m:
+            found.append((name, f"{_lacks(missing_m, drive.vehicle)}: {ANOTHER_PIECE}"))
     return found
 
 
@@ -284,15 +286,45 @@ def _besides(frames: int) -> str:
     return f"something else moves with the vehicle, right behind or ahead of it, in {frames} frames"
 
 
-def _lacks(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> str:
-    """Say which end of the vehicle was never seen, if one was not."""
+def _missing_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> dict[str, float]:
+    """Return how much of which end of the vehicle was never seen, if one was not."""
     least_m = LEAST_UNSEEN_M + 3.0 * drive.vehicle.guessed_m[0]
     ends_m = dict(zip(("rear", "front"), unseen_m(drive, match, time_offset_s), strict=True))
-    missing = [f"the {end} {end_m:.1f} m" for end, end_m in ends_m.items() if end_m > least_m]
-    if not missing:
-        return ""
-    whole_m = drive.vehicle.length_m
-    return f"{' and '.join(missing)} of the vehicle's {whole_m:.1f} m were never seen, although its side was"
+    return {end: end_m for end, end_m in ends_m.items() if end_m > least_m}
+
+
+def _lacks(missing_m: Mapping[str, float], vehicle: VehicleTrack) -> str:
+    """Say which end of a vehicle was never seen."""
+    ends = " and ".join(f"the {end} {end_m:.1f} m" for end, end_m in missing_m.items())
+    return f"{ends} of the vehicle's {vehicle.length_m:.1f} m were never seen, although its side was"
+
+
+def _with_doubt_along(fit: JointFit, drive: Evidence, missing_m: float) -> JointFit:
+    """Return a fit that is as unsure along the way as what was never seen of the vehicle is long.
+
+    As likely as not what was seen is another piece of it, and the position off by as much.
+    """
+    way = _velocity(drive, fit.time_offsets_s[0])
+    covariance = fit.covariance.copy()
+    covariance[1:, 1:] += missing_m**2 / 2.0 * np.outer(way, way) / max(float(way @ way), 1e-9)
+    return replace(fit, covariance=covariance)
+
+
+def _missing(fit: JointFit, drives: Sequence[Evidence]) -> list[dict[str, float]]:
+    """Return what `_missing_m` does of each drive.
+
+    Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
+    """
+    ahead = (_wrong(corrections, "ahead") for corrections in fit.corrections)
+    return [
+        {} if wrong else _missing_m(drive, fit.match, offset_s)
+        for drive, offset_s, wrong in zip(drives, fit.time_offsets_s, ahead, strict=True)
+    ]
+
+
+def _wrong(corrections: Iterable[Correction], what: str = "") -> list[Correction]:
+    """Return the corrections, or those of one kind, that the messages do not allow for."""
+    return [each for each in corrections if abs(each.value) > CONTRADICTED * each.sigma and what in each.what]
 
 
 def _in_words(correction: Correction) -> str:
@@ -353,7 +385,7 @@ def _blurred(drives: Sequence[Evidence]) -> str:
     )
 
 
-def _advice(fit: JointFit, doubt: Doubt, drive: Evidence) -> str:
+def _advice(fit: JointFit, doubt: Doubt, drive: Evidence, missing_m: float = 0.0) -> str:
     """Say in words where the result is weakest, why, and what would mend it."""
     sigma_m, yaw = doubt.weakest
     velocity = _velocity(drive, fit.time_offsets_s[0])
@@ -361,7 +393,11 @@ def _advice(fit: JointFit, doubt: Doubt, drive: Evidence) -> str:
     by_yaw = doubt.yaw_rad * float(np.sqrt((doubt.arms**2).sum(axis=1).mean()))
     along = abs(np.cos(yaw - np.arctan2(velocity[1], velocity[0]))) > np.sqrt(0.5)
     direction = "along the drive" if along else "across the drive"
-    if along and by_clock > 0.7 * sigma_m:
+    if along and missing_m > sigma_m:  # 0.7 of it is in the doubt
+        why = (
+            "an end of the vehicle was never seen, so that all may be shifted by its length; another vehicle shows both"
+        )
+    elif along and by_clock > 0.7 * sigma_m:
         why = (
             f"the clocks' offset, known to {1e3 * fit.time_sigmas_s[0]:.0f} ms, looks like a shift; a drive with a "
             "turn, or one that brakes while in view, tells them apart"
