@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
+from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track, chosen
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
@@ -19,7 +19,7 @@ from laci_stereo.core.handedness import mirrored
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.pieces import companion, whole
+from laci_stereo.core.pieces import Companion, companion, whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
 from laci_stereo.core.repeats import repeats_of
 from laci_stereo.core.resemblance import resemblance
@@ -140,7 +140,7 @@ def locate(
     others = [
         passage(other.station, other.track, other.late_s)
         for other in choice.others
-        if not _companion(choice, other.station, other.track, tracks, vehicles)[0]
+        if not _companion(choice, other.station, other.track, tracks, vehicles).frames
     ]
     own, *others = along_ground([passage(choice.station, choice.track), *others])
     passages: tuple[Passage, ...] = (own,)
@@ -159,21 +159,21 @@ def _that_drives_ahead(
 ) -> Choice:
     """Return which track is which sender's; of two that move as one it is the one ahead, for what is towed follows."""
     choice = choose_track(tracks, vehicles, settings.match, likeness)
-    beside, ahead_m = _companion(choice, choice.station, choice.track, tracks, vehicles)
+    beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
     others = list(tracks)
-    while ahead_m > 0.0:
+    while beside.ahead_m > 0.0:
         others = [track for track in others if not choice.track.shares(track)]
-        try:
-            choice = choose_track(others, vehicles, settings.match, likeness)
-        except CalibrationError:
+        ahead = chosen(others, vehicles, settings.match, likeness)
+        if ahead is None or not ahead.track.shares(beside.track):
             break  # what is ahead does not fit: it will be said that it is there
-        beside, ahead_m = _companion(choice, choice.station, choice.track, tracks, vehicles)
-    return replace(choice, beside=beside)
+        choice = ahead
+        beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
+    return replace(choice, beside=beside.frames)
 
 
 def _companion(
     choice: Choice, station: int, track: Track, tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack]
-) -> tuple[int, float]:
+) -> Companion:
     """Return what `companion` does of the track of a station, given what was chosen."""
 
     def yaw_at(stamps_s: FloatArray) -> FloatArray:

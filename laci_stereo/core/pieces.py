@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -26,7 +27,10 @@ LARGEST_GAP_M = 2.0
 drives so close behind another by more than a vehicle's length."""
 
 MOSTLY = 0.9
-"""In this share of the frames both together are no larger than the vehicle."""
+"""What a quantile of the frames says: in the others much is hidden, or noise makes things look longer."""
+
+MORE_OFTEN = 0.5
+"""In this share of the frames, those in which it is straight, both together are no larger than the vehicle."""
 
 SIDE_SEEN_RAD = 0.35
 """Where rays meet a side at this angle or a steeper one, its far end is seen as well: at 20 deg its points are three
@@ -71,8 +75,26 @@ def whole(tracks: Sequence[Track], vehicles: Collection[VehicleTrack], settings:
     return sorted(left, key=lambda track: len(track.sightings), reverse=True)
 
 
-def companion(track: Track, tracks: Sequence[Track], yaw_at: Callable[[FloatArray], FloatArray]) -> tuple[int, float]:
-    """Return in how many frames something else moves as one with a vehicle, in line, and by how much it is ahead.
+@dataclass(frozen=True)
+class Companion:
+    """What moves as one with a vehicle, in line.
+
+    Attributes
+    ----------
+    frames : int
+        In which both are seen; 0 if nothing does.
+    ahead_m : float
+        How far its middle is ahead of the vehicle's, the median; negative behind it.
+    track : Track
+    """
+
+    frames: int = 0
+    ahead_m: float = 0.0
+    track: Track = field(default_factory=lambda: Track(()))
+
+
+def companion(track: Track, tracks: Sequence[Track], yaw_at: Callable[[FloatArray], FloatArray]) -> Companion:
+    """Return what moves as one with a vehicle, in line, in most frames.
 
     What is too thin for a box, such as matches that bleed from the vehicle, does not count.
 
@@ -83,23 +105,17 @@ def companion(track: Track, tracks: Sequence[Track], yaw_at: Callable[[FloatArra
     tracks : sequence of Track
     yaw_at : callable
         The yaw of the vehicle's body at some of the track's stamps, level frame.
-
-    Returns
-    -------
-    frames : int
-        0 if nothing is.
-    ahead_m : float
-        How far its middle is ahead of the vehicle's, the median; negative behind it.
     """
-    vehicle, found = Track(track.usable), (0, 0.0)
-    for other in (Track(one.usable) for one in tracks if not track.shares(one)):
+    vehicle, found = Track(track.usable), Companion()
+    for one in (one for one in tracks if not track.shares(one)):
+        other = Track(one.usable)
         pairs = _at_once(vehicle, other)
         if _move_as_one(pairs, vehicle, other):
             in_line = _extents_m(pairs).min(axis=1) < WIDEST_M + _over_m(pairs)
-            if in_line.mean() > 0.5 and len(pairs) > found[0]:
+            if in_line.mean() > 0.5 and len(pairs) > found.frames:
                 yaw = yaw_at(np.array([a.stamp_s for a, _ in pairs]))
                 ahead_m = rotate_xy(-yaw, np.array([b.middle - a.middle for a, b in pairs]))[np.isfinite(yaw), 0]
-                found = len(pairs), float(np.median(ahead_m)) if len(ahead_m) else 0.0
+                found = Companion(len(pairs), float(np.median(ahead_m)) if len(ahead_m) else 0.0, one)
     return found
 
 
@@ -210,7 +226,7 @@ def _fit_one(pairs: Pairs, vehicles: Iterable[VehicleTrack]) -> bool:
         fits = along_m < np.hypot(vehicle.length_m, vehicle.width_m) + over_m
         fits &= across_m < vehicle.width_m + widest_m + over_m
         straight = _straight(vehicle, stamps_s)
-        if straight.sum() >= LEAST_FRAMES and fits[straight].mean() >= MOSTLY:
+        if straight.sum() >= LEAST_FRAMES and fits[straight].mean() >= MORE_OFTEN:
             return True
     return False
 

@@ -189,15 +189,28 @@ def test_what_folds_in_a_bend_is_one_by_what_is_seen_of_it_straight() -> None:
     pulls = driving(cab)
     turned = [
         replace(one, points=np.column_stack([rotate_xy(yaw_rad, cab[:, :2] - hitch) + hitch + at, cab[:, 2]]))
-        for one, yaw_rad in zip(pulls.sightings, np.clip(FRAMES_S - 1.1, 0.0, 0.8), strict=True)
+        for one, yaw_rad in zip(pulls.sightings, np.clip(3.0 * (FRAMES_S - 0.6), 0.0, 1.2), strict=True)
         for at in [np.array([10.0 * one.stamp_s, 0.0])]
     ]
     tracks = [driving(trailer), Track(tuple(turned))]
-    bends = Drive((0.0, 0.0), 0.0, ((9.0, 0.0), (10.0, 60.0)), ((0.0, 8.0),))
+    bends = Drive((0.0, 0.0), 0.0, ((5.0, 0.0), (12.0, 70.0)), ((0.0, 8.0),))
     for drive, pieces in ((bends, 1), (PASSES, 2)):
         folds = vehicle(drive, size=(15.6, 2.5))
         assert folds.folded.any() == (drive is bends)
         assert len(whole(tracks, [folds], Settings())) == pieces
+
+
+def test_what_looks_too_long_at_times_is_joined() -> None:
+    front = driving(FRONT)
+    for share, pieces in ((0.3, 1), (0.7, 2)):
+        longer = np.arange(len(FRAMES_S)) < share * len(FRAMES_S)
+        noisy = [
+            replace(
+                one, points=one.points + [[3.0 * far * (at == len(FRONT) - 1), 0.0, 0.0] for at in range(len(FRONT))]
+            )
+            for one, far in zip(front.sightings, longer, strict=True)
+        ]
+        assert len(joined([driving(REAR), Track(tuple(noisy))])) == pieces
 
 
 def test_what_hardly_moves_is_not_joined() -> None:
