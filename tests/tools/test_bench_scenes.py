@@ -114,6 +114,10 @@ def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
     [
         pytest.param(Job("lidar_32", 150073, ("joint",)), {}, id="a pavement where the last rings leave the road"),
         pytest.param(Job("stereo_05", 31029, ("joint",)), {"vehicles": 4}, id="reversing between two gaps of the log"),
+        pytest.param(Job("lidar_32", 300030, ("joint",)), {}, id="the cab and the trailer of a lorry that folds"),
+        pytest.param(
+            Job("stereo_10", 610007, ("joint",)), {"vehicle": "trailer"}, id="a lorry's cab ahead of its trailer"
+        ),
     ],
 )
 def test_scenes_that_were_wrong_by_more_than_ten_sigma(job: Job, factors: dict[str, object]) -> None:
