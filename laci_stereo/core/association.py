@@ -80,6 +80,11 @@ class Other:
     late_s: float = 0.0
 
 
+BOXES_S = 0.1
+"""By boxes clocks are not told apart that are nearer to each other: they are decimetres off, and vehicles drive at some
+metres a second."""
+
+
 @dataclass(frozen=True)
 class Choice:
     """The track that is the sender's.
@@ -108,7 +113,7 @@ class Choice:
     beside : int
         In how many frames something else moves as one with it; see `companion`.
     others : tuple of Other
-        Other senders that the same motion clearly shows.
+        Other senders that are clearly seen as well.
     """
 
     station: int
@@ -136,6 +141,7 @@ class _Hypothesis:
     strayed_s: Times = ()
     fit: PlanarMatch | None = None
     late_s: float = 0.0
+    by_others: float = 0.0
 
     def place(self, xy_level: FloatArray) -> FloatArray:
         """Map points, shape (n, 2), from the level to the world frame, as exactly as is known."""
@@ -227,7 +233,7 @@ def chosen(
     settings: MatchSettings,
     likeness: Likeness = no_likeness,
 ) -> Choice | None:
-    """Return what `choose_track` does; None where that is nothing."""
+    """Return what `choose_track` does, whose parameters these are; None where it raises."""
     try:
         return choose_track(tracks, vehicles, settings, likeness)
     except (TrackError, MatchError):
@@ -433,8 +439,9 @@ def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) ->
     Those that agree with it may have the sensor up to a vehicle's width elsewhere, where it has nothing of them.
     """
     sure, others = [best.account], []
-    by_themselves = ((one, one.account, one.value) for one in sorted(agreeing, key=lambda one: -one.value))
-    for one, account, log_odds in chain(_by_one_motion(best), by_themselves, _by_other_clocks(scene, best, sure)):
+    # The last of these looks at what is sure when it is its turn.
+    ways = chain(_by_one_motion(best), _by_themselves(best, agreeing), _by_other_clocks(scene, best, sure))
+    for one, account, log_odds in ways:
         if any(account.station == each.station or set(account.tracks) & set(each.tracks) for each in sure):
             continue
         if log_odds < scene.settings.clear_log_odds or account.typical > MAX_GOOD_SIGMA:
@@ -453,6 +460,14 @@ def _by_one_motion(best: _Hypothesis) -> Iterator[tuple[_Hypothesis, Account, fl
         if account is not best.account and claimed.isdisjoint(account.tracks):
             claimed |= set(account.tracks)
             yield best, account, account.value + account.coincidence + SILENT
+
+
+def _by_themselves(best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterator[tuple[_Hypothesis, Account, float]]:
+    """Yield the same of what other senders' own motions show."""
+    for one in sorted(agreeing, key=lambda one: -one.value):
+        late_s = float(one.motion.offset_s - best.motion.offset_s)
+        its = replace(one, late_s=late_s if abs(late_s) > BOXES_S else 0.0)
+        yield its, one.account, one.value - one.by_others
 
 
 def _by_other_clocks(
@@ -501,12 +516,13 @@ def _judge(scene: Scene, seed: Seed) -> _Hypothesis | None:
         return None
     others = [hold_against(scene, other, motion) for other in scene.senders.values() if other is not sender]
     prior = -((float(motion.offset_s) / scene.settings.clock_sigma_s) ** 2) / 2
-    value, claimed = prior + own.value, set(own.tracks)
+    by_others, claimed = 0.0, set(own.tracks)
     for account in sorted(others, key=lambda one: -one.value):
         if claimed.isdisjoint(account.tracks):
-            value += max(account.value + account.coincidence, -SILENT)
+            by_others += max(account.value + account.coincidence, -SILENT)
             claimed |= set(account.tracks)
-    return _Hypothesis(seed, motion, own, (own, *others), value, own.way)
+    value = prior + own.value + by_others
+    return _Hypothesis(seed, motion, own, (own, *others), value, own.way, by_others=by_others)
 
 
 def _named(scene: Scene, best: Account, second: Account) -> str:

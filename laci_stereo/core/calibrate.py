@@ -164,11 +164,16 @@ def _that_drives_ahead(
     while beside.ahead_m > 0.0:
         others = [track for track in others if not choice.track.shares(track)]
         ahead = chosen(others, vehicles, settings.match, likeness)
-        if ahead is None or not ahead.track.shares(beside.track):
+        if ahead is None or not any(each.shares(beside.track) for each in _tracks_of(ahead)):
             break  # what is ahead does not fit: it will be said that it is there
         choice = ahead
         beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
     return replace(choice, beside=beside.frames)
+
+
+def _tracks_of(choice: Choice) -> list[Track]:
+    """Return what is taken for a sender's vehicle."""
+    return [choice.track, *(other.track for other in choice.others)]
 
 
 def _companion(

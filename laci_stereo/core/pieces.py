@@ -30,7 +30,7 @@ MOSTLY = 0.9
 """What a quantile of the frames says: in the others much is hidden, or noise makes things look longer."""
 
 MORE_OFTEN = 0.5
-"""In this share of the frames, those in which it is straight, both together are no larger than the vehicle."""
+"""In more than this share of the frames in which it is straight both together are no larger than the vehicle."""
 
 SIDE_SEEN_RAD = 0.35
 """Where rays meet a side at this angle or a steeper one, its far end is seen as well: at 20 deg its points are three
@@ -86,6 +86,7 @@ class Companion:
     ahead_m : float
         How far its middle is ahead of the vehicle's, the median; negative behind it.
     track : Track
+        Of the other thing; empty if there is none.
     """
 
     frames: int = 0
@@ -226,14 +227,14 @@ def _fit_one(pairs: Pairs, vehicles: Iterable[VehicleTrack]) -> bool:
         fits = along_m < np.hypot(vehicle.length_m, vehicle.width_m) + over_m
         fits &= across_m < vehicle.width_m + widest_m + over_m
         straight = _straight(vehicle, stamps_s)
-        if straight.sum() >= LEAST_FRAMES and fits[straight].mean() >= MORE_OFTEN:
+        if straight.sum() >= LEAST_FRAMES and fits[straight].mean() > MORE_OFTEN:
             return True
     return False
 
 
 def _straight(vehicle: VehicleTrack, stamps_s: FloatArray) -> BoolArray:
     """Tell when a vehicle does not fold, as its nearest message says."""
-    nearest = np.abs(vehicle.stamps_s - stamps_s[:, None]).argmin(axis=1)
+    nearest = np.searchsorted((vehicle.stamps_s[1:] + vehicle.stamps_s[:-1]) / 2, stamps_s)
     straight: BoolArray = ~vehicle.folded[nearest]
     return straight
 

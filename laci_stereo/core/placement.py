@@ -136,27 +136,34 @@ def _registered(
         Those that can be used, the first one among them.
     remarks, doubts : list of str
         Why others cannot. One whose messages are wrong by themselves does no harm as long as it has the sensor at the
-        same place; where it does not, what is wrong may be the sensor's clock, and so the first one's place.
+        same place, or more than one other sender has it there; else what is wrong may be the sensor's clock, and so the
+        first one's place.
     """
-    registered, remarks, doubts = [(own, drive, fit)], [], []
+    registered, contradicted, remarks, doubts = [(own, drive, fit)], [], [], []
     for other in others:
-        unused = f"{other.name} is seen as well, but was not used"
         try:
             its_drive, alone = _as_well(other, fit, other.time_offset_s - own.time_offset_s, settings)
         except MatchError as error:
-            remarks.append(f"{unused}: {error}")
+            remarks.append(f"{_unused(other)}: {error}")
             continue
-        wrong = "; ".join(words for _, words in _contradicted(alone, [its_drive], [""]))
-        if not wrong:
-            registered.append((other, its_drive, alone))
-            continue
-        try:
-            agreeing([own.name, other.name], [fit, alone])
-        except CombineError as error:
-            doubts.append(f"{unused}: {wrong}; {error}")
+        if wrong := _contradicted(alone, [its_drive], [""], missing := _missing(alone, [its_drive])):
+            alone = _with_doubt_along(alone, [its_drive], missing)
+            contradicted.append((other, alone, "; ".join(words for _, words in wrong)))
         else:
-            remarks.append(f"{unused}: {wrong}")
+            registered.append((other, its_drive, alone))
+    used, _, fits = zip(*registered, strict=True)
+    for other, alone, wrong_words in contradicted:
+        try:
+            agreeing([each.name for each in (*used, other)], [*fits, alone])
+        except CombineError as error:
+            doubts.append(f"{_unused(other)}: {wrong_words}; {error}")
+        else:
+            remarks.append(f"{_unused(other)}: {wrong_words}")
     return registered, remarks, doubts
+
+
+def _unused(other: Passage) -> str:
+    return f"{other.name} is seen as well, but was not used"
 
 
 def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -> tuple[Evidence, JointFit]:
@@ -217,9 +224,8 @@ def place(
             f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are {most_m:.2f} m: "
             f"{_advice(fit, doubt, drives[0])}"
         )
-    # What every drive lacks of its vehicle; one that lacks nothing tells where the others' pieces are.
-    missing_m = min(max(each.values(), default=0.0) for each in _missing(fit, drives))
-    fit = _with_doubt_along(fit, drives[0], missing_m)
+    missing = _missing(fit, drives)
+    fit = _with_doubt_along(fit, drives, missing)
     doubt = Doubt(fit.covariance, doubt.arms)
     known = sum(
         int(drive.vehicle.at(drive.stamps_s + offset_s)[2].sum())
@@ -227,7 +233,7 @@ def place(
     )
     bare = max(0, known - fit.standing - fit.frames)
     left_out = {"unknown": sightings - known, "standing": fit.standing, "bare": bare}
-    contradicted = _contradicted(fit, drives, names)
+    contradicted = _contradicted(fit, drives, names, missing)
     return Placement(
         match=fit.match,
         middle_level=fit.centre_level,
@@ -242,7 +248,7 @@ def place(
             *([_turning(fit)] if any(drive.turn_s for drive in drives) else []),
             *_assumed_accuracies(drives, names, settings.joint),
         ),
-        advice=_advice(fit, doubt, drives[0], missing_m),
+        advice=_advice(fit, doubt, drives[0], _all_lack_m(missing)),
         contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
         bodies=fit.bodies,
     )
@@ -261,10 +267,12 @@ def _check_registered(fit: JointFit, drives: Sequence[Evidence], settings: Setti
         )
 
 
-def _contradicted(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str]) -> list[tuple[str, str]]:
+def _contradicted(
+    fit: JointFit, drives: Sequence[Evidence], names: Sequence[str], missing: Sequence[Mapping[str, float]]
+) -> list[tuple[str, str]]:
     """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
     found = []
-    for name, drive, corrections, missing_m in zip(names, drives, fit.corrections, _missing(fit, drives), strict=True):
+    for name, drive, corrections, missing_m in zip(names, drives, fit.corrections, missing, strict=True):
         found += [(name, words) for words in (*map(_in_words, _wrong(corrections)), *drive.vehicle.doubts)]
         if missing_m:
             found.append((name, f"{_lacks(missing_m, drive.vehicle)}: {ANOTHER_PIECE}"))
@@ -299,15 +307,22 @@ def _lacks(missing_m: Mapping[str, float], vehicle: VehicleTrack) -> str:
     return f"{ends} of the vehicle's {vehicle.length_m:.1f} m were never seen, although its side was"
 
 
-def _with_doubt_along(fit: JointFit, drive: Evidence, missing_m: float) -> JointFit:
-    """Return a fit that is as unsure along the way as what was never seen of the vehicle is long.
+def _with_doubt_along(fit: JointFit, drives: Sequence[Evidence], missing: Sequence[Mapping[str, float]]) -> JointFit:
+    """Return a fit that is as unsure along its vehicles as what was never seen of them is long.
 
-    As likely as not what was seen is another piece of it, and the position off by as much.
+    As likely as not what was seen is another piece, and the position off by as much.
     """
-    way = _velocity(drive, fit.time_offsets_s[0])
+    poses = [drive.vehicle.at(drive.stamps_s + s) for drive, s in zip(drives, fit.time_offsets_s, strict=True)]
+    yaw = np.concatenate([yaw[known] for _, yaw, known in poses])
+    along = np.stack([np.cos(yaw), np.sin(yaw)])
     covariance = fit.covariance.copy()
-    covariance[1:, 1:] += missing_m**2 / 2.0 * np.outer(way, way) / max(float(way @ way), 1e-9)
+    covariance[1:, 1:] += _all_lack_m(missing) ** 2 / 2.0 * (along @ along.T) / max(len(yaw), 1)
     return replace(fit, covariance=covariance)
+
+
+def _all_lack_m(missing: Sequence[Mapping[str, float]]) -> float:
+    """Return what every drive lacks of its vehicle: one that lacks nothing tells where the others' pieces are."""
+    return min(max(each.values(), default=0.0) for each in missing)
 
 
 def _missing(fit: JointFit, drives: Sequence[Evidence]) -> list[dict[str, float]]:
@@ -315,16 +330,16 @@ def _missing(fit: JointFit, drives: Sequence[Evidence]) -> list[dict[str, float]
 
     Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
     """
-    ahead = (_wrong(corrections, "ahead") for corrections in fit.corrections)
+    elsewhere = (any(each.what == "ahead" for each in _wrong(corrections)) for corrections in fit.corrections)
     return [
-        {} if wrong else _missing_m(drive, fit.match, offset_s)
-        for drive, offset_s, wrong in zip(drives, fit.time_offsets_s, ahead, strict=True)
+        {} if is_elsewhere else _missing_m(drive, fit.match, offset_s)
+        for drive, offset_s, is_elsewhere in zip(drives, fit.time_offsets_s, elsewhere, strict=True)
     ]
 
 
-def _wrong(corrections: Iterable[Correction], what: str = "") -> list[Correction]:
-    """Return the corrections, or those of one kind, that the messages do not allow for."""
-    return [each for each in corrections if abs(each.value) > CONTRADICTED * each.sigma and what in each.what]
+def _wrong(corrections: Iterable[Correction]) -> list[Correction]:
+    """Return the corrections that the messages do not allow for."""
+    return [each for each in corrections if abs(each.value) > CONTRADICTED * each.sigma]
 
 
 def _in_words(correction: Correction) -> str:
@@ -394,9 +409,7 @@ def _advice(fit: JointFit, doubt: Doubt, drive: Evidence, missing_m: float = 0.0
     along = abs(np.cos(yaw - np.arctan2(velocity[1], velocity[0]))) > np.sqrt(0.5)
     direction = "along the drive" if along else "across the drive"
     if along and missing_m > sigma_m:  # 0.7 of it is in the doubt
-        why = (
-            "an end of the vehicle was never seen, so that all may be shifted by its length; another vehicle shows both"
-        )
+        why = "an end of the vehicle was never seen, so that all may be shifted by as much; another vehicle shows both"
     elif along and by_clock > 0.7 * sigma_m:
         why = (
             f"the clocks' offset, known to {1e3 * fit.time_sigmas_s[0]:.0f} ms, looks like a shift; a drive with a "

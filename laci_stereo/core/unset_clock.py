@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import Choice, Likeness, chosen
+from laci_stereo.core.association import BOXES_S, Choice, Likeness, chosen
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings, with_turn
 from laci_stereo.core.tracking import Track
 
 SURELY = 4.0
-"""So many standard deviations clocks are never apart that are what was asked for."""
+"""By so many standard deviations clocks never differ that are as was said."""
 
 
 def clocks_apart(
@@ -43,12 +43,12 @@ def clocks_apart(
         return ""
     if choice is None or choice.doubt:
         other = chosen(tracks, vehicles, loose, likeness)
-        clearly = other is not None and not other.doubt
+        clearly = other is not None and not other.doubt and _likelier(other, choice, settings)
     else:
         other = chosen(tracks, vehicles, loose)
         clearly = other is not None and _explains_more(other, choice, tracks, vehicles, settings)
     turn_s = max((track.turn_s for track in tracks), default=0.0)
-    least_s = SURELY * with_turn(settings.clock_sigma_s, turn_s)
+    least_s = max(BOXES_S, SURELY * with_turn(settings.clock_sigma_s, turn_s))
     if other is None or not clearly or abs(other.time_offset_s) < least_s:
         return ""
     seen = _together(other)
@@ -72,7 +72,12 @@ def _explains_more(
         return False
     any_fit = replace(settings, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
     by_boxes = chosen(tracks, vehicles, any_fit)
-    return by_boxes is None or other.log_likelihood - by_boxes.log_likelihood > settings.least_log_odds
+    return by_boxes is not None and _likelier(other, by_boxes, settings)
+
+
+def _likelier(other: Choice, choice: Choice | None, settings: MatchSettings) -> bool:
+    """Tell whether one choice is clearly likelier than another; than none it is."""
+    return choice is None or other.log_likelihood - choice.log_likelihood > settings.least_log_odds
 
 
 def _together(choice: Choice) -> list[int]:

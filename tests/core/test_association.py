@@ -558,3 +558,17 @@ def test_a_sender_that_only_its_own_motion_shows_is_seen_as_well() -> None:
     # Of what may be a stranger's nothing is said.
     by_chance = choose_track(tracks, late, MatchSettings(clear_log_odds=20.0), outlines)
     assert by_chance.others == ()
+
+
+def test_one_that_only_another_clock_shows_is_as_late_as_its_own_motion_is() -> None:
+    straight = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
+    turns = vehicle()
+    senders = {42: replace(turns, stamps_s=turns.stamps_s + 0.3), 43: vehicle(straight)}
+    choice = choose_track([seen(), seen(straight, seed=1)], senders, UNKNOWN_CLOCK, exactly_there)
+    (other,) = choice.others
+    late_s = other.late_s if other.station == 42 else -other.late_s
+    assert late_s == pytest.approx(0.3, abs=0.1)
+
+
+def exactly_there(*_: object) -> Resemblance:
+    return Resemblance(0.0, 8.0, fit=TRUTH)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,7 +13,7 @@ from laci_stereo.core.association import Resemblance, chosen, no_likeness
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings
 from laci_stereo.core.unset_clock import clocks_apart
-from tests.core.tracks import seen, vehicle
+from tests.core.tracks import DRIVE, seen, vehicle
 from tests.simulated import Drive
 
 STRAIGHT_ON = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
@@ -75,11 +76,22 @@ def test_one_sender_that_turns_tells_it_where_nothing_fits_otherwise() -> None:
 
 
 def test_one_sender_on_a_straight_road_tells_nothing() -> None:
+    """It fits by any clock, and so by the one that was asked for."""
     late = {43: replace(vehicle(STRAIGHT_ON), stamps_s=vehicle(STRAIGHT_ON).stamps_s + 1.2)}
     tracks = [seen(STRAIGHT_ON)]
-    choice = chosen(tracks, late, SYNCHRONISED, exactly)
+    assert chosen(tracks, late, SYNCHRONISED, exactly) is not None
+    assert clocks_apart(tracks, late, SYNCHRONISED, exactly, None) == ""
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_is_no_other_clock(seed: int) -> None:
+    """Even where the choice is in doubt, and the other one is not."""
+    slow = replace(DRIVE, speeds=((0.0, 3.0),))
+    tracks, sends = [seen(slow, noise_m=0.3, seed=seed)], {42: vehicle(slow)}
+    choice = chosen(tracks, sends, replace(SYNCHRONISED, clear_log_odds=math.inf), exactly)
     assert choice is not None
-    assert clocks_apart(tracks, late, SYNCHRONISED, no_likeness, choice) == ""
+    assert choice.doubt
+    assert clocks_apart(tracks, sends, SYNCHRONISED, exactly, choice) == ""
 
 
 def test_without_tracks_nothing_is_said() -> None:
