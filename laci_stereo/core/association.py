@@ -73,11 +73,14 @@ class Other:
     late_s : float
         By how much later than the first sender's its clock must be for that: boxes are some decimetres off, which a
         vehicle drives in less than a tenth of a second; or it is wrong.
+    alone : bool
+        Its own motion shows it, where the first sender's has it elsewhere.
     """
 
     station: int
     track: Track
     late_s: float = 0.0
+    alone: bool = False
 
 
 BOXES_S = 0.1
@@ -449,7 +452,7 @@ def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) ->
         track = _on_vehicle(scene, one, account)
         if len(track.usable) and _seen_path(scene, one, account, track) >= scene.settings.min_path_m:
             sure.append(account)
-            others.append(Other(account.station, track, one.late_s))
+            others.append(Other(account.station, track, one.late_s, alone=account is one.account))
     return tuple(others)
 
 

@@ -81,5 +81,6 @@ def _likelier(other: Choice, choice: Choice | None, settings: MatchSettings) -> 
 
 
 def _together(choice: Choice) -> list[int]:
-    """Return which stations are seen by one clock."""
-    return [choice.station, *(other.station for other in choice.others if other.late_s == 0.0)]
+    """Return which stations are seen by one motion and one clock."""
+    together = (other.station for other in choice.others if other.late_s == 0.0 and not other.alone)
+    return [choice.station, *together]
