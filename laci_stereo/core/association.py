@@ -287,8 +287,11 @@ def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> floa
 def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int]) -> Choice:
     best = max(hypotheses, key=lambda one: one.value)
     track = _on_vehicle(scene, best, best.account)
-    agreeing = [one for one in hypotheses if one is not best and _agree(scene, best, one)]
-    rivals = [one for one in hypotheses if one is not best and one not in agreeing]
+    agreeing: list[_Hypothesis] = []
+    rivals: list[_Hypothesis] = []
+    for one in hypotheses:
+        if one is not best:
+            (agreeing if _agree(scene, best, one) else rivals).append(one)
     # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - set(best.account.tracks))
     _check_whole(scene, best, [one for one in rivals if one.value > math.log(objects)], track)
