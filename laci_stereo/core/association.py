@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -243,6 +243,13 @@ def chosen(
         return None
 
 
+def log_odds_between(one: Choice | None, other: Choice | None) -> float:
+    """Return the log odds of one choice against another; what does not fit at all is infinitely unlikely."""
+    if one is None:
+        return -math.inf
+    return math.inf if other is None else one.log_likelihood - other.log_likelihood
+
+
 def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
     """Leave out those whose vehicle hardly moves while it is seen: whatever stands there would fit as well."""
     least_m = scene.settings.min_path_m
@@ -461,11 +468,18 @@ def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) ->
 
 def _by_one_motion(best: _Hypothesis) -> Iterator[tuple[_Hypothesis, Account, float]]:
     """Yield what is where the other senders must be, and the log odds that it is theirs; each track once."""
-    claimed = set(best.account.tracks)
-    for account in sorted(best.accounts, key=lambda one: -one.value):
-        if account is not best.account and claimed.isdisjoint(account.tracks):
+    own, *others = best.accounts
+    for account in _each_track_once(own, others):
+        yield best, account, account.value + account.coincidence + SILENT
+
+
+def _each_track_once(own: Account, others: Iterable[Account]) -> Iterator[Account]:
+    """Yield the other senders' accounts, the likeliest first, but for those of tracks that are another's already."""
+    claimed = set(own.tracks)
+    for account in sorted(others, key=lambda one: -one.value):
+        if claimed.isdisjoint(account.tracks):
             claimed |= set(account.tracks)
-            yield best, account, account.value + account.coincidence + SILENT
+            yield account
 
 
 def _by_themselves(best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterator[tuple[_Hypothesis, Account, float]]:
@@ -522,11 +536,7 @@ def _judge(scene: Scene, seed: Seed) -> _Hypothesis | None:
         return None
     others = [hold_against(scene, other, motion) for other in scene.senders.values() if other is not sender]
     prior = -((float(motion.offset_s) / scene.settings.clock_sigma_s) ** 2) / 2
-    by_others, claimed = 0.0, set(own.tracks)
-    for account in sorted(others, key=lambda one: -one.value):
-        if claimed.isdisjoint(account.tracks):
-            by_others += max(account.value + account.coincidence, -SILENT)
-            claimed |= set(account.tracks)
+    by_others = sum(max(each.value + each.coincidence, -SILENT) for each in _each_track_once(own, others))
     value = prior + own.value + by_others
     return _Hypothesis(seed, motion, own, (own, *others), value, own.way, by_others=by_others)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
-from laci_stereo.core.association import Choice, Likeness, chosen
+from laci_stereo.core.association import Choice, Likeness, chosen, log_odds_between
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.laying import mirrored_track
 from laci_stereo.core.settings import MatchSettings
@@ -39,22 +38,14 @@ def mirrored(
         What was chosen as it was seen, if anything fits.
     """
     turned = [mirrored_track(track) for track in tracks]
-    any_fit = replace(settings, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
-    by_boxes = [chosen(each, vehicles, any_fit) for each in (turned, tracks)]
-    if _margin(*by_boxes) < settings.least_log_odds:
+    by_boxes = [chosen(each, vehicles, settings.any_fit) for each in (turned, tracks)]
+    if log_odds_between(*by_boxes) < settings.least_log_odds:
         return ""
     other = chosen(turned, vehicles, settings, likeness)
-    if other is None or other.doubt or _margin(other, choice) < settings.clear_log_odds:
+    if other is None or other.doubt or log_odds_between(other, choice) < settings.clear_log_odds:
         return ""
-    odds = f"by odds of {min(math.exp(_margin(other, choice)), MOST_ODDS):.0f} to 1 " if choice else ""
+    odds = f"by odds of {min(math.exp(log_odds_between(other, choice)), MOST_ODDS):.0f} to 1 " if choice else ""
     return (
         f"what was seen fits the messages of station {other.station} {odds}with left and right exchanged: the "
         "sensor's frame is left-handed; needed is a right-handed one, such as x forward, y left, z up"
     )
-
-
-def _margin(one: Choice | None, other: Choice | None) -> float:
-    """Return the log odds of one choice against another; what does not fit at all is infinitely unlikely."""
-    if one is None:
-        return -math.inf
-    return math.inf if other is None else one.log_likelihood - other.log_likelihood

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S
 from laci_stereo.core.track_likelihood import Account, hold_against
 from laci_stereo.core.track_motion import Motion
 from laci_stereo.core.track_scene import TABLE_S, Scene, Sender
 
-LATEST_S = 3.0
+LATEST_S = 3.0 * UNKNOWN_CLOCK_S
 """What a clock is off that nobody has set, by three of its standard deviations. Whoever takes longer for its own length
 hardly moves."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -205,8 +204,7 @@ def _driven(
     seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings, *, surely: bool = False
 ) -> Choice | None:
     """Return the track that fits a sender best, if any does: a stranger drives on the road as well."""
-    any_fit = replace(settings.match, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
-    match = settings.match if surely else any_fit
+    match = settings.match if surely else settings.match.any_fit
     try:
         return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, match)
     except CalibrationError:

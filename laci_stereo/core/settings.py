@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from laci_stereo.core.errors import SettingError
@@ -234,6 +234,11 @@ class MatchSettings:
     clock_sigma_s: float = 0.010
     position_sigma_m: float = 0.3
     stretch_m: float = 10.0
+
+    @property
+    def any_fit(self) -> MatchSettings:
+        """The same, but by them whatever fits best is chosen, however likely others are."""
+        return replace(self, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
 
 
 def above_zero(option: str, value: float, unit: str) -> float:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import BOXES_S, Choice, Likeness, chosen
+from laci_stereo.core.association import BOXES_S, Choice, Likeness, chosen, log_odds_between
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings, with_turn
 from laci_stereo.core.tracking import Track
@@ -43,7 +42,9 @@ def clocks_apart(
         return ""
     if choice is None or choice.doubt:
         other = chosen(tracks, vehicles, loose, likeness)
-        clearly = other is not None and not other.doubt and _likelier(other, choice, settings)
+        clearly = other is not None and not other.doubt and log_odds_between(other, choice) > settings.least_log_odds
+    elif len(_together(choice)) == len(vehicles):
+        return ""
     else:
         other = chosen(tracks, vehicles, loose)
         clearly = other is not None and _explains_more(other, choice, tracks, vehicles, settings)
@@ -70,14 +71,8 @@ def _explains_more(
     """Tell whether more senders are seen by another clock, and that is clearly likelier, by boxes."""
     if len(_together(other)) <= len(_together(choice)):
         return False
-    any_fit = replace(settings, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
-    by_boxes = chosen(tracks, vehicles, any_fit)
-    return by_boxes is not None and _likelier(other, by_boxes, settings)
-
-
-def _likelier(other: Choice, choice: Choice | None, settings: MatchSettings) -> bool:
-    """Tell whether one choice is clearly likelier than another; than none it is."""
-    return choice is None or other.log_likelihood - choice.log_likelihood > settings.least_log_odds
+    by_boxes = chosen(tracks, vehicles, settings.any_fit)
+    return by_boxes is not None and log_odds_between(other, by_boxes) > settings.least_log_odds
 
 
 def _together(choice: Choice) -> list[int]:
