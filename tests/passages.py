@@ -65,6 +65,13 @@ def off_by(passage: Passage, x_m: float, y_m: float) -> Passage:
     return replace(passage, vehicle=vehicle, match=replace(passage.match, shift=passage.match.shift + shift))
 
 
+def ahead(passage: Passage, by_m: float) -> Passage:
+    """Return a drive whose messages tell the position of a place that is so far ahead on the vehicle."""
+    vehicle = passage.vehicle
+    shift = by_m * np.column_stack([np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad)])
+    return replace(passage, vehicle=replace(vehicle, xy=vehicle.xy + shift))
+
+
 def with_passage(calibration: Calibration, passage: Passage) -> Calibration:
     """Return a result that keeps this drive."""
     return replace(calibration, ground=passage.ground, vehicle=passage.vehicle, match=passage.match)

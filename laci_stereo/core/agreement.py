@@ -136,6 +136,12 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
     return kept, found
 
 
+def all_agree(alone: Sequence[JointFit]) -> bool:
+    """Tell whether none of several drives contradicts the others."""
+    distance = _distances(*_at_one_place(alone), list(range(len(alone))))
+    return bool(distance.max() <= _gate(len(alone)))
+
+
 def _at_one_place(alone: Sequence[JointFit]) -> tuple[FloatArray, FloatArray]:
     """Return yaw, x and y of every drive's estimate, shape (n, 3), in the middle of all, and the covariances."""
     place = np.mean([fit.centre_level for fit in alone], axis=0)

@@ -182,9 +182,10 @@ class VehicleTrack:
         first, last = self.stretch(stamps_s)
         known = (first <= stamps_s) & (stamps_s <= last) & (first < last)
         pose = np.full((len(stamps_s), 3), np.nan)
-        for begin in np.unique(first[known]):
+        for begin, way in self._ways.items():
             its = known & (first == begin)
-            pose[its] = self._ways[float(begin)](stamps_s[its])
+            if its.any():
+                pose[its] = way(stamps_s[its])
         return pose[:, :2], pose[:, 2], known
 
     def stretch(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from laci_stereo.core.agreement import LeftOut, fit_together
+from laci_stereo.core.agreement import LeftOut, all_agree, fit_together
 from laci_stereo.core.common_ground import along_ground, lay, merge_grounds
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import EvidenceError, MatchError
@@ -88,9 +88,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     ground = merge_grounds(passages)
     laid = along_ground([lay(passage, ground, passages[0].world) for passage in passages])
     drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
-    held = drives if len(drives) == 1 else [drive.thinned(HELD_ROWS) for drive in drives]
-    alone = [_fit_alone(*pair, settings) for pair in zip(laid, held, strict=True)]
-    together = fit_together(laid, drives, alone, settings.joint)
+    together = fit_together(laid, drives, _fit_alone(laid, drives, settings), settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
     calibration = conclude(together.passages, placement, settings)
@@ -133,10 +131,21 @@ def _in_words(passage: Passage) -> str:
     return f"{passage.axes.forward} forward, {passage.axes.up} up"
 
 
-def _fit_alone(passage: Passage, drive: Evidence, settings: Settings) -> JointFit:
+def _fit_alone(passages: Sequence[Passage], drives: Sequence[Evidence], settings: Settings) -> list[JointFit]:
+    """Estimate from each drive by itself; whose messages are mistaken is only asked where drives contradict."""
+    if len(drives) == 1:
+        return [_fit_one(passages[0], drives[0], settings, mistakes=True)]
+    held = [(passage, drive.thinned(HELD_ROWS)) for passage, drive in zip(passages, drives, strict=True)]
+    alone = [_fit_one(*each, settings, mistakes=False) for each in held]
+    if all_agree(alone):
+        return alone
+    return [_fit_one(*each, settings, mistakes=True) for each in held]
+
+
+def _fit_one(passage: Passage, drive: Evidence, settings: Settings, *, mistakes: bool) -> JointFit:
     """Estimate from one drive; where that was done before, it is near there, on another ground."""
-    close = passage.method == "joint"
+    start, offsets_s, close = passage.match, [passage.time_offset_s], passage.method == "joint"
     try:
-        return fit_jointly([drive], passage.match, [passage.time_offset_s], settings.joint, close=close)
+        return fit_jointly([drive], start, offsets_s, settings.joint, close=close, mistakes=mistakes)
     except MatchError as error:
         raise MatchError(f"{passage.name}: {error}") from error

@@ -153,6 +153,8 @@ class Fitness:
         The gradient, by points.
     block : ndarray of int, shape (n,)
         In which block of time each is.
+    log_likelihoods : ndarray, shape (n,)
+        Of the distances.
     log_likelihood : float
         Of the ranges; it can be compared with that of the same points only.
     shares : ndarray
@@ -171,6 +173,7 @@ class Fitness:
     gradient: FloatArray
     scores: FloatArray
     block: IntArray
+    log_likelihoods: FloatArray
     log_likelihood: float
     shares: FloatArray
     weight: float
@@ -423,8 +426,9 @@ class DriveModel:
         whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
 
-    def _log_likelihood(self, rows: Rows, distance: FloatArray, sigma: FloatArray, shares: FloatArray) -> FloatArray:
-        """Return how likely each of some distances is, shape (n,), as `mixed` has it."""
+    def _log_likelihoods(self, rows: Rows, distance: FloatArray, shares: FloatArray) -> FloatArray:
+        """Return how likely each of some distances of rows is, shape (n,), as `mixed` has it."""
+        sigma = np.sqrt(rows.variance)
         return np.concatenate(
             [
                 mixture.log_likelihood(distance[part], sigma[part], group, its)
@@ -472,6 +476,7 @@ class DriveModel:
             gradient=scores.sum(axis=0),
             scores=scores,
             block=self.block[rows.frame],
+            log_likelihoods=mixed.log_likelihood,
             log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),
             shares=mixed.shares,
             weight=float(surface.sum()),
@@ -501,21 +506,28 @@ class DriveModel:
             total += by_frame.T @ alike @ by_frame
         return self.settings.shared_variance_share * total
 
-    def gain(self, rows: Rows, before: Rows, shares: FloatArray) -> float:
+    def gain(self, rows: Rows, before: Rows, here: FloatArray, shares: FloatArray) -> float:
         """Return by how much likelier the ranges are than before, with noise and angles of incidence held as they were.
 
         Of the points for which the messages tell the vehicle's place both times, and that stay on their side: where one
         changes sides, the likelihood jumps, which no derivative tells. That is what `weigh` tells.
+
+        Parameters
+        ----------
+        rows, before : Rows
+        here : ndarray, shape (n,)
+            The `Fitness.log_likelihoods` of the rows before.
+        shares : ndarray
+            By which they were weighed.
         """
         if not np.array_equal(rows.point, before.point):
             _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
-            rows, before = rows[now], before[then]
+            rows, before, here = rows[now], before[then], here[then]
         same = rows.face == before.face
-        rows, before = rows[same], before[same]
+        rows, before, here = rows[same], before[same], here[same]
         hit = before.cos > 0.0
         distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
-        sigma = np.sqrt(before.variance)
-        there, here = (self._log_likelihood(before, at, sigma, shares) for at in (distance, before.distance))
+        there = self._log_likelihoods(before, distance, shares)
         return float(before.share @ (there - here))
 
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:

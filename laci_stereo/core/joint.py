@@ -495,7 +495,7 @@ class _Problem:
             size = float(step @ curvature @ step)
             while pace**2 * size >= converged:
                 there = self._rows(x - pace * step, chosen)
-                if self._gain(x - pace * step, there, x, rows, shares) > 0.0:
+                if self._gain(x - pace * step, there, x, rows, fitness, shares) > 0.0:
                     break
                 pace /= 4.0
             else:
@@ -510,11 +510,14 @@ class _Problem:
         rows: Sequence[Rows],
         before: FloatArray,
         held: Sequence[Rows],
+        fitness: Sequence[Fitness],
         shares: Sequence[FloatArray],
     ) -> float:
         """Return by how much likelier a place is than the one before."""
-        drives = zip(self.models, rows, held, shares, strict=True)
-        points = sum(model.gain(its, as_were, share) for model, its, as_were, share in drives)
+        drives = zip(self.models, rows, held, fitness, shares, strict=True)
+        points = sum(
+            model.gain(its, as_were, fits.log_likelihoods, share) for model, its, as_were, fits, share in drives
+        )
         return points + self._log_prior(x) - self._log_prior(before)
 
     def _log_prior(self, x: FloatArray) -> float:

@@ -14,7 +14,7 @@ from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, Settings
 from laci_stereo.core.world import World
-from tests.passages import DAY_NS, meeting, misplaced, off_by, passages, recorded
+from tests.passages import DAY_NS, ahead, meeting, misplaced, off_by, passages, recorded
 
 
 @cache
@@ -86,6 +86,23 @@ def test_a_drive_whose_messages_are_a_metre_off_is_named_and_left_out(wrong: int
     without = combined(*(number for number in range(3) if number != wrong))
     assert found.calibration.T_utm_sensor == pytest.approx(without.calibration.T_utm_sensor, abs=2e-3)
     assert misplaced(found.calibration)[0] < 0.05
+
+
+@pytest.mark.parametrize("alike", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_positions_of_another_place_on_the_vehicle_are_told_whether_drives_agree_or_not(alike: bool) -> None:
+    """What both drives err by alike puts the sensor at one wrong place; by one drive alone it contradicts the other."""
+    one, other = passages()[:2]
+    mistaken = ahead(one, 1.5)
+    if alike:
+        epoch_ns = one.vehicle.epoch_ns + 5 * DAY_NS
+        other = replace(mistaken, name="run 5", vehicle=replace(mistaken.vehicle, epoch_ns=epoch_ns))
+    found = combine([mistaken, other])
+    assert found.left_out == ()
+    position_m, angle_deg = misplaced(found.calibration)
+    assert position_m < 3 * found.calibration.quality.track_xy_sigma_m < 0.15
+    assert angle_deg < 0.06
+    told = [reason for reason in found.calibration.quality.reasons if "ahead of where on the vehicle" in reason]
+    assert [reason.split(":")[0] for reason in told] == (["run 0", "run 5"] if alike else ["run 0"])
 
 
 def test_two_drives_that_contradict_each_other_are_refused() -> None:

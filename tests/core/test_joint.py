@@ -450,7 +450,8 @@ def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple
     fitness = model.weigh(rows, 0.0, shares)
     for index in indices:
         step = 1e-6 * np.eye(len(x))[index]
-        more, less = (model.gain(model.rows(each, chosen), rows, shares) for each in (x + step, x - step))
+        here = fitness.log_likelihoods
+        more, less = (model.gain(model.rows(each, chosen), rows, here, shares) for each in (x + step, x - step))
         scale = math.sqrt(fitness.information[index, index])
         assert (more - less) / 2e-6 / scale == pytest.approx(-fitness.gradient[index] / scale, abs=0.1)
 
@@ -483,7 +484,9 @@ def test_points_that_change_sides_do_not_judge_a_step() -> None:
     after = model.rows(x + 0.1 * np.eye(len(x))[1], chosen)
     stay = np.flatnonzero(before.face == after.face)
     assert 0 < len(stay) < len(before.face)
-    assert model.gain(after, before, shares) == pytest.approx(model.gain(after[stay], before[stay], shares))
+    here = model.weigh(before, 0.0, shares).log_likelihoods
+    judged = model.gain(after[stay], before[stay], here[stay], shares)
+    assert model.gain(after, before, here, shares) == pytest.approx(judged)
 
 
 @pytest.mark.parametrize(
