@@ -115,6 +115,8 @@ class Choice:
         Why the track may yet be a stranger's; empty where that is out of the question.
     beside : int
         In how many frames something else moves as one with it; see `companion`.
+    clocks : str
+        By how much clocks would be apart that explain clearly more; empty where none do.
     others : tuple of Other
         Other senders that are clearly seen as well.
     """
@@ -130,6 +132,7 @@ class Choice:
     second_is: str
     doubt: str = ""
     beside: int = 0
+    clocks: str = ""
     others: tuple[Other, ...] = ()
 
 

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track, chosen
+from laci_stereo.core.association import Choice, Other
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
-from laci_stereo.core.errors import CalibrationError, CamError, MatchError, TrackError
-from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.handedness import mirrored
-from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.pieces import Companion, companion, whole
+from laci_stereo.core.pieces import whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
 from laci_stereo.core.repeats import repeats_of
-from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, Settings
+from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread
-from laci_stereo.core.tracking import Track
-from laci_stereo.core.unset_clock import clocks_apart
+from laci_stereo.core.vehicle_choice import choose_vehicle
 from laci_stereo.core.world import World
 
 log = logging.getLogger(__name__)
@@ -96,95 +91,43 @@ def locate(
         If they do not determine a transform.
     """
     settings = settings or Settings()
-
-    def likeness_by(joint: JointSettings) -> Likeness:
-        def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
-            return resemblance(track, vehicles[station], fit, time_offset_s, seen.ground.height_m, joint)
-
-        return likeness
-
-    likeness = likeness_by(settings.joint)
-    by_any_clock = likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S))
     tracks = whole(seen.tracks, vehicles.values(), settings)
-    try:
-        choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
-    except CalibrationError as error:
-        if why := mirrored(tracks, vehicles, settings.match, likeness, None):
-            raise MatchError(why) from error
-        if why := clocks_apart(tracks, vehicles, settings.match, by_any_clock, None):
-            raise MatchError(f"{error}; {why}") from error
-        raise
-    if why := mirrored(tracks, vehicles, settings.match, likeness, choice):
-        raise MatchError(why)
+    choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings)
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
-    vehicle = vehicles[choice.station]
-    for remark in vehicle.remarks:
+    for remark in vehicles[choice.station].remarks:
         log.warning("%s", remark)
-
-    def passage(station: int, track: Track, late_s: float = 0.0) -> Passage:
-        return Passage(
-            world=world,
-            axes=seen.axes,
-            ground=seen.ground,
-            background=seen.background,
-            track=track,
-            vehicle=vehicles[station],
-            station_id=station,
-            match=choice.fit,
-            time_offset_s=choice.time_offset_s + late_s,
-            method="paper",
-            clock_sigma_s=settings.joint.clock_sigma_s,
-            name=f"station {station}",
-        )
-
-    others = [
-        passage(other.station, other.track, other.late_s)
-        for other in choice.others
-        if not _companion(choice, other.station, other.track, tracks, vehicles).frames
-    ]
-    own, *others = along_ground([passage(choice.station, choice.track), *others])
+    own, *others = along_ground(_passages(choice, seen, vehicles, world, settings))
     passages: tuple[Passage, ...] = (own,)
     if settings.method == "paper":
         placement = place_by_paper(own.track, own.vehicle, settings.match)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    clocks = clocks_apart(tracks, vehicles, settings.match, by_any_clock, choice)
-    doubts = (*([clocks] if clocks else []), *doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
+    doubts = (*doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
     return conclude(passages, placement, settings)
 
 
-def _that_drives_ahead(
-    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: Settings, likeness: Likeness
-) -> Choice:
-    """Return which track is which sender's; of two that move as one it is the one ahead, for what is towed follows."""
-    choice = choose_track(tracks, vehicles, settings.match, likeness)
-    beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
-    others = list(tracks)
-    while beside.ahead_m > 0.0:
-        others = [track for track in others if not choice.track.shares(track)]
-        ahead = chosen(others, vehicles, settings.match, likeness)
-        if ahead is None or not any(each.shares(beside.track) for each in _tracks_of(ahead)):
-            break  # what is ahead does not fit: it will be said that it is there
-        choice = ahead
-        beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
-    return replace(choice, beside=beside.frames)
-
-
-def _tracks_of(choice: Choice) -> list[Track]:
-    """Return what is taken for a sender's vehicle."""
-    return [choice.track, *(other.track for other in choice.others)]
-
-
-def _companion(
-    choice: Choice, station: int, track: Track, tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack]
-) -> Companion:
-    """Return what `companion` does of the track of a station, given what was chosen."""
-
-    def yaw_at(stamps_s: FloatArray) -> FloatArray:
-        return vehicles[station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
-
-    return companion(track, tracks, yaw_at)
+def _passages(
+    choice: Choice, seen: Observation, vehicles: Mapping[int, VehicleTrack], world: World, settings: Settings
+) -> list[Passage]:
+    """Return the drives of all senders that are seen, where boxes put them; the one that was chosen first."""
+    return [
+        Passage(
+            world=world,
+            axes=seen.axes,
+            ground=seen.ground,
+            background=seen.background,
+            track=each.track,
+            vehicle=vehicles[each.station],
+            station_id=each.station,
+            match=choice.fit,
+            time_offset_s=choice.time_offset_s + each.late_s,
+            method="paper",
+            clock_sigma_s=settings.joint.clock_sigma_s,
+            name=f"station {each.station}",
+        )
+        for each in (Other(choice.station, choice.track), *choice.others)
+    ]
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:

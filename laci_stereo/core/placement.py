@@ -281,7 +281,7 @@ def _contradicted(
 
 def doubts_of(choice: Choice) -> tuple[str, ...]:
     """Say why what was chosen may not be the vehicle."""
-    doubts = [choice.doubt] if choice.doubt else []
+    doubts = [doubt for doubt in (choice.clocks, choice.doubt) if doubt]
     if choice.beside:
         doubts.append(
             f"{_besides(choice.beside)}: a trailer that its messages do not tell, or a piece of it, may have been "
