@@ -10,23 +10,23 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from laci_stereo.core.association_words import by_chance, folding, lingering, named, no_fit, nothing_found, tie
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice, Likeness, Other, no_likeness
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.late_senders import by_another_clock
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings, with_turn
-from laci_stereo.core.track_likelihood import Account, hold_against
+from laci_stereo.core.track_likelihood import MAX_GOOD_SIGMA, Account, hold_against, joined
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
-from laci_stereo.core.track_scene import TABLE_S, Scene, Sender, extent, lay_out
+from laci_stereo.core.track_scene import Scene, Sender, extent, lay_out
 from laci_stereo.core.tracking import GATE, Times, Track
 
 log = logging.getLogger(__name__)
@@ -35,12 +35,6 @@ SILENT = -math.log(0.05)
 """The most that another sender can cost by not being seen: one in twenty is no vehicle that a sensor detects.
 
 So likely it is, too, that none of the tracks is the sender's."""
-
-MAX_GOOD_SIGMA = 2.0
-"""The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
-
-COVERED_SHARE = 0.9
-"""What is empty in no more than a tenth of the frames is background, see `learn_background`."""
 
 IN_LINE = math.log(10.0)
 """One other vehicle in ten drives in line with the sender's, on its way and at its speed. By how much more exactly a
@@ -55,85 +49,12 @@ HALF_LANE_M = 1.75
 OUTLINE_REACH = 10.0
 """What outlines can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
 
-EVEN_ODDS = 2.0
-"""Up to such odds people call two things equally likely."""
-
-MOST_OUTLINES = 8
-"""So many hypotheses are held against the outlines at the most: of those far down there are always more."""
-
-
-@dataclass(frozen=True)
-class Other:
-    """Another sender that is as clearly seen.
-
-    Attributes
-    ----------
-    station : int
-    track : Track
-    late_s : float
-        By how much later than the first sender's its clock must be for that: boxes are some decimetres off, which a
-        vehicle drives in less than a tenth of a second; or it is wrong.
-    alone : bool
-        Its own motion shows it, where the first sender's has it elsewhere.
-    """
-
-    station: int
-    track: Track
-    late_s: float = 0.0
-    alone: bool = False
-
-
 BOXES_S = 0.1
 """By boxes clocks are not told apart that are nearer to each other: they are decimetres off, and vehicles drive at some
 metres a second."""
 
-
-@dataclass(frozen=True)
-class Choice:
-    """The track that is the sender's.
-
-    Attributes
-    ----------
-    station : int
-    track : Track
-        Its fragments joined.
-    explained : float
-        Of how many frames the fit accounts for, each counted by how well.
-    second : float
-        The same of the best other candidate.
-    fit : PlanarMatch
-        The motion from the level into the world frame that brings the track onto the sender's.
-    time_offset_s : float
-        To be added to the sensor's stamps to get the CAMs' time.
-    log_likelihood : float
-        Of this hypothesis, against everything being where it is by chance.
-    log_likelihood_margin : float
-        Log odds against the second-best hypothesis that says something else; infinite if there is none.
-    second_is : str
-        What that is, in words.
-    doubt : str
-        Why the track may yet be a stranger's; empty where that is out of the question.
-    beside : int
-        In how many frames something else moves as one with it; see `companion`.
-    clocks : str
-        By how much clocks would be apart that explain clearly more; empty where none do.
-    others : tuple of Other
-        Other senders that are clearly seen as well.
-    """
-
-    station: int
-    track: Track
-    explained: float
-    second: float
-    fit: PlanarMatch
-    time_offset_s: float
-    log_likelihood: float
-    log_likelihood_margin: float
-    second_is: str
-    doubt: str = ""
-    beside: int = 0
-    clocks: str = ""
-    others: tuple[Other, ...] = ()
+MOST_OUTLINES = 8
+"""So many hypotheses are held against the outlines at the most: of those far down there are always more."""
 
 
 @dataclass(frozen=True)
@@ -157,37 +78,6 @@ class _Hypothesis:
     def against_others(self) -> float:
         """The value, but for what a track that follows the sender's vehicle could have as well."""
         return self.value - max(0.0, self.way - max(self.account.way, IN_LINE))
-
-
-@dataclass(frozen=True)
-class Resemblance:
-    """Log odds that what was seen is a sender's vehicle, against a stranger that moves much like it.
-
-    Attributes
-    ----------
-    body : float
-        By its length.
-    way : float or None
-        By how exactly its outline follows the sender's way; None where no outline was seen.
-    strayed_s : tuple of (float, float)
-        Times from which to which something else was seen with it or instead of it.
-    fit : PlanarMatch or None
-        The motion into the world by the outline, which is more exact than by boxes.
-    """
-
-    body: float = 0.0
-    way: float | None = None
-    strayed_s: Times = ()
-    fit: PlanarMatch | None = None
-
-
-Likeness = Callable[[Track, int, PlanarMatch, float], Resemblance]
-"""Whether a track is a station's vehicle, given the motion into the world and the clock offset."""
-
-
-def no_likeness(_track: Track, _station: int, _fit: PlanarMatch, _time_offset_s: float) -> Resemblance:
-    """Know nothing of outlines."""
-    return Resemblance()
 
 
 def choose_track(
@@ -224,10 +114,10 @@ def choose_track(
     scene = lay_out(tracks, vehicles, settings)
     seeds = find_seeds(scene)
     if not seeds:
-        raise TrackError(_nothing_found(tracks, settings) + _folding(vehicles) + _lingering(scene))
+        raise TrackError(nothing_found(tracks, settings) + folding(vehicles) + lingering(scene))
     hypotheses = _hypotheses(scene, seeds)
     if not hypotheses:
-        raise MatchError(_no_fit(scene, seeds) + _folding(vehicles) + _lingering(scene))
+        raise MatchError(no_fit(scene, seeds) + folding(vehicles) + lingering(scene))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
     weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
     return _decide(scene, _of_moving(scene, weighed), far)
@@ -316,17 +206,17 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     margin, second = min(claims, key=lambda claim: claim[0], default=(math.inf, None))
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
-        raise MatchError(f"{_tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
+        raise MatchError(f"{tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
     even, doubt = best.value - math.log(objects), ""
     needed = scene.settings.least_seen_log_odds - SILENT
     if even < needed:
-        chance = _by_chance(scene, best.account, objects, even)
-        raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{_lingering(scene)}")
+        chance = by_chance(scene, best.account, objects, even)
+        raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{lingering(scene)}")
     # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
-        doubt = _tie(scene, best.account, second, margin)
+        doubt = tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:
-        doubt = _by_chance(scene, best.account, objects, even)
+        doubt = by_chance(scene, best.account, objects, even)
     return Choice(
         station=best.account.station,
         track=track,
@@ -336,7 +226,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         time_offset_s=float(best.motion.offset_s),
         log_likelihood=best.value,
         log_likelihood_margin=margin,
-        second_is="nothing else" if second is None else _named(scene, best.account, second),
+        second_is="nothing else" if second is None else named(scene, best.account, second),
         doubt=doubt,
         others=_others(scene, best, agreeing),
     )
@@ -418,17 +308,9 @@ def _is_part(scene: Scene, best: _Hypothesis, track: int) -> bool:
     return bool(inside[poses.known].mean() > 0.5) if poses.known.any() else False
 
 
-def _joined(scene: Scene, account: Account) -> Track:
-    """Join the fragments of one drive, the longest first; what is seen beside them is another part of the vehicle."""
-    first, *others = (scene.tracks[index] for index in account.tracks)
-    for other in others:
-        first = first.joined(other)
-    return first
-
-
 def _on_vehicle(scene: Scene, best: _Hypothesis, account: Account) -> Track:
     """Return a sender's track without what cannot be its vehicle, such as what it was confused with at its ends."""
-    track, sender = _joined(scene, account), scene.senders[account.station]
+    track, sender = joined(scene, account), scene.senders[account.station]
     poses = sender.at(np.array([one.stamp_s for one in track.sightings]) + best.motion.offset_s)
     off = best.motion.place(np.array([one.middle for one in track.sightings])) - poses.xy
     sigma = np.hypot(scene.settings.position_sigma_m, [one.sigma_m for one in track.sightings])
@@ -544,78 +426,6 @@ def _judge(scene: Scene, seed: Seed) -> _Hypothesis | None:
     return _Hypothesis(seed, motion, own, (own, *others), value, own.way, by_others=by_others)
 
 
-def _named(scene: Scene, best: Account, second: Account) -> str:
-    if second.station != best.station:
-        return f"station {second.station}"
-    return f"another moving object, seen in {len(_joined(scene, second).usable)} frames"
-
-
-def _tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
-    frames = [len(_joined(scene, account).usable) for account in (best, second)]
-    what = (
-        f"stations {best.station} and {second.station}"
-        if second.station != best.station
-        else f"two moving objects, seen in {frames[0]} and {frames[1]} frames,"
-    )
-    # Where one may drive in line with the other, the one that was taken need not be the likelier of the two.
-    odds = math.exp(max(margin, 0.0))
-    name = "name the sender's station, or " if len(scene.senders) > 1 else ""
-    return (
-        f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1): "
-        f"{name}record a drive with a turn or less traffic"
-    )
-
-
-def _by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> str:
-    return (
-        f"station {best.station} fits one of {objects} moving objects, seen in {len(_joined(scene, best).usable)} "
-        f"frames, but that may be by chance (odds of {math.exp(log_odds):.1f} to 1 that it is its vehicle): record a "
-        "longer drive, or one with a turn"
-    )
-
-
-def _no_fit(scene: Scene, seeds: Sequence[Seed]) -> str:
-    best, least = max(seeds, key=lambda seed: seed.share), scene.settings.min_explained
-    stations = ", ".join(str(station) for station in sorted(scene.senders))
-    off = hold_against(scene, scene.senders[best.station], best.motion).typical
-    within = f", {off:.1f} sigma off on average" if np.isfinite(off) else ""
-    return (
-        f"no moving object fits the CAMs: {best.share:.0%} of the frames of the best of {len(seeds)} explained"
-        f"{within}; needed are {least:.0%}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
-    )
-
-
-def _folding(vehicles: Mapping[int, VehicleTrack]) -> str:
-    """Say whose vehicle folds in bends, where it is as good as not sent."""
-    counts = {station: np.count_nonzero(vehicle.folded) for station, vehicle in sorted(vehicles.items())}
-    return "".join(
-        f"; station {station}'s, {vehicles[station].length_m:.1f} m long, folds in bends, at {count} of "
-        f"{len(vehicles[station].stamps_s)} messages, where it is no outline: drive straight"
-        for station, count in counts.items()
-        if count
-    )
-
-
-def _lingering(scene: Scene) -> str:
-    """Say whose vehicle hardly leaves its own place, where it passes for what always stands there."""
-    seen_s = np.array([sighting.stamp_s for track in scene.tracks for sighting in track.sightings])
-    times_s = np.arange(seen_s.min(), seen_s.max(), TABLE_S) if len(seen_s) else seen_s
-    found = []
-    for station, sender in sorted(scene.senders.items()):
-        poses = sender.at(times_s)
-        xy = poses.xy[poses.known]
-        if not len(xy):
-            continue
-        near = cKDTree(xy).query_ball_point(xy, sender.length_m / 2, return_length=True)
-        share = near.max() / len(xy)
-        if share >= COVERED_SHARE:
-            found.append(
-                f"; station {station}'s, {sender.length_m:.1f} m long, covers one place {share:.0%} of the time, "
-                "and so may pass for what stands there: drive on by more than its length"
-            )
-    return "".join(found)
-
-
 def _check_motion(vehicles: Mapping[int, VehicleTrack], settings: MatchSettings) -> None:
     paths = {station: extent(vehicle.xy) for station, vehicle in vehicles.items()}
     station = max(paths, key=lambda key: paths[key])
@@ -624,15 +434,3 @@ def _check_motion(vehicles: Mapping[int, VehicleTrack], settings: MatchSettings)
             f"the vehicle of station {station} stands still: it moves {paths[station]:.2f} m according to its CAMs; "
             f"needed are {settings.min_path_m:.1f} m"
         )
-
-
-def _nothing_found(tracks: Sequence[Track], settings: MatchSettings) -> str:
-    longest = max((len(track.usable) for track in tracks), default=0)
-    widest = max((extent(track.centres) for track in tracks), default=0.0)
-    flaws: Counter[str] = sum((track.flaws() for track in tracks), Counter())
-    left_out = ", ".join(f"{count} {flaw}" for flaw, count in sorted(flaws.items())) or "none"
-    return (
-        f"no vehicle was found: {len(tracks)} moving objects, the longest seen in {longest} frames, the farthest "
-        f"moving {widest:.1f} m (left out: {left_out}); needed is one that is seen in {settings.min_frames} frames "
-        f"while its CAMs tell its position, and moves {settings.min_path_m:.1f} m"
-    )

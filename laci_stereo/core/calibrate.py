@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association import Choice, Other
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.choice import Choice, Other
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
+from laci_stereo.core.receiver import FINEST_M
 from laci_stereo.core.robust import NORMAL
 
 BESIDE = 5
@@ -21,9 +22,6 @@ SURELY = 6.0
 NEAR = 4
 """Of the noise tell all places, and those near by, up to so many times as many messages away as tell a step, and none
 of them: where it drives fast, inexact headings and stamps make more."""
-
-FINEST_M = 0.01
-"""No log has less noise: a position's last digit is a centimetre."""
 
 BEYOND_TOLD = 4.0
 """A step must be beyond so many standard deviations of what messages tell of their positions, too."""

@@ -12,7 +12,9 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
-from laci_stereo.core.robust import NORMAL, weighted_median
+from laci_stereo.core.in_common import SAME_BORDER_M, SAME_ERROR_M, blocks_of, course_of, mean_overlap, worth_of
+from laci_stereo.core.receiver import KNOTS_PER_TIME, decay, position_sigma_m
+from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import JointSettings, with_turn
 
 FIRST_OWN = 5
@@ -36,30 +38,6 @@ LASTING = tuple(each - FIRST_OWN for each in (_HEADING, _LEVER, *range(_SHAPE, _
 GRAZING = 0.3
 """Where rays touch a corner, its noise, not their angle, tells how ranges differ: about sqrt(2 x 0.03 m / 0.5 m)."""
 
-TAIL = 4.0
-"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
-that err together must not pull the messages with them."""
-
-KNOTS_PER_TIME = 4
-"""Knots of an error's course in the time, or on the way, over which it decays."""
-
-ALIKE = 0.5
-"""Of the variance of two receivers' errors at one time, and of one receiver's here and there. Satellites' orbits and
-clocks and the air above are the same for both, what walls reflect is not: the former is most of it without corrections,
-the latter with them. With half, no number of receivers is taken for better than it is by more than the square root of
-two."""
-
-SAME_ERROR_M = 10.0
-"""A matcher errs by texture, by gloss and by what is behind an edge, and so alike until the vehicle is seen from
-elsewhere: 20 m from the camera it has turned by 30 deg after so much of its way."""
-
-SAME_BORDER_M = 5.0
-"""Half of what a border is seen in the wrong place by is the body's texture beside it, and lasts as long; the other
-half is what is behind it, which is another thing after each window."""
-
-FINEST_M = 0.01
-"""No position is better than that: its last digit in the message is a centimetre."""
-
 HEADING_LEVER = 0.4
 """The point whose direction of motion is told, ahead of the rear axle, over the vehicle's length, with a standard
 deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the front moves."""
@@ -70,10 +48,6 @@ BEGIN_SIGMA = 1.0
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
 """A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
 
-FOLLOWED, LEAST_TELLING = 1.5, 0.25
-"""Of the independent errors of boxes along each of two axes, so many are taken for the sensor's yaw and position. Of
-two each, one of four is left to tell how large they are, and fewer are not taken to tell less."""
-
 BORDER_SIGMA = 12**-0.5
 """A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
 is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
@@ -81,28 +55,6 @@ windows, it is off on average, and in each place."""
 
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
 """What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
-
-
-def position_sigma_m(vehicle: VehicleTrack, settings: JointSettings) -> float:
-    """Return how exact a vehicle's positions are, as its messages tell, or as the settings say where they do not."""
-    told = vehicle.position_sigma_m
-    return max(told, FINEST_M) if np.isfinite(told) else settings.position_sigma_m
-
-
-def decay(stamps_s: FloatArray, way_m: FloatArray, settings: JointSettings) -> FloatArray:
-    """Return how one receiver's errors at some times and places of its way, shape (k,), are correlated, shape (k, k).
-
-    All of an error changes with the time; what walls reflect also with the way, and while it stands no faster.
-    """
-    reflected = (1.0 - ALIKE) * np.exp(-np.abs(way_m[:, None] - way_m) / settings.bias_way_m)
-    correlation: FloatArray = in_time(stamps_s, settings) * (ALIKE + reflected)
-    return correlation
-
-
-def in_time(stamps_s: FloatArray, settings: JointSettings) -> FloatArray:
-    """Return how errors at some times, shape (k,), are correlated by these alone, shape (k, k)."""
-    correlation: FloatArray = np.exp(-np.abs(stamps_s[:, None] - stamps_s) / settings.bias_time_s)
-    return correlation
 
 
 @dataclass(frozen=True)
@@ -305,13 +257,13 @@ class DriveModel:
             np.interp(at, course, each) if len(drive) else np.zeros(knots) for each in (drive.stamps_s, drive.way_m)
         )
         self.own = _KNOTS - FIRST_OWN + 2 * knots
-        self.block = _blocks(drive, settings.block_s)
-        self.worth = _worth(drive, SAME_VIEW_M)
+        self.block = blocks_of(drive, settings.block_s)
+        self.worth = worth_of(drive, SAME_VIEW_M)
         self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
         self.bordered = bool(np.isfinite(self.borders).any())
-        self.error_worth = _worth(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
-        self.border_worth = _worth(drive, SAME_BORDER_M)
-        self.sigma_m = position_sigma_m(drive.vehicle, settings)
+        self.error_worth = worth_of(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
+        self.border_worth = worth_of(drive, SAME_BORDER_M)
+        self.sigma_m = position_sigma_m(drive.vehicle.position_sigma_m, settings)
         self.drift = self.sigma_m**2 * decay(self.knots_s, self.knots_m, settings)
         self.ends = drive.vehicle.at(drive.stamps_s[[0, -1]])[0] if len(drive) else np.zeros((2, 2))
         self.base_sigmas = np.array(
@@ -721,7 +673,7 @@ class DriveModel:
         nearer = np.sign(origin) * self.drive.lacking_m[frame] / 2
         distances = (xy - middle - x[_PARTIAL] * nearer).T
         worth = self.error_worth[frame]
-        variances, lasting = _course(distances, self.drive.way_m[frame], worth)
+        variances, lasting = course_of(distances, self.drive.way_m[frame], worth)
         variances = np.maximum(variances, outline.OUTLINE_SIGMA_M**2)
         parts = []
         by_shape = np.zeros((2, len(outline.SHAPE)))
@@ -780,70 +732,3 @@ def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> 
     """
     message_s = float(np.median(np.diff(drive.vehicle.stamps_s)))
     return heading_noise(drive.vehicle, otherwise_rad) ** 2 * max(1.0, message_s / frame_s)
-
-
-def _course(distances: FloatArray, way_m: FloatArray, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return of boxes' errors on each axis the variance, shape (2,), and what share of it lasts from frame to frame.
-
-    Parameters
-    ----------
-    distances : ndarray, shape (2, m)
-        Metres.
-    way_m, worth : ndarray, shape (m,)
-        Where on the way; how much each tells.
-    """
-    if len(worth) < 3:
-        return np.zeros(2), np.ones(2)
-    between = np.minimum(worth[1:], worth[:-1])
-    centred = distances - np.average(distances, axis=1, weights=worth)[:, None]
-    scatter = np.array([_variance(each, worth) for each in centred])
-    steps = np.array([_variance(np.diff(each), between) for each in distances]) / 2.0
-    # A step has so much of what lasts, and the scatter lacks as much of it as the fit has followed.
-    newer = 1.0 - float(np.average(np.exp(-np.diff(way_m) / SAME_ERROR_M), weights=between))
-    left = max(1.0 - FOLLOWED / float(worth.sum()) - newer, LEAST_TELLING)
-    # A few independent errors tell their variance badly; so those along and across do it together.
-    lasting = float(np.maximum(scatter - steps, 0.0).mean()) / left
-    variance = lasting + np.maximum(steps - newer * lasting, 0.0)
-    return variance, lasting / np.maximum(variance, 1e-12)
-
-
-def _variance(errors: FloatArray, weight: FloatArray) -> float:
-    """Return the mean square, shape (), of errors about 0; what is a mistake counts as if at the edge of tolerances."""
-    most = (TAIL * NORMAL * weighted_median(np.abs(errors), weight)) ** 2
-    return float(np.average(np.minimum(errors**2, most), weights=weight))
-
-
-def _worth(drive: Evidence, alike_m: float) -> FloatArray:
-    """Return how much each frame tells, shape (m,): those in which the vehicle is at one place show the same.
-
-    Each shares what it shows with those nearer than ``alike_m`` along the way, the more the nearer they are.
-    """
-    if not len(drive):
-        return np.ones(0)
-    way = drive.way_m / alike_m
-    total = np.append(0.0, np.cumsum(way))
-    first, last, own = np.searchsorted(way, way - 1.0), np.searchsorted(way, way + 1.0), np.arange(len(way))
-    before = (own - first) * (1.0 - way) + total[own] - total[first]
-    after = (last - own) * (1.0 + way) - total[last] + total[own]
-    worth: FloatArray = 1.0 / (before + after)
-    return worth
-
-
-def _blocks(drive: Evidence, block_s: float) -> IntArray:
-    """Return which frames, shape (m,), say one thing together: those of one time, and of all in which it stands."""
-    seconds = (drive.stamps_s - drive.stamps_s[:1]) // block_s
-    first, own = np.unique(seconds, return_index=True, return_inverse=True)[1:]
-    blocks: IntArray = (drive.way_m[first] // SAME_VIEW_M).astype(np.int64)[own.reshape(-1)]
-    return blocks
-
-
-def mean_overlap(extent: FloatArray) -> FloatArray:
-    """Return by how much two windows overlap that begin anywhere along some extents, in windows, on average.
-
-    The mean of max(0, 1 - |s - t|) over s and t from 0 to an extent e: 1 - e / 3, and beyond one window
-    1 / e - 1 / (3 e^2).
-    """
-    within = np.minimum(extent, 1.0)
-    beyond = np.maximum(extent, 1.0)
-    overlap: FloatArray = np.where(extent < 1.0, 1.0 - within / 3.0, (1.0 - 1.0 / (3.0 * beyond)) / beyond)
-    return overlap

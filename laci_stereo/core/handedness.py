@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from laci_stereo.core.association import Choice, Likeness, chosen, log_odds_between
+from laci_stereo.core.association import chosen, log_odds_between
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice, Likeness
 from laci_stereo.core.laying import mirrored_track
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track

@@ -11,10 +11,11 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from laci_stereo.core.association import HALF_LANE_M, Choice, choose_track
+from laci_stereo.core.association import HALF_LANE_M, choose_track
 from laci_stereo.core.background import Background, learn_background
 from laci_stereo.core.box import Box
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError

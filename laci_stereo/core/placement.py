@@ -10,8 +10,8 @@ import numpy as np
 
 from laci_stereo.core import outline
 from laci_stereo.core.agreement import agreeing, fit_together
-from laci_stereo.core.association import Choice
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice
 from laci_stereo.core.drive_model import Correction
 from laci_stereo.core.errors import CombineError, MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.drive_model import ALIKE, DriveModel, decay, in_time
+from laci_stereo.core.drive_model import DriveModel
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.receiver import ALIKE, decay, in_time
 from laci_stereo.core.settings import JointSettings
 
 SENDER_S, SENDER_SHARE = 0.005, 0.5

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association import Resemblance
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_model import KNOTS_PER_TIME, Correction, decay, position_sigma_m
+from laci_stereo.core.choice import Resemblance
+from laci_stereo.core.drive_model import Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import BoolArray, FloatArray, along_line, between, rotate_xy
 from laci_stereo.core.joint import RoughFit, fit_roughly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.pieces import seen_share
+from laci_stereo.core.receiver import KNOTS_PER_TIME, decay, position_sigma_m
 from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.track_likelihood import MANOEUVRES, OTHER_TIME_S, SPEED_SPREAD, USUAL_MPS2
 from laci_stereo.core.track_motion import rigid_motion
@@ -123,7 +124,7 @@ def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: J
     xy, _, known = vehicle.at(np.clip(stamps_s, *vehicle.stamps_s[[0, -1]]))
     if not known.all():
         xy = between(stamps_s, vehicle.stamps_s, vehicle.xy)
-    told_m = position_sigma_m(vehicle, settings)
+    told_m = position_sigma_m(vehicle.position_sigma_m, settings)
     apart_s = fit.knots_s - fit.knots_s.mean()
     span_s = max(float(np.ptp(apart_s)), 1e-3)
     speed_mps = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum()) / span_s

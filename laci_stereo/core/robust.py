@@ -1,4 +1,4 @@
-"""Medians, which what strays does not move."""
+"""What strays: how far it may, and medians, which it does not move."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from laci_stereo.core.frames import FloatArray
 
 NORMAL = 1.4826
 """Standard deviation of normal noise over the median of its size."""
+
+TAIL = 4.0
+"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
+that err together must not pull the messages with them."""
 
 
 def weighted_median(values: FloatArray, weight: FloatArray) -> float:

@@ -17,7 +17,7 @@ from laci_stereo.core.robust import weighted_median
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.track_motion import OUTLIER, Motion, completed, cost, fit_all, path_shares, trust
 from laci_stereo.core.track_scene import KNOT_S, TABLE_S, Knots, Poses, Scene, Sender
-from laci_stereo.core.tracking import GATE
+from laci_stereo.core.tracking import GATE, Track
 
 PRECISIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 """How exact positions may be, relative to the settings' sigma: from GNSS alone down to one with carrier phases."""
@@ -46,6 +46,9 @@ USUAL_MPS2 = 1.0
 
 MAX_ORDER = 5
 """Up to this order a stranger's path is a polynomial; its bends and stops within the view are one or two."""
+
+MAX_GOOD_SIGMA = 2.0
+"""The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
 
 MISSED = -math.log(0.2)
 """What a stretch costs in which a vehicle that must be in view is not seen: one in five is hidden by other traffic."""
@@ -125,6 +128,14 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
         way=evidence,
         coincidence=max(0.0, -math.log(2 * math.pi * sigma_m**2 * scene.density)),
     )
+
+
+def joined(scene: Scene, account: Account) -> Track:
+    """Join the fragments of one drive, the longest first; what is seen beside them is another part of the vehicle."""
+    first, *others = (scene.tracks[index] for index in account.tracks)
+    for other in others:
+        first = first.joined(other)
+    return first
 
 
 def _odd(knots: Knots, poses: Poses, motion: Motion, sender: Sender) -> FloatArray:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import BOXES_S, Choice, Likeness, chosen, log_odds_between
+from laci_stereo.core.association import BOXES_S, chosen, log_odds_between
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice, Likeness
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings, with_turn
 from laci_stereo.core.tracking import Track
 

@@ -1,12 +1,13 @@
-"""Which of what moves is which sender's vehicle: by boxes and outlines, without what it tows, and by the right clock."""
+"""Which of what moves is which sender's vehicle: by boxes and outlines, without what it tows, by the right clock."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track, chosen
+from laci_stereo.core.association import choose_track, chosen
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice, Likeness, Resemblance
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.handedness import mirrored

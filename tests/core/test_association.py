@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.core.association import Choice, Likeness, Resemblance, choose_track
+from laci_stereo.core.association import choose_track
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Choice, Likeness, Resemblance
 from laci_stereo.core.errors import MatchError, TrackError
 from laci_stereo.core.frames import wrap
 from laci_stereo.core.matching import PlanarMatch

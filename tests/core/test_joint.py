@@ -7,13 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from laci_stereo.core.drive_model import BIAS, FIRST_OWN, KNOTS_PER_TIME, SWEEP, DriveModel, mean_overlap
+from laci_stereo.core.drive_model import BIAS, FIRST_OWN, SWEEP, DriveModel
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import FRAMES_PER_PLACE, Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.outline import FACES, SHAPE, SIDES
+from laci_stereo.core.receiver import KNOTS_PER_TIME
 from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import (
     BRAKING,
@@ -414,14 +415,6 @@ def test_at_the_truth_noise_pulls_no_way(sigma_m: float) -> None:
     assert np.abs(pull).max() < 0.2
     spread = np.std(pulls, axis=0)[free] / np.sqrt(np.diag(information)[free])
     assert spread.max() / math.sqrt(80) < 0.1  # or the mean would say nothing
-
-
-def test_windows_overlap_on_average_by_their_mean() -> None:
-    rng = np.random.default_rng(0)
-    extents = np.array([0.0, 0.3, 1.0, 2.5, 20.0])
-    for extent, overlap in zip(extents, mean_overlap(extents), strict=True):
-        apart = np.abs(np.subtract(*(extent * rng.random((2, 100_000)))))
-        assert overlap == pytest.approx(np.maximum(0.0, 1.0 - apart).mean(), abs=0.005)
 
 
 def test_what_is_matched_in_one_window_is_one_statement() -> None:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.drive_model import ALIKE, DriveModel
+from laci_stereo.core.drive_model import DriveModel
+from laci_stereo.core.receiver import ALIKE
 from laci_stereo.core.recordings import CLOCK_S, SAME, SENDER_S, SENDER_SHARE, Recordings
 from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import STRAIGHT, evidence

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.association import Resemblance
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.choice import Resemblance
 from laci_stereo.core.frames import rotate_xy
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.resemblance import resemblance

@@ -1,0 +1,112 @@
+"""Why no track is surely a sender's, in words."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.track_likelihood import MAX_GOOD_SIGMA, Account, hold_against, joined
+from laci_stereo.core.track_motion import Seed
+from laci_stereo.core.track_scene import TABLE_S, Scene, extent
+from laci_stereo.core.tracking import Track
+
+COVERED_SHARE = 0.9
+"""What is empty in no more than a tenth of the frames is background, see `learn_background`."""
+
+EVEN_ODDS = 2.0
+"""Up to such odds people call two things equally likely."""
+
+
+def named(scene: Scene, best: Account, second: Account) -> str:
+    """Name what fits second best."""
+    if second.station != best.station:
+        return f"station {second.station}"
+    return f"another moving object, seen in {len(joined(scene, second).usable)} frames"
+
+
+def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
+    """Say that two things fit nearly as well as each other, whose log odds are ``margin``."""
+    frames = [len(joined(scene, account).usable) for account in (best, second)]
+    what = (
+        f"stations {best.station} and {second.station}"
+        if second.station != best.station
+        else f"two moving objects, seen in {frames[0]} and {frames[1]} frames,"
+    )
+    # Where one may drive in line with the other, the one that was taken need not be the likelier of the two.
+    odds = math.exp(max(margin, 0.0))
+    name = "name the sender's station, or " if len(scene.senders) > 1 else ""
+    return (
+        f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1): "
+        f"{name}record a drive with a turn or less traffic"
+    )
+
+
+def by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> str:
+    """Say that the one that fits may be a stranger, and what the log odds are that it is not."""
+    return (
+        f"station {best.station} fits one of {objects} moving objects, seen in {len(joined(scene, best).usable)} "
+        f"frames, but that may be by chance (odds of {math.exp(log_odds):.1f} to 1 that it is its vehicle): record a "
+        "longer drive, or one with a turn"
+    )
+
+
+def no_fit(scene: Scene, seeds: Sequence[Seed]) -> str:
+    """Say that nothing fits, and how well the best did."""
+    best, least = max(seeds, key=lambda seed: seed.share), scene.settings.min_explained
+    stations = ", ".join(str(station) for station in sorted(scene.senders))
+    off = hold_against(scene, scene.senders[best.station], best.motion).typical
+    within = f", {off:.1f} sigma off on average" if np.isfinite(off) else ""
+    return (
+        f"no moving object fits the CAMs: {best.share:.0%} of the frames of the best of {len(seeds)} explained"
+        f"{within}; needed are {least:.0%}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
+    )
+
+
+def folding(vehicles: Mapping[int, VehicleTrack]) -> str:
+    """Say whose vehicle folds in bends, where it is as good as not sent."""
+    counts = {station: np.count_nonzero(vehicle.folded) for station, vehicle in sorted(vehicles.items())}
+    return "".join(
+        f"; station {station}'s, {vehicles[station].length_m:.1f} m long, folds in bends, at {count} of "
+        f"{len(vehicles[station].stamps_s)} messages, where it is no outline: drive straight"
+        for station, count in counts.items()
+        if count
+    )
+
+
+def lingering(scene: Scene) -> str:
+    """Say whose vehicle hardly leaves its own place, where it passes for what always stands there."""
+    seen_s = np.array([sighting.stamp_s for track in scene.tracks for sighting in track.sightings])
+    times_s = np.arange(seen_s.min(), seen_s.max(), TABLE_S) if len(seen_s) else seen_s
+    found = []
+    for station, sender in sorted(scene.senders.items()):
+        poses = sender.at(times_s)
+        xy = poses.xy[poses.known]
+        if not len(xy):
+            continue
+        near = cKDTree(xy).query_ball_point(xy, sender.length_m / 2, return_length=True)
+        share = near.max() / len(xy)
+        if share >= COVERED_SHARE:
+            found.append(
+                f"; station {station}'s, {sender.length_m:.1f} m long, covers one place {share:.0%} of the time, "
+                "and so may pass for what stands there: drive on by more than its length"
+            )
+    return "".join(found)
+
+
+def nothing_found(tracks: Sequence[Track], settings: MatchSettings) -> str:
+    """Say that no track is long enough to be anything."""
+    longest = max((len(track.usable) for track in tracks), default=0)
+    widest = max((extent(track.centres) for track in tracks), default=0.0)
+    flaws: Counter[str] = sum((track.flaws() for track in tracks), Counter())
+    left_out = ", ".join(f"{count} {flaw}" for flaw, count in sorted(flaws.items())) or "none"
+    return (
+        f"no vehicle was found: {len(tracks)} moving objects, the longest seen in {longest} frames, the farthest "
+        f"moving {widest:.1f} m (left out: {left_out}); needed is one that is seen in {settings.min_frames} frames "
+        f"while its CAMs tell its position, and moves {settings.min_path_m:.1f} m"
+    )
