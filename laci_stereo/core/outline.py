@@ -80,7 +80,7 @@ wide, what they carry up to 2.55 m, and a bus has none."""
 HEAVY_SILL_M = (0.0, 0.01)
 """The same of the sills of what is as wide as a lorry: its sides are upright."""
 
-_CAB, _SILL = SHAPE.index("cab"), SHAPE.index("sill")
+_LEVER_Y, _CAB, _SILL = (SHAPE.index(name) for name in ("lever_y", "cab", "sill"))
 
 SHARP_M = 0.05
 """Below this a radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
@@ -167,17 +167,82 @@ def meet(
     z : ndarray, shape (n,)
         Height of the points above the ground.
     """
-    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, sill, *radii = shape
     half = np.array([size[0] / 2, size[1] / 2])
+    rays = _rays(xy, origin, shape)
+    sides = _meet_sides(rays, half, shape, z)
+    corners = _meet_corners(rays, sides, half, shape)
+    round_, passes, normal, enter = corners.round_, corners.passes, corners.normal, corners.enter
+    cos = np.abs(dot_xy(normal, rays.u))
+    own = OUTLINE_SIGMA_M**2 + np.where(round_, CORNER_SIGMA_M**2, 0.0)
+    of_faces = np.where(sides.at_end, np.where(rays.ahead, 1, 0), np.where(rays.left, 3, 2))
+    return Hits(
+        distance=np.where(passes, corners.misses, (enter - rays.far) * cos),
+        variance=(cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own,
+        normal=normal,
+        by_shape=_by_shape(rays, sides, corners, shape),
+        face=np.where(passes, PASSED, of_faces),
+        reach=np.where(passes, 1.0, enter / rays.far),
+        cos=np.where(passes, 0.0, cos),
+        within=corners.within,
+    )
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Lines of sight: from where, in which direction, how far to the point, and which sides they can meet."""
+
+    origin: FloatArray
+    u: FloatArray
+    far: FloatArray
+    ahead: BoolArray
+    left: BoolArray
+
+
+def _rays(xy: FloatArray, origin: FloatArray, shape: FloatArray) -> _Rays:
     ray = xy - origin
     far = np.hypot(ray[:, 0], ray[:, 1])
     u = ray / far[:, None]
     u = np.where(np.abs(u) < 1e-9, 1e-9, u)
-    ahead, left = origin[:, 0] > 0.0, origin[:, 1] > lever_y
-    sign_x, sign_y = np.where(ahead, 1.0, -1.0), np.where(left, 1.0, -1.0)
-    end_x = sign_x * (half[0] + np.where(ahead, front, rear))
+    return _Rays(origin, u, far, origin[:, 0] > 0.0, origin[:, 1] > shape[_LEVER_Y])
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """Where rays meet the outline as if it had no arcs at its corners.
+
+    Attributes
+    ----------
+    enter : ndarray, shape (n,)
+        How far along each ray.
+    hit : ndarray of bool, shape (n,)
+        It meets it at all, ...
+    at_end : ndarray of bool, shape (n,)
+        ...at an end, not at a side.
+    normal : ndarray, shape (n, 2)
+    bent, tapered : ndarray, shape (n,)
+        By what share of its bow an end, and of its taper a side, stands back there.
+    beside_cab : ndarray of bool, shape (n,)
+    drawn : ndarray, shape (n,)
+        By what share of its sill's a side stands back there.
+    """
+
+    enter: FloatArray
+    hit: BoolArray
+    at_end: BoolArray
+    normal: FloatArray
+    bent: FloatArray
+    tapered: FloatArray
+    beside_cab: BoolArray
+    drawn: FloatArray
+
+
+def _meet_sides(rays: _Rays, half: FloatArray, shape: FloatArray, z: FloatArray) -> _Sides:
+    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, sill, *_ = shape
+    origin, u = rays.origin, rays.u
+    sign_x, sign_y = np.where(rays.ahead, 1.0, -1.0), np.where(rays.left, 1.0, -1.0)
+    end_x = sign_x * (half[0] + np.where(rays.ahead, front, rear))
     side_y = sign_y * (half[1] + side)
-    bow = np.where(ahead, front_bow, rear_bow)
+    bow = np.where(rays.ahead, front_bow, rear_bow)
     o_y = origin[:, 1] - lever_y
     low = np.clip((WAIST_M - z) / (WAIST_M - LOWEST_M), 0.0, 1.0)
 
@@ -188,7 +253,7 @@ def meet(
         t_end = (end_x - sign_x * bow * eta**2 - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
         beside_cab = half[0] * (1.0 - xi) < CAB_M
-        drawn = low * (1.0 - _wheels(half[0] * xi, size[0]))
+        drawn = low * (1.0 - _wheels(half[0] * xi, 2.0 * half[0]))
         t_side = (side_y - sign_y * (taper * _tapered(xi)[0] + cab * beside_cab + sill * drawn) - o_y) / u[:, 1]
     t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
     t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
@@ -196,62 +261,89 @@ def meet(
     enter = np.maximum(t_end, t_side)
     hit = (enter > 0.0) & (enter < _leave(origin[:, 0], o_y, u, half + np.array([max(front, rear), side])))
     eta, xi = np.where(at_end, eta, 0.0), np.where(at_end, 0.0, xi)
-    lean_end = 2.0 * bow * eta / half[1]
-    lean_side = taper * _tapered(xi)[1] / half[0]
+    tapered, slope = _tapered(xi)
+    lean_end, lean_side = 2.0 * bow * eta / half[1], taper * slope / half[0]
     normal = np.column_stack([np.where(at_end, sign_x, lean_side), np.where(at_end, lean_end, sign_y)])
     normal /= np.hypot(normal[:, 0], normal[:, 1])[:, None]
+    return _Sides(enter, hit, at_end, normal, eta**2, tapered, beside_cab, drawn)
 
-    # The corner that the line of sight comes nearest to, if it meets or passes the outline there.
+
+@dataclass(frozen=True)
+class _Corners:
+    """The same with the arcs; what meets nothing passes by the corner that it comes nearest to.
+
+    Attributes
+    ----------
+    enter : ndarray, shape (n,)
+        How far along each ray.
+    normal : ndarray, shape (n, 2)
+    round_, passes : ndarray of bool, shape (n,)
+        At an arc, or passing by one; and the latter.
+    misses : ndarray, shape (n,)
+        By how much a ray passes by the arc; negative where it meets it.
+    at_front : ndarray of bool, shape (n,)
+        The arc is one of the front's.
+    within : ndarray, shape (n,)
+        See `Hits`.
+    """
+
+    enter: FloatArray
+    normal: FloatArray
+    round_: BoolArray
+    passes: BoolArray
+    misses: FloatArray
+    at_front: BoolArray
+    within: FloatArray
+
+
+def _meet_corners(rays: _Rays, sides: _Sides, half: FloatArray, shape: FloatArray) -> _Corners:
+    origin, u, hit = rays.origin, rays.u, sides.hit
     corner = _corners(half, shape)
     beside = np.column_stack([-u[:, 1], u[:, 0]])
     aside = corner[:, :2] @ beside.T - dot_xy(origin, beside)
-    met = origin + np.where(hit, enter, far)[:, None] * u
+    met = origin + np.where(hit, sides.enter, rays.far)[:, None] * u
     away = np.stack([np.maximum(np.abs(met[:, 0] - x), np.abs(met[:, 1] - y)) for x, y in corner[:, :2]])
     which = np.where(hit, away, np.abs(aside)).argmin(axis=0)
     at, radius = corner[which, :2], corner[which, 2]
-    outward = np.sign(at - np.array([0.0, lever_y]))
+    outward = np.sign(at - np.array([0.0, shape[_LEVER_Y]]))
     centre = at - outward * radius[:, None]
     beyond = (met - centre) * outward > 0.0
-    inside = beyond[:, 0] & beyond[:, 1]
-    round_ = ~hit | inside
+    round_ = ~hit | (beyond[:, 0] & beyond[:, 1])
     off = dot_xy(centre - origin, beside)
-    reach = np.sqrt(np.maximum(radius**2 - off**2, 0.0))
-    t_arc = dot_xy(centre - origin, u) - reach
-    passes = round_ & (np.abs(off) >= radius)
+    misses = np.abs(off) - radius
+    t_arc = dot_xy(centre - origin, u) - np.sqrt(np.maximum(radius**2 - off**2, 0.0))
+    passes = round_ & (misses >= 0.0)
     arc = round_ & ~passes
     radial = (origin + t_arc[:, None] * u - centre) / radius[:, None]
-    enter = np.where(arc, t_arc, np.where(passes, far, enter))
-    normal = np.where(arc[:, None], radial, normal)
-    normal = np.where(passes[:, None], beside * -np.sign(off)[:, None], normal)
+    normal = np.where(arc[:, None], radial, sides.normal)
+    return _Corners(
+        enter=np.where(arc, t_arc, np.where(passes, rays.far, sides.enter)),
+        normal=np.where(passes[:, None], beside * -np.sign(off)[:, None], normal),
+        round_=round_,
+        passes=passes,
+        misses=misses,
+        at_front=outward[:, 0] > 0.0,
+        within=np.where(hit, np.minimum(aside.max(axis=0), -aside.min(axis=0)), 0.0).clip(0.0),
+    )
 
-    cos = np.abs(dot_xy(normal, u))
-    own = OUTLINE_SIGMA_M**2 + np.where(round_, CORNER_SIGMA_M**2, 0.0)
-    variance = (cos * sigma_along) ** 2 + (1.0 - cos**2) * sigma_across**2 + own
-    distance = np.where(passes, np.abs(off) - radius, (enter - far) * cos)
 
-    bent, tapered = np.where(round_, 1.0, eta**2), np.where(round_, 1.0, _tapered(xi)[0])
-    of_front = np.where(round_, outward[:, 0] > 0.0, ahead)
-    of_end, of_side = round_ | at_end, round_ | ~at_end
+def _by_shape(rays: _Rays, sides: _Sides, corners: _Corners, shape: FloatArray) -> FloatArray:
+    """Return the derivatives of the distances by the shape, shape (n, 11)."""
+    round_, normal = corners.round_, corners.normal
+    bent, tapered = np.where(round_, 1.0, sides.bent), np.where(round_, 1.0, sides.tapered)
+    of_front = np.where(round_, corners.at_front, rays.ahead)
+    of_end, of_side = round_ | sides.at_end, round_ | ~sides.at_end
     out_x, out_y = np.where(of_end, np.abs(normal[:, 0]), 0.0), np.where(of_side, np.abs(normal[:, 1]), 0.0)
-    fading = 1.0 / (1.0 + np.exp(-np.divide(radii, SHARP_M)))
+    fading = 1.0 / (1.0 + np.exp(-shape[-2:] / SHARP_M))
     by_radius = np.where(round_, np.abs(normal[:, 0]) + np.abs(normal[:, 1]) - 1.0, 0.0) * np.where(of_front, *fading)
-    by_shape = np.empty((len(far), len(SHAPE)))
+    by_shape = np.empty((len(normal), len(SHAPE)))
     by_ends = ((0, -out_x), (SHAPE.index("front_bow"), out_x * bent), (SHAPE.index("front_radius"), by_radius))
     for column, by_end in by_ends:  # of the front, and next to it of the rear
         by_shape[:, column], by_shape[:, column + 1] = np.where(of_front, by_end, 0.0), np.where(of_front, 0.0, by_end)
-    by_shape[:, 2], by_shape[:, 3], by_shape[:, SHAPE.index("taper")] = -out_y, -normal[:, 1], out_y * tapered
-    by_shape[:, _CAB] = out_y * np.where(round_, of_front, beside_cab)
-    by_shape[:, _SILL] = out_y * np.where(round_, 0.0, drawn)
-    return Hits(
-        distance=distance,
-        variance=variance,
-        normal=normal,
-        by_shape=by_shape,
-        face=np.where(passes, PASSED, np.where(at_end, np.where(ahead, 1, 0), np.where(left, 3, 2))),
-        reach=np.where(passes, 1.0, enter / far),
-        cos=np.where(passes, 0.0, cos),
-        within=np.where(hit, np.minimum(aside.max(axis=0), -aside.min(axis=0)), 0.0).clip(0.0),
-    )
+    by_shape[:, 2], by_shape[:, _LEVER_Y], by_shape[:, SHAPE.index("taper")] = -out_y, -normal[:, 1], out_y * tapered
+    by_shape[:, _CAB] = out_y * np.where(round_, of_front, sides.beside_cab)
+    by_shape[:, _SILL] = out_y * np.where(round_, 0.0, sides.drawn)
+    return by_shape
 
 
 def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[float, float], shape: FloatArray) -> Hits:
@@ -275,7 +367,7 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
         own ``variance``, and with ``reach`` the distance from the sensor to where it is nearest to that corner, over
         the distance to the point.
     """
-    lever_y, *radii = shape[[SHAPE.index("lever_y"), -2, -1]]
+    lever_y, *radii = shape[[_LEVER_Y, -2, -1]]
     corner = _corners(np.array(size) / 2, shape)
     outward = np.sign(corner[:, :2] - np.array([0.0, lever_y]))
     centres = corner[:, :2] - outward * corner[:, 2:]
