@@ -134,3 +134,10 @@ def test_clocks_that_nobody_set_are_a_warning_where_other_senders_are_seen(job: 
     (one,) = run(job, {"clock_offset_s": 0.2, "stations": stations})
     assert one.sigma_ratio > 5.0
     assert one.verdict == "warn"
+
+
+@pytest.mark.slow
+def test_a_trailer_whose_cab_is_seen_only_when_it_is_not_is_warned_of() -> None:
+    (one,) = run(Job("lidar_16", 610004, ("joint",)), {"vehicle": "trailer"})
+    assert one.sigma_ratio > 5.0
+    assert one.verdict == "warn"
