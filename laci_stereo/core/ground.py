@@ -191,6 +191,21 @@ def fit_ground_beside(
     return fit_ground(points[beside], sigma_along_m[beside], sigma_across_m[beside], (x, y, z), settings)
 
 
+def check_support(share: float, settings: GroundSettings) -> None:
+    """Hold the share of the view that supports a plane against the settings.
+
+    Raises
+    ------
+    GroundError
+        If it is too small.
+    """
+    if share < settings.min_support_share:
+        raise GroundError(
+            f"share of the view that supports the best plane: {100 * share:.1f} % found, "
+            f"at least {100 * settings.min_support_share:g} % needed"
+        )
+
+
 def _checked_up(up: tuple[float, float, float]) -> FloatArray:
     axis = np.asarray(up, dtype=np.float64)
     if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
@@ -208,11 +223,7 @@ def _plane(rays: Rays, fit: Fit, up: FloatArray, settings: GroundSettings) -> Gr
         found = f"{tilt_deg:.1f} deg from up, {height_m:.2f} m below"
         raise GroundError(f"best plane: {found} found, {where_it_can_be(settings)}")
     support_share = fit.cells / fit.cells_seen
-    if support_share < settings.min_support_share:
-        raise GroundError(
-            f"share of the view that supports the best plane: {100 * support_share:.1f} % found, "
-            f"at least {100 * settings.min_support_share:g} % needed"
-        )
+    check_support(support_share, settings)
     # d(height) = height^2 normal . dm; d(normal) = -height (I - normal normal^T) dm; the turn is d(normal) x normal.
     cross = np.cross(np.eye(3), normal)
     jacobian = np.vstack([-height_m * cross.T, height_m**2 * normal])

@@ -21,7 +21,7 @@ UPS = {
 def ground_below(
     points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, axes: Axes, settings: GroundSettings
 ) -> GroundPlane:
-    """Fit the ground plane (see `fit_ground`).
+    """Fit the ground plane (see `fit_ground`); one that little of the view supports must be confirmed by a road.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def ground_below(
         return fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings)
     except GroundError as error:
         if axes == OPENCV_AXES:
-            raise
+            return fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings.any_support)
         areas_m2: dict[str, float] = {}
         for name, up in UPS.items():
             if up != tuple(axes.up):
@@ -42,6 +42,6 @@ def ground_below(
                 except GroundError:
                     continue
         if not areas_m2:
-            raise
+            return fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings.any_support)
         likeliest = max(areas_m2, key=lambda name: areas_m2[name])
         raise GroundError(f"{error}; there is a ground with --axes '{likeliest}'") from error

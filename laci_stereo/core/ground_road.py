@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from laci_stereo.core.box import Box
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
-from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground import GroundPlane, check_support
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.laying import laid_xy
 from laci_stereo.core.road_extent import road_along
@@ -64,6 +64,11 @@ def road_ground(
     way : ndarray, shape (n, 2)
         Of a vehicle, in the level frame of this ground; see `places`.
     settings : GroundSettings
+
+    Raises
+    ------
+    GroundError
+        If no road is seen, and too little of the view supports the ground.
     """
     chart = Chart.around(ground)
     by_plane = _by_plane(chart, axes, way.mean(axis=0))
@@ -74,6 +79,7 @@ def road_ground(
         seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
             log.debug("no road is seen along the way")
+            check_support(ground.support_share, settings)
             off, told = np.zeros(3), chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
             doubt = told
         else:

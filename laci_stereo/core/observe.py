@@ -20,7 +20,7 @@ from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, rotate_xy, transform
-from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground_beside
+from laci_stereo.core.ground import GroundPlane, check_support, fit_farther_ground, fit_ground_beside
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
@@ -151,6 +151,11 @@ def on_the_road(
     vehicles : mapping of int to VehicleTrack
         By station.
     settings : Settings
+
+    Raises
+    ------
+    GroundError
+        If too little of the view supports the ground, and no road that anybody drives on is seen.
     """
     settings = settings or Settings()
     seen, choice = _where_driven(seen, source, vehicles, settings)
@@ -158,8 +163,9 @@ def on_the_road(
     for _ in range(LOOKS):
         if before is not None:
             choice = _driven(seen, vehicles, settings)
-        if choice is None:
-            break  # and it will be said why
+        if choice is None:  # it will be said why, if not because there is no ground
+            check_support(first.ground.support_share, settings.ground)
+            break
         T_first_seen = first.T_level_sensor @ invert(seen.T_level_sensor)
         way, *beyond = (laid_xy(T_first_seen, xy) for xy in (places(choice.track), *_sent(choice, vehicles)))
         if before is not None and _is_along(way, before):

@@ -31,7 +31,8 @@ class GroundSettings:
     min_cells : int
         Cells of bearing (0.05 rad wide) that must support the plane: as many as a patch of 0.3 rad square has.
     min_support_share : float
-        Of the cells with a free view of the plane so many must support it; else what lies low is mostly something else.
+        Of the cells with a free view of the plane so many must support it; else what lies low is mostly something else,
+        such as hills, and it takes a road that is seen where the sender drives to know that the plane is the ground.
     max_tilt_sigma_deg : float
         Where the normal is known less well than this, the points do not span a plane.
     shared_noise_share : float
@@ -50,6 +51,11 @@ class GroundSettings:
     min_support_share: float = 0.3
     max_tilt_sigma_deg: float = 1.0
     shared_noise_share: float = 0.25
+
+    @property
+    def any_support(self) -> GroundSettings:
+        """The same, but by them a plane may be the ground however little of the view supports it."""
+        return replace(self, min_support_share=0.0)
 
 
 @dataclass(frozen=True)

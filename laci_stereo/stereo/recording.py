@@ -239,7 +239,8 @@ class StereoRecording:
             disparity.sigma[v, u] * factor,
         )
         cloud = self._points(pair.stamp_ns, self._usable(pixels))
-        ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, self.axes.up, self._ground)
+        up, settings = self.axes.up, self._ground.any_support
+        ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, up, settings)
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
         return RoadDisparity.of(ground, plane)
 
