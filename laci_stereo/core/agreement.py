@@ -111,15 +111,17 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
     CombineError
         If no majority agrees, or another choice would agree as well.
     """
-    values, covariances = _at_one_place(alone)
     kept = list(range(len(alone)))
+    if all_agree(alone):
+        return kept, ()
+    values, covariances = _at_one_place(alone)
     distance = _distances(values, covariances, kept)
     while len(kept) > 1 and distance.max() > _gate(len(kept)):
         del kept[int(distance.argmax())]
         distance = _distances(values, covariances, kept)
     gone = [i for i in range(len(alone)) if i not in kept]
     found = tuple(_left_out(names[i], i, kept, values, covariances) for i in gone)
-    if gone and 2 * len(kept) <= len(alone):
+    if 2 * len(kept) <= len(alone):
         worst = max(found, key=lambda each: each.sigmas)
         raise CombineError(
             f"no majority of the {len(alone)} drives ({', '.join(names)}) agrees: {worst.name} alone is "

@@ -16,8 +16,8 @@ from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
-from laci_stereo.core.pieces import ridden_frames, whole
-from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly
+from laci_stereo.core.pieces import whole
+from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly, ridden_doubts
 from laci_stereo.core.repeats import repeats_of
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -100,13 +100,11 @@ def locate(
     passages: tuple[Passage, ...] = (own,)
     if settings.method == "paper":
         placement = place_by_paper(own.track, own.vehicle, settings.match)
+        passages = (replace(own, time_offset_s=placement.time_offset_s),)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    if not choice.beside:
-        first, match = passages[0], placement.match
-        beside = ridden_frames(first.track, tracks, first.vehicle, match, first.time_offset_s)
-        choice = replace(choice, beside=beside)
-    doubts = (*doubts_of(choice), *repeats_of(own.track, own.vehicle, own.time_offset_s))
+    ridden = ridden_doubts(choice, passages, tracks, placement)
+    doubts = (*doubts_of(choice), *ridden, *repeats_of(own.track, own.vehicle, own.time_offset_s))
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
     return conclude(passages, placement, settings)
 

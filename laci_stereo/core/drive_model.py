@@ -292,7 +292,8 @@ class DriveModel:
         """Return precision, shape (own, own), and mean of the drive's own parameters.
 
         What senders get wrong they sometimes get wrong by far, so beyond some sigma the cost of a correction grows
-        with it and no longer with its square (Huber 1964).
+        with it and no longer with its square (Huber 1964). Below, points that err together must not pull the messages
+        with them.
         """
         vehicle = self.drive.vehicle
         by = _corrected(self.own)

@@ -26,9 +26,6 @@ LARGEST_GAP_M = 2.0
 """Between pieces, in half of the frames: where one hides the other it looks wider. Queues stand as close, but nobody
 drives so close behind another by more than a vehicle's length."""
 
-CAR_M = 5.0
-"""The length by more than which nobody drives so close behind another."""
-
 MOSTLY = 0.9
 """What a quantile of the frames says: in the others much is hidden, or noise makes things look longer."""
 
@@ -121,45 +118,6 @@ def companion(track: Track, tracks: Sequence[Track], yaw_at: Callable[[FloatArra
                 ahead_m = rotate_xy(-yaw, np.array([b.middle - a.middle for a, b in pairs]))[np.isfinite(yaw), 0]
                 found = Companion(len(pairs), float(np.median(ahead_m)) if len(ahead_m) else 0.0, one)
     return found
-
-
-def ridden_frames(
-    track: Track, tracks: Sequence[Track], vehicle: VehicleTrack, match: PlanarMatch, time_offset_s: float
-) -> int:
-    """Return in how many frames something stays right ahead of where a vehicle must be, or right behind, seen or not.
-
-    While a part of a vehicle is in view, what was taken for all of it may be in view no more.
-
-    Parameters
-    ----------
-    track : Track
-        Of the vehicle.
-    tracks : sequence of Track
-    vehicle : VehicleTrack
-    match : PlanarMatch
-        From the level into the world frame.
-    time_offset_s : float
-    """
-    others = [Track(one.usable) for one in tracks if not track.shares(one)]
-    return sum(len(one.sightings) for one in others if _rides(one, vehicle, match, time_offset_s))
-
-
-def _rides(other: Track, vehicle: VehicleTrack, match: PlanarMatch, time_offset_s: float) -> bool:
-    """Tell whether a track stays in line with a vehicle, and close to one of its ends, while that drives."""
-    xy, yaw, known = vehicle.at(np.array([one.stamp_s for one in other.sightings]) + time_offset_s)
-    seen = [(one, xy[i], yaw[i]) for i, one in enumerate(other.sightings) if known[i] and len(one.points)]
-    if len(seen) < max(LEAST_FRAMES, len(other.sightings) / 2):
-        return False
-    around = [rotate_xy(-heading, match(one.points[:, :2]) - at) for one, at, heading in seen]
-    rear, right, front, left = np.array([(*each.min(axis=0), *each.max(axis=0)) for each in around]).T
-    over_m = SIZE_SIGMA_M + 5 * np.array([one.sigma_m for one, _, _ in seen])
-    gap_m = (rear if np.median(front + rear) > 0.0 else -front) - vehicle.length_m / 2
-    in_line = np.maximum(-right, left) < (WIDEST_M + over_m) / 2
-    close = -SIZE_SIGMA_M < np.median(gap_m) < LARGEST_GAP_M
-    stays = np.ptp(np.quantile(gap_m, (0.25, 0.75))) < SIZE_SIGMA_M
-    driven_m = np.linalg.norm(np.ptp([at for _, at, _ in seen], axis=0))
-    far = driven_m > max(CAR_M, np.quantile(front - rear, MOSTLY))
-    return bool(far and close and stays and in_line.mean() > 0.5)
 
 
 def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple[float, float]:

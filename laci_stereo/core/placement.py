@@ -22,6 +22,7 @@ from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
+from laci_stereo.core.riders import ridden_frames
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from laci_stereo.core.tracking import Track
 
@@ -30,6 +31,8 @@ LEAST_EXPLAINED = 0.5
 
 CONTRADICTED = 4.0
 """Beyond so many standard deviations what was found is not what the messages tell."""
+
+PART_OF_IT = "a trailer that its messages do not tell, or a piece of it, may have been taken for the vehicle"
 
 ANOTHER_PIECE = (
     "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
@@ -283,11 +286,21 @@ def doubts_of(choice: Choice) -> tuple[str, ...]:
     """Say why what was chosen may not be the vehicle."""
     doubts = [doubt for doubt in (choice.clocks, choice.doubt) if doubt]
     if choice.beside:
-        doubts.append(
-            f"{_besides(choice.beside)}: a trailer that its messages do not tell, or a piece of it, may have been "
-            "taken for the vehicle"
-        )
+        doubts.append(f"{_besides(choice.beside)}: {PART_OF_IT}")
     return tuple(doubts)
+
+
+def ridden_doubts(
+    choice: Choice, passages: Sequence[Passage], tracks: Sequence[Track], placement: Placement
+) -> tuple[str, ...]:
+    """Say where something rides along with a vehicle, if that was not seen beside it; see `ridden_frames`."""
+    ridden = ridden_frames(passages, tracks, placement.match)
+    told = (
+        f"{each.name}: {_besides(frames)}: {PART_OF_IT}" if len(passages) > 1 else f"{_besides(frames)}: {PART_OF_IT}"
+        for each, frames in zip(passages, ridden, strict=True)
+        if frames and not (choice.beside and each.station_id == choice.station)
+    )
+    return tuple(told)
 
 
 def _besides(frames: int) -> str:

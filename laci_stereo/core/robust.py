@@ -10,8 +10,7 @@ NORMAL = 1.4826
 """Standard deviation of normal noise over the median of its size."""
 
 TAIL = 4.0
-"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small. Below, points
-that err together must not pull the messages with them."""
+"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small."""
 
 
 def weighted_median(values: FloatArray, weight: FloatArray) -> float:

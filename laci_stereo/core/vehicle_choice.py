@@ -1,4 +1,4 @@
-"""Which of what moves is which sender's vehicle: by boxes and outlines, without what it tows, by the right clock."""
+"""Which of what moves is which sender's vehicle, without what it tows, and what else would have to be wrong."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class Kept:
 def write_evidence(path: Path, kept: Kept) -> None:
     """Write what a result keeps; points are rounded to single precision, 0.01 mm at 100 m.
 
-    Noise hardly packs: ten drives would be a tenth smaller, and half a second later.
+    Noise hardly packs: a camera's drives would be a tenth smaller, a scanner's, which are small, a third.
     """
     arrays: Arrays = {
         "format": np.array(FORMAT),

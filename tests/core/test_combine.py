@@ -92,7 +92,7 @@ def test_a_drive_whose_messages_are_a_metre_off_is_named_and_left_out(wrong: int
 def test_positions_of_another_place_on_the_vehicle_are_told_whether_drives_agree_or_not(alike: bool) -> None:
     """What both drives err by alike puts the sensor at one wrong place; by one drive alone it contradicts the other."""
     one, other = passages()[:2]
-    mistaken = ahead(one, 1.5)
+    mistaken = ahead(one, -2.2)
     if alike:
         epoch_ns = one.vehicle.epoch_ns + 5 * DAY_NS
         other = replace(mistaken, name="run 5", vehicle=replace(mistaken.vehicle, epoch_ns=epoch_ns))
@@ -101,7 +101,7 @@ def test_positions_of_another_place_on_the_vehicle_are_told_whether_drives_agree
     position_m, angle_deg = misplaced(found.calibration)
     assert position_m < 3 * found.calibration.quality.track_xy_sigma_m < 0.15
     assert angle_deg < 0.06
-    told = [reason for reason in found.calibration.quality.reasons if "ahead of where on the vehicle" in reason]
+    told = [reason for reason in found.calibration.quality.reasons if "behind where on the vehicle" in reason]
     assert [reason.split(":")[0] for reason in told] == (["run 0", "run 5"] if alike else ["run 0"])
 
 

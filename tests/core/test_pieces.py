@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.frames import FloatArray, invert, rotate_xy, transform
-from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.pieces import LARGEST_GAP_M, LEAST_FRAMES, ridden_frames, whole
+from laci_stereo.core.pieces import LARGEST_GAP_M, LEAST_FRAMES, whole
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.sighting import KEPT_POINTS, Sighting, box_around, together
@@ -184,39 +182,6 @@ def test_what_is_seen_of_one_piece_alone_is_kept() -> None:
 )
 def test_what_may_be_another_vehicle_is_not_joined(other: Track) -> None:
     assert len(joined([driving(REAR), other])) == 2
-
-
-def ridden(other: Track, time_offset_s: float = 0.0) -> int:
-    """Hold what is seen against a vehicle of 12 m whose own points are in view in the first half of a second only."""
-    stamps = np.arange(-1.0, 4.0, 0.1)
-    xy = np.column_stack([10.0 * (stamps - time_offset_s), np.zeros(len(stamps))])
-    sender = VehicleTrack(stamps, 0, xy, np.zeros(len(stamps)), 12.0, 2.5)
-    turned = PlanarMatch(0.7, np.array([3.0, -2.0]))
-    there = replace(sender, xy=turned(sender.xy), yaw_rad=sender.yaw_rad + turned.yaw_rad)
-    own = driving(body(-6.0, 6.0)).where(FRAMES_S < 0.5)
-    return ridden_frames(own, [own, other], there, turned, time_offset_s)
-
-
-@pytest.mark.parametrize("time_offset_s", [0.0, 0.3])
-@pytest.mark.parametrize("place", [body(7.0, 9.0), body(-9.0, -7.5), body(7.5, 14.0, 2.6)], ids=["cab", "rear", "long"])
-def test_what_rides_along_is_told_while_the_vehicle_itself_is_not_seen(place: FloatArray, time_offset_s: float) -> None:
-    other = driving(place).where(FRAMES_S > 0.75)
-    assert ridden(other, time_offset_s) == len(other.sightings) == 12
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        driving(body(6.0 + LARGEST_GAP_M + 0.2, 10.5)),
-        driving(body(7.0, 9.0) + np.array([0.0, 3.0, 0.0])),
-        driving(body(7.0, 9.0), 8.5),
-        driving(body(7.0, 9.0)).where(FRAMES_S < 0.45),
-        driving(body(-3.0, 5.0)),
-    ],
-    ids=["too far ahead", "beside it", "slower", "too short", "on its place"],
-)
-def test_what_may_be_another_vehicle_does_not_ride_along(other: Track) -> None:
-    assert ridden(other) == 0
 
 
 def test_what_folds_in_a_bend_is_one_by_what_is_seen_of_it_straight() -> None:
