@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from laci_stereo.core.association import UNSEEN_S
 from laci_stereo.core.cam_repair import WIDEST_M
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
@@ -25,9 +26,6 @@ MOVES_MPS = 0.5
 STAYS_M = 0.25
 """Rings of a scanner and windows of a matcher show an edge to within so much. The gap to who drives ahead changes by
 more: at speeds that differ by a twentieth, by half a metre over the length of two cars."""
-
-UNSEEN_S = 1.0
-"""What is not seen for so long may be another thing when it is seen again."""
 
 BACKS_M = 1.0
 """Nobody keeps so close to another who backs, and drives on again, each by as much."""
