@@ -8,7 +8,7 @@ import numpy as np
 
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, FloatArray, rigid
-from laci_stereo.core.ground_fit import Fit, fit_inverse_range
+from laci_stereo.core.ground_fit import Fit, check_count, fit_inverse_range
 from laci_stereo.core.ground_rays import GATE, Rays, as_rays, one_per_bearing
 from laci_stereo.core.ground_start import can_be_ground, principal_axes, robust_start, where_it_can_be
 from laci_stereo.core.settings import GroundSettings
@@ -191,14 +191,19 @@ def fit_ground_beside(
     return fit_ground(points[beside], sigma_along_m[beside], sigma_across_m[beside], (x, y, z), settings)
 
 
-def check_support(share: float, settings: GroundSettings) -> None:
-    """Hold the share of the view that supports a plane against the settings.
+def check_support(ground: GroundPlane, settings: GroundSettings) -> None:
+    """Hold what supports a plane against the settings.
 
     Raises
     ------
     GroundError
-        If it is too small.
+        If it is too little.
     """
+    check_count(ground.support_cells, settings)
+    _check_share(ground.support_share, settings)
+
+
+def _check_share(share: float, settings: GroundSettings) -> None:
     if share < settings.min_support_share:
         raise GroundError(
             f"share of the view that supports the best plane: {100 * share:.1f} % found, "
@@ -223,7 +228,7 @@ def _plane(rays: Rays, fit: Fit, up: FloatArray, settings: GroundSettings) -> Gr
         found = f"{tilt_deg:.1f} deg from up, {height_m:.2f} m below"
         raise GroundError(f"best plane: {found} found, {where_it_can_be(settings)}")
     support_share = fit.cells / fit.cells_seen
-    check_support(support_share, settings)
+    _check_share(support_share, settings)
     # d(height) = height^2 normal . dm; d(normal) = -height (I - normal normal^T) dm; the turn is d(normal) x normal.
     cross = np.cross(np.eye(3), normal)
     jacobian = np.vstack([-height_m * cross.T, height_m**2 * normal])

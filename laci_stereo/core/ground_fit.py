@@ -219,7 +219,7 @@ def _solve(partition: _Partition, m: FloatArray, settled: float, settings: Groun
         raised_share = _share_around(cells, raised, raised_share.shape)
         weight = _tukey(cells.residual / np.sqrt(variance)) * (1.0 - raised)
         weight *= _tukey(_mean_around(cells, weight / variance, uneven))
-        _check_count(int(np.count_nonzero(weight)), settings)
+        check_count(int(np.count_nonzero(weight)), settings)
         response = (cells.direction * (weight / variance)[:, None]).T
         information = response @ cells.direction
         if np.linalg.cond(information) > _SINGULAR:
@@ -258,7 +258,7 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
     weight = _tukey(residual / np.sqrt(variance + (settings.unevenness_m * per_metre) ** 2)) / variance
     total = np.bincount(cell, weight, minlength=size)
     kept = total > 0.0
-    _check_count(int(np.count_nonzero(kept)), settings)
+    check_count(int(np.count_nonzero(kept)), settings)
     columns = [residual, *rays.directions.T, rays.sigma_of_inverse(inverse), variance, weight * variance, per_metre]
     means = [np.bincount(cell, weight * column, minlength=size)[kept] / total[kept] for column in columns]
     return _Cells(
@@ -339,7 +339,14 @@ def _mean_around(cells: _Cells, pull: FloatArray, uneven: FloatArray) -> FloatAr
     return standardised
 
 
-def _check_count(cells: int, settings: GroundSettings) -> None:
+def check_count(cells: int, settings: GroundSettings) -> None:
+    """Hold the number of cells that support a plane against the settings.
+
+    Raises
+    ------
+    GroundError
+        If there are too few.
+    """
     if cells < settings.min_cells:
         raise GroundError(
             f"cells of {_CELL} rad on the best plane: {cells} found, at least {settings.min_cells} needed"

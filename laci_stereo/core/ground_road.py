@@ -79,7 +79,7 @@ def road_ground(
         seen = _seen_from(found, ground, survey, axes, way, settings)
         if seen is None:
             log.debug("no road is seen along the way")
-            check_support(ground.support_share, settings)
+            check_support(ground, settings)
             off, told = np.zeros(3), chart.covariance(ground) + _spread(by_plane, (0.0, FALL, FALL))
             doubt = told
         else:

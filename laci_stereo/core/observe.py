@@ -164,7 +164,7 @@ def on_the_road(
         if before is not None:
             choice = _driven(seen, vehicles, settings)
         if choice is None:  # it will be said why, if not because there is no ground
-            check_support(first.ground.support_share, settings.ground)
+            check_support(first.ground, settings.ground)
             break
         T_first_seen = first.T_level_sensor @ invert(seen.T_level_sensor)
         way, *beyond = (laid_xy(T_first_seen, xy) for xy in (places(choice.track), *_sent(choice, vehicles)))

@@ -11,6 +11,9 @@ from laci_stereo.core.errors import SettingError
 UNKNOWN_CLOCK_S = 1.0
 """Standard deviation of the offset between clocks of which nothing is known but that people set them."""
 
+EVEN_CELLS = 12
+"""So many cells at least: nine beyond a plane's three numbers tell how uneven it is to within a quarter."""
+
 
 @dataclass(frozen=True)
 class GroundSettings:
@@ -32,7 +35,7 @@ class GroundSettings:
         Cells of bearing (0.05 rad wide) that must support the plane: as many as a patch of 0.3 rad square has.
     min_support_share : float
         Of the cells with a free view of the plane so many must support it; else what lies low is mostly something else,
-        such as hills, and it takes a road that is seen where the sender drives to know that the plane is the ground.
+        such as hills. Of less than both it takes a road where the sender drives to know that the plane is the ground.
     max_tilt_sigma_deg : float
         Where the normal is known less well than this, the points do not span a plane.
     shared_noise_share : float
@@ -54,8 +57,8 @@ class GroundSettings:
 
     @property
     def any_support(self) -> GroundSettings:
-        """The same, but by them a plane may be the ground however little of the view supports it."""
-        return replace(self, min_support_share=0.0)
+        """The same, but by them a plane may be the ground that hardly more supports than tells how even it is."""
+        return replace(self, min_support_share=0.0, min_cells=min(self.min_cells, EVEN_CELLS))
 
 
 @dataclass(frozen=True)
