@@ -97,10 +97,9 @@ def locate(
     for remark in vehicles[choice.station].remarks:
         log.warning("%s", remark)
     own, *others = along_ground(_passages(choice, seen, vehicles, world, settings))
-    passages: tuple[Passage, ...] = (own,)
     if settings.method == "paper":
         placement = place_by_paper(own.track, own.vehicle, settings.match)
-        passages = (replace(own, time_offset_s=placement.time_offset_s),)
+        passages: tuple[Passage, ...] = (replace(own, time_offset_s=placement.time_offset_s),)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
     ridden = ridden_doubts(choice, passages, tracks, placement)

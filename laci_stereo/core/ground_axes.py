@@ -29,19 +29,26 @@ def ground_below(
         If there is none where the axes put it. If there is one elsewhere, as below a sensor that hangs upside down, it
         says with which axes; a camera's are what they are.
     """
+    cloud = points, sigma_along_m, sigma_across_m
     try:
-        return fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings)
+        return fit_ground(*cloud, axes.up, settings)
     except GroundError as error:
-        if axes == OPENCV_AXES:
-            return fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings.any_support)
-        areas_m2: dict[str, float] = {}
-        for name, up in UPS.items():
-            if up != tuple(axes.up):
-                try:
-                    areas_m2[name] = fit_ground(points, sigma_along_m, sigma_across_m, up, settings).support_area_m2
-                except GroundError:
-                    continue
+        areas_m2 = {} if axes == OPENCV_AXES else _elsewhere(cloud, axes, settings)
         if not areas_m2:
-            return fit_ground(points, sigma_along_m, sigma_across_m, axes.up, settings.any_support)
+            return fit_ground(*cloud, axes.up, settings.any_support)
         likeliest = max(areas_m2, key=lambda name: areas_m2[name])
         raise GroundError(f"{error}; there is a ground with --axes '{likeliest}'") from error
+
+
+def _elsewhere(
+    cloud: tuple[FloatArray, FloatArray, FloatArray], axes: Axes, settings: GroundSettings
+) -> dict[str, float]:
+    """Return what the grounds cover that there are with other axes, by their names, square metres."""
+    areas_m2 = {}
+    for name, up in UPS.items():
+        if up != tuple(axes.up):
+            try:
+                areas_m2[name] = fit_ground(*cloud, up, settings).support_area_m2
+            except GroundError:
+                continue
+    return areas_m2

@@ -32,8 +32,6 @@ LEAST_EXPLAINED = 0.5
 CONTRADICTED = 4.0
 """Beyond so many standard deviations what was found is not what the messages tell."""
 
-PART_OF_IT = "a trailer that its messages do not tell, or a piece of it, may have been taken for the vehicle"
-
 ANOTHER_PIECE = (
     "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
 )
@@ -286,7 +284,7 @@ def doubts_of(choice: Choice) -> tuple[str, ...]:
     """Say why what was chosen may not be the vehicle."""
     doubts = [doubt for doubt in (choice.clocks, choice.doubt) if doubt]
     if choice.beside:
-        doubts.append(f"{_besides(choice.beside)}: {PART_OF_IT}")
+        doubts.append(_part_of_it(choice.beside))
     return tuple(doubts)
 
 
@@ -294,13 +292,18 @@ def ridden_doubts(
     choice: Choice, passages: Sequence[Passage], tracks: Sequence[Track], placement: Placement
 ) -> tuple[str, ...]:
     """Say where something rides along with a vehicle, if that was not seen beside it; see `ridden_frames`."""
-    ridden = ridden_frames(passages, tracks, placement.match)
-    told = (
-        f"{each.name}: {_besides(frames)}: {PART_OF_IT}" if len(passages) > 1 else f"{_besides(frames)}: {PART_OF_IT}"
-        for each, frames in zip(passages, ridden, strict=True)
-        if frames and not (choice.beside and each.station_id == choice.station)
-    )
+    told = []
+    for each, frames in zip(passages, ridden_frames(passages, tracks, placement.match), strict=True):
+        if frames and not (choice.beside and each.station_id == choice.station):
+            told.append(f"{each.name}: {_part_of_it(frames)}" if len(passages) > 1 else _part_of_it(frames))
     return tuple(told)
+
+
+def _part_of_it(frames: int) -> str:
+    return (
+        f"{_besides(frames)}: a trailer that its messages do not tell, or a piece of it, may have been taken for the "
+        "vehicle"
+    )
 
 
 def _besides(frames: int) -> str:

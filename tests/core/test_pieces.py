@@ -11,9 +11,9 @@ from laci_stereo.core.frames import FloatArray, invert, rotate_xy, transform
 from laci_stereo.core.pieces import LARGEST_GAP_M, LEAST_FRAMES, whole
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import KEPT_POINTS, Sighting, box_around, together
+from laci_stereo.core.sighting import KEPT_POINTS, together
 from laci_stereo.core.tracking import Track
-from tests.core.tracks import vehicle
+from tests.core.tracks import body_sighting, vehicle
 from tests.simulated import LEFT_TURN, ULM, Drive, Mover, Scene, Solid, cam_log, scene
 
 PASSES = Drive((24.0, 26.0), -90.0, speeds=((0.0, 8.0),))
@@ -133,10 +133,7 @@ def driving(points: FloatArray, speed_mps: float = 10.0, yaw_rad: float = 0.0) -
     for stamp_s in FRAMES_S.tolist():
         at = points + np.array([speed_mps * stamp_s, 0.0, 0.0])
         at[:, :2] = rotate_xy(yaw_rad, at[:, :2])
-        noise = np.full(len(at), 0.02)
-        middle = np.median(at[:, :2], axis=0)
-        box = box_around(at, Settings())
-        sightings.append(Sighting(stamp_s, stamp_s, at, noise, noise, len(at), middle, box, None, 0.02))
+        sightings.append(body_sighting(stamp_s, at))
     return Track(tuple(sightings))
 
 

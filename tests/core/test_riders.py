@@ -13,10 +13,9 @@ from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import LARGEST_GAP_M
 from laci_stereo.core.riders import ridden_frames
-from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import Sighting, box_around
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.world import World
+from tests.core.tracks import body_sighting
 
 SENSOR = PlanarMatch(0.7, np.array([3.0, -2.0]))
 LENGTH_M, WIDTH_M = 12.0, 2.5
@@ -42,9 +41,7 @@ def seen(points: FloatArray, way_m: FloatArray) -> Track:
     for stamp_s, x in zip(FRAMES_S.tolist(), way_m.tolist(), strict=True):
         at = points + np.array([x, 0.0, 0.0])
         at[:, :2] = rotate_xy(-SENSOR.yaw_rad, at[:, :2] - SENSOR.shift)
-        noise, middle = np.full(len(at), 0.02), np.median(at[:, :2], axis=0)
-        box = box_around(at, Settings())
-        sightings.append(Sighting(stamp_s, stamp_s, at, noise, noise, len(at), middle, box, None, 0.02))
+        sightings.append(body_sighting(stamp_s, at))
     return Track(tuple(sightings))
 
 

@@ -12,7 +12,8 @@ from laci_stereo.core.box import Box
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.sighting import Flaw, Sighting
+from laci_stereo.core.settings import Settings
+from laci_stereo.core.sighting import Flaw, Sighting, box_around
 from laci_stereo.core.tracking import Track
 from tests.simulated import Drive
 
@@ -34,6 +35,13 @@ def sighting(
     points = np.column_stack([box.corners(), np.ones(4)])
     noise = np.full(4, sigma_m)
     return Sighting(stamp_s, stamp_s, points, noise, noise, count, box.centre, box, flaw, sigma_m, radial_mps)
+
+
+def body_sighting(stamp_s: float, points: FloatArray) -> Sighting:
+    """What is seen of a body: its points, shape (n, 3), level frame, known to 2 cm."""
+    noise, middle = np.full(len(points), 0.02), np.median(points[:, :2], axis=0)
+    box = box_around(points, Settings())
+    return Sighting(stamp_s, stamp_s, points, noise, noise, len(points), middle, box, None, 0.02)
 
 
 def track(stamps_s: FloatArray, xy: FloatArray, **of_each: object) -> Track:
