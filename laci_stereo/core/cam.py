@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator
+from scipy.interpolate import Akima1DInterpolator, PPoly
 
 from laci_stereo.core.cam_headings import WRONG_SHARE, check_filled, check_forwards, check_reading
 from laci_stereo.core.cam_repair import (
@@ -218,7 +218,7 @@ class VehicleTrack:
         return body_yaw(self.stamps_s, self.xy, self.yaw_rad)
 
     @cached_property
-    def _ways(self) -> dict[float, Callable[[FloatArray], FloatArray]]:
+    def _ways(self) -> dict[float, PPoly]:
         """The poses of each stretch that is known, by its begin: what is beyond a gap says nothing of its bends."""
         ways = {}
         for begin, end in zip(*(np.unique(ends) for ends in self._stretches), strict=True):
@@ -231,17 +231,12 @@ class VehicleTrack:
         return ways
 
 
-def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> PPoly:
     """Return the poses between two messages, at one speed, of a vehicle that turns evenly: a parabola."""
-    chord, turn = xy[1] - xy[0], float(wrap(yaw_rad[1] - yaw_rad[0]))
-    aside = np.array([-chord[1], chord[0]])
-
-    def at(times_s: FloatArray) -> FloatArray:
-        share = ((times_s - stamps_s[0]) / (stamps_s[1] - stamps_s[0]))[:, None]
-        way = xy[0] + share * chord - turn / 2 * share * (1.0 - share) * aside
-        return np.hstack([way, yaw_rad[0] + share * turn])
-
-    return at
+    chord, turn, span_s = xy[1] - xy[0], float(wrap(yaw_rad[1] - yaw_rad[0])), stamps_s[1] - stamps_s[0]
+    bend = turn / 2 * np.array([-chord[1], chord[0]])
+    by_power = np.append(bend, 0.0) / span_s**2, np.append(chord - bend, turn) / span_s, np.append(xy[0], yaw_rad[0])
+    return PPoly(np.array(by_power)[:, None], stamps_s)
 
 
 def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:

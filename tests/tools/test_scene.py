@@ -120,6 +120,34 @@ def _some_points(scene):
     return [recorded._cloud(50, whole=True).points]
 
 
+@pytest.mark.parametrize("name", LIDARS)
+def test_a_faster_scanner_fires_as_many_beams_a_second_and_a_slower_one_leaves_out_frames(name):
+    own = lidar(name)
+    fast, slow = own.at_rate(2.0 / own.period_s), own.at_rate(0.3 / own.period_s)
+    column = len(set(own.layer.tolist()))
+    assert len(fast.azimuth_rad) / fast.period_s == pytest.approx(
+        len(own.azimuth_rad) / own.period_s, abs=2 * column / own.period_s
+    )
+    assert fast.offset_s.max() < fast.period_s == own.period_s / 2
+    assert fast.field_rad == pytest.approx(own.field_rad, abs=np.radians(0.5))
+    np.testing.assert_array_equal(slow.offset_s, own.offset_s)
+    np.testing.assert_array_equal(slow.azimuth_rad, own.azimuth_rad)
+    assert slow.period_s == pytest.approx(own.period_s / 0.3)
+
+
+@pytest.mark.parametrize("sensor", ["lidar_8", "stereo_05"])
+def test_at_another_frame_rate_the_same_drive_is_seen(sensor):
+    anyhow = {"min_seen": 0, "min_driven_m": 0.0}
+    own = draw_scene(4, sensor, **anyhow)
+    for rate in (3.0, 25.0):
+        other = draw_scene(4, sensor, frame_rate_hz=rate, **anyhow)
+        np.testing.assert_allclose(np.diff(other.times_s), 1.0 / rate)
+        assert np.ptp(other.times_s) == pytest.approx(np.ptp(own.times_s), abs=1.0 / rate + 0.1)
+        np.testing.assert_array_equal(other.T_world_sensor, own.T_world_sensor)
+        assert other.drive_kind == own.drive_kind
+        assert other.seen / rate == pytest.approx(own.seen * own.sensor.period_s, abs=0.5)
+
+
 def test_one_factor_changes_no_other():
     base, changed = draw_scene(4, "lidar_16", min_seen=0), draw_scene(4, "lidar_16", min_seen=0, receiver="dgnss")
     np.testing.assert_array_equal(base.T_world_sensor, changed.T_world_sensor)

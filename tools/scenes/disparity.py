@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -117,6 +117,10 @@ class StereoCamera:
     size_px: tuple[int, int] = (1280, 720)
     stride: int = 3
     period_s: float = 0.1
+
+    def at_rate(self, frame_rate_hz: float) -> StereoCamera:
+        """Return the camera at another frame rate."""
+        return replace(self, period_s=1.0 / frame_rate_hz)
 
     @cached_property
     def pixels(self) -> tuple[FloatArray, FloatArray]:

@@ -120,6 +120,8 @@ class Factors:
     hanging : str
         Which way a LiDAR's axes point, of `HANGINGS`.
     frames : int
+    frame_rate_hz : float
+        None is the sensor's own.
     min_seen, min_driven_m
         Frames in which the sender must be in view, and the metres that it drives meanwhile.
     receiver, cam_rate_hz, loss, clock_offset_s, heading_sigma_deg, heading_of, quantised, rounding, over_mirrors
@@ -166,6 +168,7 @@ class Factors:
     away_m: float | None = None
     hanging: Hanging | None = None
     frames: int | None = None
+    frame_rate_hz: float | None = None
     min_seen: int = NEEDED_FRAMES
     min_driven_m: float = NEEDED_M
     receiver: ReceiverName = "rtk"
@@ -452,7 +455,8 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
     land = draw.given(factors.land, "land", lambda rng: float(rng.uniform(0.0, 1.0)))
     verges = draw.choice(factors.verges, "verges", (False, True), (0.75, 0.25))
     road = draw_road(draw.rng("road"), layout, uneven, land, verges=verges)
-    sensor = _sensor(draw, sensor_kind, factors)
+    usual = _sensor(draw, sensor_kind, factors)
+    sensor = usual if factors.frame_rate_hz is None else usual.at_rate(factors.frame_rate_hz)
     mounted = _mount(draw, factors, road_free=lambda xy: not road.on_carriageway(xy).any(), sensor=sensor)
     if mounted is None:
         return None
@@ -462,7 +466,8 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
     parked = draw.given(factors.parked, "parked", lambda rng: int(rng.integers(0, 4)))
     site = replace(site, bodies=(*site.bodies, *park(draw.rng("park"), road, parked)))
 
-    frames = draw.given(factors.frames, "frames", lambda rng: int(rng.integers(90, 121)))
+    share = usual.period_s / sensor.period_s
+    frames = draw.given(factors.frames, "frames", lambda rng: round(int(rng.integers(90, 121)) * share))
     times = 0.02 + sensor.period_s * np.arange(frames, dtype=np.float64)
     left_hand = draw.choice(factors.left_hand, "left hand", (False, True), (0.8, 0.2))
     vehicle = _vehicle(draw, factors)

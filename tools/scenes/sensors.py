@@ -86,6 +86,29 @@ class Lidar:
     reach_m: float
     repeats: bool = True
 
+    def at_rate(self, frame_rate_hz: float) -> Lidar:
+        """Return the scanner at another frame rate.
+
+        A faster one fires as many beams a second: it leaves out columns, or ends its pattern earlier. A slower one
+        turns as it did, and frames are left out.
+        """
+        period_s = 1.0 / frame_rate_hz
+        share = min(period_s / self.period_s, 1.0)
+        if self.repeats:
+            column = np.unique(self.azimuth_rad, return_inverse=True)[1]
+            kept = np.floor((column + 1) * share) > np.floor(column * share)
+            offset_s = self.offset_s * share
+        else:
+            kept, offset_s = self.offset_s < period_s, self.offset_s
+        return replace(
+            self,
+            azimuth_rad=self.azimuth_rad[kept],
+            elevation_rad=self.elevation_rad[kept],
+            offset_s=offset_s[kept],
+            layer=self.layer[kept],
+            period_s=period_s,
+        )
+
     def turning(self, way: Turning) -> Lidar:
         """Return the scanner with its beams fired in this order; one whose frames differ has its own."""
         if not self.repeats or way == "clockwise":
