@@ -10,83 +10,40 @@ from laci_stereo.core import gloss, mixture, outline
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.drive_poses import Poses, by_time, heading_noise, poses_at
+from laci_stereo.core.drive_prior import (
+    BEGIN,
+    BORDER_SIGMA,
+    CLOCK,
+    GLOSS,
+    GROWTH,
+    HEADING,
+    KNOTS,
+    LEVER,
+    PARTIAL,
+    SHAPE,
+    DrivePrior,
+)
 from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
 from laci_stereo.core.in_common import SAME_BORDER_M, SAME_ERROR_M, blocks_of, course_of, mean_overlap, worth_of
 from laci_stereo.core.receiver import KNOTS_PER_TIME, decay, position_sigma_m
-from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import JointSettings, with_turn
 
+BIAS, SWEEP = 3, 4
 FIRST_OWN = 5
-"""Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own: clock offset, heading
-error, heading lever, how the body stood when the messages began, the shape, how partial a detector's boxes are, how
-glossy the body is, by how much borders grow, and the knots of the GNSS bias."""
+"""Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own, see `drive_prior`."""
 
 _NORMAL = slice(1, 3)
 """The derivatives by x and y: where the normal points on the map."""
 
-BIAS, SWEEP = 3, 4
-_CLOCK, _HEADING, _LEVER, _BEGIN, _SHAPE = 5, 6, 7, 8, 9
-_PARTIAL = _SHAPE + len(outline.SHAPE)
-_GLOSS = _PARTIAL + 1
-_GROWTH = _GLOSS + 1
-_KNOTS = _GROWTH + 2
-
-LASTING = tuple(each - FIRST_OWN for each in (_HEADING, _LEVER, *range(_SHAPE, _PARTIAL), _GLOSS))
-"""Of a drive's own parameters, what is the sender's and its vehicle's in all drives that they make."""
+_CLOCK, _HEADING, _LEVER, _BEGIN, _GLOSS, _GROWTH, _KNOTS = (
+    FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GLOSS, GROWTH, KNOTS)
+)
+_SHAPE = slice(FIRST_OWN + SHAPE.start, FIRST_OWN + SHAPE.stop)
+_PARTIAL = FIRST_OWN + PARTIAL
 
 GRAZING = 0.3
 """Where rays touch a corner, its noise, not their angle, tells how ranges differ: about sqrt(2 x 0.03 m / 0.5 m)."""
-
-HEADING_LEVER = 0.4
-"""The point whose direction of motion is told, ahead of the rear axle, over the vehicle's length, with a standard
-deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the front moves."""
-
-BEGIN_SIGMA = 1.0
-"""Where messages begin in a bend a vehicle may have been in it for long (-1), or just entered it (1), or left one."""
-
-PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
-"""A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
-
-BORDER_SIGMA = 12**-0.5
-"""A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
-is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
-windows, it is off on average, and in each place."""
-
-CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
-"""What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
-
-
-@dataclass(frozen=True)
-class Correction:
-    """Something that the messages tell and the points contradict.
-
-    Attributes
-    ----------
-    what : str
-        One of `CORRECTED`.
-    value, sigma : float
-        The correction, and the standard deviation that was to be expected.
-    after : float
-        The standard deviation that is left.
-    """
-
-    what: str
-    value: float
-    sigma: float
-    after: float = float("nan")
-
-
-def _corrected(own: int) -> FloatArray:
-    """Return what each of `CORRECTED` is of a drive's own parameters, shape (6, own)."""
-    by = np.zeros((len(CORRECTED), own))
-    shape = _SHAPE - FIRST_OWN
-    by[0, _CLOCK - FIRST_OWN] = by[1, _HEADING - FIRST_OWN] = 1.0
-    by[2, shape : shape + 2] = 0.5, -0.5
-    by[3, shape + 3] = 1.0
-    by[4, shape : shape + 2] = 1.0
-    by[5, shape + 2] = 2.0
-    return by
 
 
 @dataclass(frozen=True)
@@ -256,7 +213,6 @@ class DriveModel:
         self.knots_s, self.knots_m = (
             np.interp(at, course, each) if len(drive) else np.zeros(knots) for each in (drive.stamps_s, drive.way_m)
         )
-        self.own = _KNOTS - FIRST_OWN + 2 * knots
         self.block = blocks_of(drive, settings.block_s)
         self.worth = worth_of(drive, SAME_VIEW_M)
         self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
@@ -264,83 +220,14 @@ class DriveModel:
         self.error_worth = worth_of(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
         self.border_worth = worth_of(drive, SAME_BORDER_M)
         self.sigma_m = position_sigma_m(drive.vehicle.position_sigma_m, settings)
-        self.drift = self.sigma_m**2 * decay(self.knots_s, self.knots_m, settings)
         self.ends = drive.vehicle.at(drive.stamps_s[[0, -1]])[0] if len(drive) else np.zeros((2, 2))
-        self.base_sigmas = np.array(
-            [
-                with_turn(settings.clock_sigma_s, drive.turn_s) if turns else settings.clock_sigma_s,
-                np.radians(settings.heading_sigma_deg),
-                settings.lever_sigma_m,
-                settings.lever_sigma_m,
-                *np.hypot(settings.size_sigma_m, drive.vehicle.guessed_m),
-            ]
-        )
-        self.mean = np.zeros(self.own)
-        self.mean[_SHAPE - FIRST_OWN : _PARTIAL - FIRST_OWN], self.shape_sigma = outline.expected_shape(self.size[1])
-        self.mean[_PARTIAL - FIRST_OWN] = PARTIAL_MEAN
-        self.mean[_GLOSS - FIRST_OWN] = gloss.SHIFT
-        self.mean[_LEVER - FIRST_OWN] = HEADING_LEVER * self.size[0]
+        clock_sigma_s = with_turn(settings.clock_sigma_s, drive.turn_s) if turns else settings.clock_sigma_s
+        drift = self.sigma_m**2 * decay(self.knots_s, self.knots_m, settings)
+        self.prior = DrivePrior(drive.vehicle, drift, clock_sigma_s, settings)
         self.frame_s = max(float(np.median(np.diff(drive.stamps_s))), 1e-9) if len(drive) > 1 else np.inf
-        self.heading_variance = _heading_variance(drive, self.frame_s, self.base_sigmas[1])
-        self.sigmas: FloatArray = self.base_sigmas
-        by = _corrected(self.own)
-        self.sigmas = np.sqrt(np.einsum("ij,jk,ik->i", by, np.linalg.inv(self.prior()[0]), by))
+        self.heading_variance = _heading_variance(drive, self.frame_s, np.radians(settings.heading_sigma_deg))
         range_m = np.linalg.norm(drive.points[:, :2], axis=1)
         self.sight = drive.points[:, :2] / np.maximum(range_m, 1e-9)[:, None]
-
-    def prior(self, own: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return precision, shape (own, own), and mean of the drive's own parameters.
-
-        What senders get wrong they sometimes get wrong by far, so beyond some sigma the cost of a correction grows
-        with it and no longer with its square (Huber 1964). Below, points that err together must not pull the messages
-        with them.
-        """
-        vehicle = self.drive.vehicle
-        by = _corrected(self.own)
-        wide = np.ones(len(CORRECTED))
-        if own is not None:
-            z = by @ (own - self.mean) / self.sigmas
-            wide = np.maximum(1.0, np.abs(z) / TAIL)
-        variances = self.base_sigmas**2 * wide
-        covariance = np.zeros((self.own, self.own))
-        covariance[0, 0], covariance[1, 1] = variances[0], variances[1]
-        covariance[2, 2] = (HEADING_LEVER * self.size[0]) ** 2
-        covariance[3, 3] = BEGIN_SIGMA**2
-        shape = slice(_SHAPE - FIRST_OWN, _PARTIAL - FIRST_OWN)
-        # An error of the length moves the side that the position does not refer to.
-        fixed = np.clip(0.5 + vehicle.reference[0] / vehicle.length_m, 0.0, 1.0)
-        ways = np.zeros((4, len(outline.SHAPE)))
-        ways[0, :2] = 1.0, -1.0
-        ways[1, 3] = 1.0
-        ways[2, :2] = 1.0 - fixed, fixed
-        ways[3, 2] = 0.5
-        covariance[shape, shape] = np.diag(self.shape_sigma**2) + (ways.T * variances[2:]) @ ways
-        partial = _PARTIAL - FIRST_OWN
-        covariance[partial, partial] = PARTIAL_SIGMA**2
-        covariance[_GLOSS - FIRST_OWN, _GLOSS - FIRST_OWN] = gloss.SHIFT**2
-        growth = range(_GROWTH - FIRST_OWN, _KNOTS - FIRST_OWN)
-        covariance[growth, growth] = BORDER_SIGMA**2
-        knots, count = _KNOTS - FIRST_OWN, len(self.knots_s)
-        covariance[knots : knots + count, knots : knots + count] = self.drift
-        covariance[knots + count :, knots + count :] = self.drift
-        precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-        return precision, self.mean
-
-    def corrections(self, own: FloatArray, covariance: FloatArray) -> tuple[Correction, ...]:
-        """Return by how much the messages had to be corrected, against what was to be expected.
-
-        Parameters
-        ----------
-        own : ndarray, shape (own,)
-            The drive's own parameters.
-        covariance : ndarray, shape (own, own)
-        """
-        by = _corrected(self.own)
-        values, after = by @ (own - self.mean), np.sqrt(np.einsum("ij,jk,ik->i", by, covariance, by))
-        return tuple(
-            Correction(what, float(value), float(sigma), float(left))
-            for what, value, sigma, left in zip(CORRECTED, values, self.sigmas, after, strict=True)
-        )
 
     def body(self, own: FloatArray) -> VehicleTrack:
         """Return the vehicle's track with the yaw of its body, as the drive's own parameters have it.
@@ -348,7 +235,7 @@ class DriveModel:
         What is told is that of its motion, often of its front's, which differs in a bend.
         """
         vehicle = self.drive.vehicle
-        heading_error, lever, begin = own[[_HEADING - FIRST_OWN, _LEVER - FIRST_OWN, _BEGIN - FIRST_OWN]].tolist()
+        heading_error, lever, begin = own[[HEADING, LEVER, BEGIN]].tolist()
         poses = poses_at(vehicle.stamps_s, vehicle, heading_error, lever, begin)
         yaw = vehicle.yaw_rad + np.where(poses.known, poses.yaw - poses.heading, 0.0)
         reference = np.tile(np.asarray(vehicle.reference), (len(yaw), 1))
@@ -591,7 +478,7 @@ class DriveModel:
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm - moved)
         across = self.drive.sigma_across_m[points]
         z = self.drive.points[points, 2]
-        hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE:_PARTIAL], z)
+        hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE], z)
         return Met(points, hits, arm, xy, origin, yaw)
 
     def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:
@@ -626,7 +513,7 @@ class DriveModel:
         at = self.borders[frame, side, :2]
         arm = at - self.centre
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
-        hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE:_PARTIAL])
+        hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE])
         window_m = self._window_m(hits.reach * np.hypot(*at.T))
         met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, origin, yaw)
         rows = self._rows_of(x, poses, met, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
@@ -645,7 +532,7 @@ class DriveModel:
         arm = (met.arm + self.centre) * hits.reach[:, None] - self.centre
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
         jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, met.yaw, hits.normal)
-        jacobian[:, _SHAPE:_PARTIAL] = hits.by_shape
+        jacobian[:, _SHAPE] = hits.by_shape
         return Rows(
             distance=hits.distance,
             variance=hits.variance,
@@ -669,7 +556,7 @@ class DriveModel:
         arm = self.drive.middles[frame] - self.centre
         late_s = self.drive.frames_late_s[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
-        shape = x[_SHAPE:_PARTIAL]
+        shape = x[_SHAPE]
         middle = np.array([(shape[0] - shape[1]) / 2, shape[3]])
         nearer = np.sign(origin) * self.drive.lacking_m[frame] / 2
         distances = (xy - middle - x[_PARTIAL] * nearer).T
@@ -682,7 +569,7 @@ class DriveModel:
         for axis, moved in enumerate(by_shape):
             normal = np.tile(np.eye(2)[axis], (len(frame), 1))
             jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, normal)
-            jacobian[:, _SHAPE:_PARTIAL] = -moved
+            jacobian[:, _SHAPE] = -moved
             jacobian[:, _PARTIAL] = -nearer[:, axis]
             parts.append(
                 Rows(

@@ -12,14 +12,13 @@ from scipy.linalg import block_diag
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import (
     FIRST_OWN,
-    LASTING,
     SWEEP,
     Chosen,
-    Correction,
     DriveModel,
     Fitness,
     Rows,
 )
+from laci_stereo.core.drive_prior import LASTING, Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
@@ -218,7 +217,7 @@ def fit_jointly(
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    expected = [model.sigmas for model in thinned.models]
+    expected = [model.prior.sigmas for model in thinned.models]
     if mistakes:
         from_there = thinned.solve(best, COMPARED)
         log_likely = thinned.log_posterior(from_there)
@@ -307,14 +306,14 @@ def fit_roughly(
     problem = _Problem([drive.thinned(ROUGH_ROWS)], _around(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
-    at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.drift)
+    at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.prior.drift)
     after = np.linalg.inv(solved.covariance[at, at])
     # Where residuals scatter by more than the model has it, less than nothing would be left.
     values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
     told = vectors[:, values > 0.0]
     return RoughFit(
         match=_match(solved, centre),
-        corrections=model.corrections(solved.x[own], solved.covariance[own, own]),
+        corrections=model.prior.corrections(solved.x[own], solved.covariance[own, own]),
         knots_s=model.knots_s,
         information=(vectors * np.maximum(values, 0.0)) @ vectors.T,
         pull=told @ (told.T @ (after @ solved.x[at])),
@@ -373,7 +372,7 @@ class _Problem:
         self.settings = settings
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         self.recordings = Recordings(self.models, stations)
-        ends = FIRST_OWN + np.cumsum([0, *(model.own for model in self.models)])
+        ends = FIRST_OWN + np.cumsum([0, *(len(model.prior.mean) for model in self.models)])
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
         self.clocks = [own.start for own in self.own]
@@ -386,14 +385,13 @@ class _Problem:
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
         self.precision[range(FIRST_OWN), range(FIRST_OWN)] = first
-        self.mean = np.zeros(self.size)
-        self.mean[:FIRST_OWN] = *begin, turn.mean
+        self.mean = np.concatenate([begin, [turn.mean], *(model.prior.mean for model in self.models)])
         self.loosen(None)
 
     def loosen(self, x: FloatArray | None) -> None:
         """Weigh the priors by how far the drives' own parameters are from them, if these are known."""
         for model, own in zip(self.models, self.own, strict=True):
-            self.precision[own, own], self.mean[own] = model.prior(None if x is None else x[own])
+            self.precision[own, own] = model.prior.precision(None if x is None else x[own])
         clocks = np.ix_(self.clocks, self.clocks)
         self.precision[clocks] = self.recordings.clocks(np.diag(self.precision[clocks]))
         for knots in self.knots:
@@ -454,7 +452,7 @@ class _Problem:
             each.what in what and abs(each.value) > SURELY * each.after
             for model, own in zip(self.models, solved.own, strict=True)
             if "heading" in what or _turned_rad(model.drive) > TURNED_RAD
-            for each in model.corrections(solved.x[own], solved.covariance[own, own])
+            for each in model.prior.corrections(solved.x[own], solved.covariance[own, own])
         )
 
     def solve(self, x: FloatArray, converged: float = CONVERGED) -> _Solved:
@@ -639,7 +637,7 @@ def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Seque
             tuple(
                 replace(each, sigma=float(sigma))
                 for each, sigma in zip(
-                    model.corrections(solved.x[own], solved.covariance[own, own]), sigmas, strict=True
+                    model.prior.corrections(solved.x[own], solved.covariance[own, own]), sigmas, strict=True
                 )
             )
             for model, own, sigmas in zip(problem.models, solved.own, expected, strict=True)

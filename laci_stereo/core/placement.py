@@ -12,7 +12,7 @@ from laci_stereo.core import outline
 from laci_stereo.core.agreement import agreeing, fit_together
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.choice import Choice
-from laci_stereo.core.drive_model import Correction
+from laci_stereo.core.drive_prior import Correction
 from laci_stereo.core.errors import CombineError, MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.frames import FloatArray, rotate_xy

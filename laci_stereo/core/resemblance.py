@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.choice import Resemblance
-from laci_stereo.core.drive_model import Correction
+from laci_stereo.core.drive_prior import Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import BoolArray, FloatArray, along_line, between, rotate_xy

@@ -7,6 +7,7 @@ import pytest
 
 from laci_stereo.core import gloss
 from laci_stereo.core.drive_model import FIRST_OWN, DriveModel
+from laci_stereo.core.drive_prior import GLOSS
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.joint import fit_jointly
@@ -22,7 +23,7 @@ COMING = Drive((_BEGIN[0], _BEGIN[1]), np.degrees(TRUTH.yaw_rad) + 180.0, speeds
 def expected(drive: Evidence) -> tuple[DriveModel, FloatArray]:
     """Return the model of a drive, and the parameters of what is expected of any vehicle, where it is."""
     model, x = at_the_truth(drive)
-    x[FIRST_OWN:] = model.mean
+    x[FIRST_OWN:] = model.prior.mean
     return model, x
 
 
@@ -69,7 +70,7 @@ def test_what_is_as_glossy_as_it_is_taken_for_lies_where_it_is() -> None:
     distances = []
     for drive, by in ((plain, 0.0), (glossy(plain, 4.0), 4.0), (glossy(plain, 4.0), 0.0)):
         model, x = expected(drive)
-        x[_index(model)] = by
+        x[FIRST_OWN + GLOSS] = by
         distances.append(model.rows(x).distance)
     matt, undone, mirroring = distances
     assert len(matt) == len(undone) == len(mirroring)
@@ -89,10 +90,4 @@ def test_the_less_is_known_of_gloss_the_less_a_grazed_side_tells(monkeypatch: py
 def test_a_scanner_sees_no_gloss() -> None:
     model, x = expected(evidence(COMING))
     rows = model.rows(x)
-    assert (rows.jacobian[:, _index(model)] == 0.0).all()
-
-
-def _index(model: DriveModel) -> int:
-    """Return which of the parameters is the gloss."""
-    (index,) = np.flatnonzero(model.mean == gloss.SHIFT)
-    return FIRST_OWN + int(index)
+    assert (rows.jacobian[:, FIRST_OWN + GLOSS] == 0.0).all()

@@ -7,13 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from laci_stereo.core import outline
 from laci_stereo.core.drive_model import BIAS, FIRST_OWN, SWEEP, DriveModel
+from laci_stereo.core.drive_prior import BEGIN, CLOCK, GROWTH, HEADING, KNOTS, LEVER, PARTIAL, SHAPE
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import FRAMES_PER_PLACE, Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
 from laci_stereo.core.joint import JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.outline import FACES, SHAPE, SIDES
+from laci_stereo.core.outline import FACES, SIDES
 from laci_stereo.core.receiver import KNOTS_PER_TIME
 from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import (
@@ -251,18 +253,18 @@ def test_a_long_stop_makes_the_problem_hardly_larger() -> None:
     assert fit.frames + fit.standing == len(seen[1])
 
 
-@pytest.mark.parametrize("index", range(FIRST_OWN + 4 + len(SHAPE)))
+@pytest.mark.parametrize("index", range(FIRST_OWN + PARTIAL))
 def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
-    way = CIRCLE if index == FIRST_OWN + 3 else TURN  # messages begin in a bend, or on a straight
+    way = CIRCLE if index == FIRST_OWN + BEGIN else TURN  # messages begin in a bend, or on a straight
     drive = evidence(way, sigma_m=0.05, offset_s=0.01)
     drive = replace(drive, vehicle=told(way, 6.0, reference=(2.3, 0.1)), turn_s=0.1)
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings(), turns=True)
-    x = np.zeros(FIRST_OWN + model.own)
+    x = np.zeros(FIRST_OWN + len(model.prior.mean))
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
     x[BIAS], x[SWEEP] = 0.01, 0.7
-    radii = FIRST_OWN + 4 + SHAPE.index("front_radius")
+    radii = FIRST_OWN + SHAPE.start + outline.SHAPE.index("front_radius")
     x[FIRST_OWN : radii + 2] = np.random.default_rng(2).normal(0.0, 0.01, radii + 2 - FIRST_OWN)
-    x[FIRST_OWN + 2 : FIRST_OWN + 4] += 2.0, 0.3  # lever, begin
+    x[[FIRST_OWN + LEVER, FIRST_OWN + BEGIN]] += 2.0, 0.3
     x[radii : radii + 2] += 0.2
     step = 1e-6 * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
@@ -276,7 +278,7 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     assert np.median(off) < 0.01 * max(1.0, float(np.abs(slope).max()))
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + 12 + len(SHAPE))])
+@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + KNOTS + 4)])
 def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = with_borders(evidence(sigma_m=0.05, per_frame=10), sigma=0.1)
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
@@ -286,7 +288,9 @@ def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
     touched, its, theirs = (each[each.face >= FACES] for each in (rows, more, less))
     slope = (its.distance - theirs.distance) / 2e-6
-    told_by = model.weigh(touched, 0.0, model.shares()).jacobian[:, index] if index != FIRST_OWN else touched.by_time
+    told_by = (
+        model.weigh(touched, 0.0, model.shares()).jacobian[:, index] if index != FIRST_OWN + CLOCK else touched.by_time
+    )
     off = np.abs(slope - told_by)
     assert len(off) == 2 * len(drive)
     # But where another corner is touched from there on, or a bend of the way begins.
@@ -343,8 +347,8 @@ def test_by_how_much_borders_grow_hardly_moves_the_result(growth: tuple[float, f
 @pytest.mark.parametrize("growth", [(0.4, 0.4), (-0.4, -0.4), (0.3, -0.3)])
 def test_where_the_vehicle_is_known_so_is_by_how_much_each_border_has_grown(growth: tuple[float, float]) -> None:
     model, x = at_the_truth(with_borders(evidence(), growth=growth))
-    free = slice(FIRST_OWN + 6 + len(SHAPE), FIRST_OWN + 8 + len(SHAPE))  # behind the shape, partial boxes, and gloss
-    precision = model.prior()[0][free.start - FIRST_OWN : free.stop - FIRST_OWN, free.start - FIRST_OWN :][:, :2]
+    free = slice(FIRST_OWN + GROWTH, FIRST_OWN + KNOTS)
+    precision = model.prior.precision()[GROWTH:KNOTS, GROWTH:KNOTS]
     shares = model.shares()
     for _ in range(5):
         fitness = model.weigh(model.rows(x), 0.0, shares)
@@ -384,7 +388,7 @@ def test_the_heading_of_a_message_tells_points_and_borders_alike() -> None:
     model, x = at_the_truth(seen)
     model.heading_variance = np.radians(0.5) ** 2
     rows = model.rows(x)
-    by_heading = rows.jacobian[:, FIRST_OWN + 1] ** 2 * rows.share / rows.variance
+    by_heading = rows.jacobian[:, FIRST_OWN + HEADING] ** 2 * rows.share / rows.variance
     told = np.bincount(rows.frame, by_heading)
     assert (told < 1.0 / model.heading_variance).all()
 
@@ -392,9 +396,9 @@ def test_the_heading_of_a_message_tells_points_and_borders_alike() -> None:
 def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
     """Return the model of a drive, and the parameters of the plain rectangle where it is."""
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings())
-    x = np.zeros(FIRST_OWN + model.own)
+    x = np.zeros(FIRST_OWN + len(model.prior.mean))
     x[0], x[1:3] = TRUTH.yaw_rad, TRUTH(model.centre[None])[0]
-    radii = FIRST_OWN + 4 + SHAPE.index("front_radius")
+    radii = FIRST_OWN + SHAPE.start + outline.SHAPE.index("front_radius")
     x[radii : radii + 2] = -1.0  # the sharpest corners
     return model, x
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core import outline
-from laci_stereo.core.drive_model import BIAS, FIRST_OWN, Correction, DriveModel
+from laci_stereo.core.drive_model import BIAS, FIRST_OWN, DriveModel
+from laci_stereo.core.drive_prior import CLOCK, Correction
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
 from laci_stereo.core.joint import SOFTENING_M
@@ -99,24 +100,27 @@ def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
     if not np.isfinite(x).all():
         return None
     laid = _lay(model, x, shares) if len(drive.points) else None
-    return Fit(laid if laid is not None and len(laid.face) else None, model.corrections(x[FIRST_OWN:], covariance))
+    return Fit(
+        laid if laid is not None and len(laid.face) else None, model.prior.corrections(x[FIRST_OWN:], covariance)
+    )
 
 
 def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return all parameters, of which yaw, x and y are held, the mixture's shares, and the covariance of the own."""
-    x = np.concatenate([[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn], model.mean])
-    x[FIRST_OWN] = passage.time_offset_s
+    prior = model.prior
+    x = np.concatenate([[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn], prior.mean])
+    x[FIRST_OWN + CLOCK] = passage.time_offset_s
     shares = model.shares()
-    free = np.r_[BIAS, FIRST_OWN : FIRST_OWN + model.own]
-    precision = np.zeros((model.own + 1, model.own + 1))
+    free = np.r_[BIAS, FIRST_OWN : len(x)]
+    precision = np.zeros((len(free), len(free)))
     precision[0, 0] = model.settings.bias_noise_share**-2
-    pace, step = 1.0, np.zeros(model.own + 1)
+    pace, step = 1.0, np.zeros(len(free))
     for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
         fitness = model.weigh(model.rows(x), soft, shares)
         shares = fitness.shares
-        precision[1:, 1:], mean = model.prior(x[FIRST_OWN:])
+        precision[1:, 1:] = prior.precision(x[FIRST_OWN:])
         curvature = fitness.curvature[np.ix_(free, free)] + precision
-        gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, mean))
+        gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, prior.mean))
         before, step = step, np.linalg.solve(curvature, gradient)
         pace *= 0.5 if before @ curvature @ step < 0.0 else 1.0  # points at corners change sides, and it swings
         step = pace * step
