@@ -16,7 +16,16 @@ from itertools import chain
 
 import numpy as np
 
-from laci_stereo.core.association_words import by_chance, folding, lingering, named, no_fit, nothing_found, tie
+from laci_stereo.core.association_words import (
+    by_chance,
+    folding,
+    lingering,
+    named,
+    no_fit,
+    nothing_found,
+    tie,
+    towing,
+)
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.choice import Choice, Likeness, Other, no_likeness
 from laci_stereo.core.errors import MatchError, TrackError
@@ -117,7 +126,7 @@ def choose_track(
         raise TrackError(nothing_found(tracks, settings) + folding(vehicles) + lingering(scene))
     hypotheses = _hypotheses(scene, seeds)
     if not hypotheses:
-        raise MatchError(no_fit(scene, seeds) + folding(vehicles) + lingering(scene))
+        raise MatchError(no_fit(scene, seeds) + folding(vehicles) + lingering(scene) + towing(scene))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
     weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
     return _decide(scene, _of_moving(scene, weighed), far)
@@ -206,12 +215,13 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     margin, second = min(claims, key=lambda claim: claim[0], default=(math.inf, None))
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
-        raise MatchError(f"{tie(scene, best.account, second, margin)}; needed are {math.exp(least):.0f} to 1")
+        tied = tie(scene, best.account, second, margin)
+        raise MatchError(f"{tied}; needed are {math.exp(least):.0f} to 1{towing(scene)}")
     even, doubt = best.value - math.log(objects), ""
     needed = scene.settings.least_seen_log_odds - SILENT
     if even < needed:
         chance = by_chance(scene, best.account, objects, even)
-        raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{lingering(scene)}")
+        raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{lingering(scene)}{towing(scene)}")
     # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = tie(scene, best.account, second, margin)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.settings import MatchSettings
-from laci_stereo.core.track_likelihood import MAX_GOOD_SIGMA, Account, hold_against, joined
+from laci_stereo.core.track_likelihood import MAX_GOOD_SIGMA, SIZE_SIGMA_M, Account, hold_against, joined
 from laci_stereo.core.track_motion import Seed
 from laci_stereo.core.track_scene import TABLE_S, Scene, extent
 from laci_stereo.core.tracking import Track
@@ -97,6 +97,21 @@ def lingering(scene: Scene) -> str:
                 "and so may pass for what stands there: drive on by more than its length"
             )
     return "".join(found)
+
+
+def towing(scene: Scene) -> str:
+    """Say that what was seen longest is longer than any sender tells that it is, such as a car with its trailer."""
+    longest = max(scene.tracks, key=lambda track: len(track.usable), default=None)
+    if longest is None or extent(longest.centres) < scene.settings.min_path_m:
+        return ""
+    told_m = max(sender.length_m for sender in scene.senders.values())
+    lengths_m = np.array([[one.box.length_m, 5 * one.sigma_m] for one in longest.usable])
+    if np.median(lengths_m[:, 0] - lengths_m[:, 1]) < told_m + SIZE_SIGMA_M:
+        return ""
+    return (
+        f"; what was seen longest, in {len(longest.usable)} frames, is {np.median(lengths_m[:, 0]):.1f} m long, and no "
+        f"sender tells more than {told_m:.1f} m: if it tows something, drive without that"
+    )
 
 
 def nothing_found(tracks: Sequence[Track], settings: MatchSettings) -> str:

@@ -13,7 +13,7 @@ from laci_stereo.core.errors import CamError, MatchError, OpenError, TrackError
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.core.test_calibrate import errors
-from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, cam_log, car, lidar, scene, stereo
+from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, Solid, cam_log, car, lidar, scene, stereo
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
@@ -97,6 +97,15 @@ def test_unless_it_is_of_another_length() -> None:
     found = calibrate(made.recording, made.messages)
     covered(made, found)
     assert errors(made, found).track_xy_m < 0.3
+
+
+def test_a_caravan_that_is_seen_as_one_with_its_car() -> None:
+    made = scene(STRAIGHT, lidar(layers=32))
+    bar, caravan = Solid((-2.5, 0.0), 0.0, 1.4, 1.6, 0.2, 1.0), Solid((-5.6, 0.0), 0.0, 5.6, 2.2, 0.4, 2.6)
+    (alone,) = made.recording.movers
+    towing = replace(alone, parts=(*alone.parts, bar, caravan))
+    with pytest.raises(MatchError, match=r"in \d+ frames, is (9|10)\.\d m long, .* more than 4\.4 m: if it tows something"):
+        calibrate(replace(made.recording, movers=(towing,)), made.messages)
 
 
 def test_a_lorry_that_shunts_within_its_own_length() -> None:
