@@ -198,7 +198,7 @@ class Sensor:
     """Rays in the sensor frame, and their noise: ``relative`` of 1 / depth, ``constant_m`` of range.
 
     ``turn_s`` is how long a scanner's turn lasts that does not tell its points' times, negative if it turns clockwise;
-    it passes its forward axis at the stamp.
+    half a turn of it before the stamp it passes ``begin_rad``.
     """
 
     kind: Literal["stereo", "lidar"]
@@ -209,13 +209,15 @@ class Sensor:
     constant_m: float
     bearing_rad: float
     turn_s: float = 0.0
+    begin_rad: float = np.pi
     window_rad: float = 0.0
 
     @cached_property
     def late_s(self) -> FloatArray:
         """When each ray is sent after the stamp, by steps of a millisecond, shape (n,)."""
         azimuth = np.arctan2(self.directions[:, 1], self.directions[:, 0])
-        late_s: FloatArray = np.round(self.turn_s * azimuth / (2 * np.pi), 3)
+        turned = (azimuth - self.begin_rad) % (2 * np.pi) - np.pi
+        late_s: FloatArray = np.round(self.turn_s * turned / (2 * np.pi), 3)
         return late_s
 
     def measure(self, distance: FloatArray, stamp_ns: int, rng: np.random.Generator) -> PointCloud:
@@ -236,6 +238,7 @@ class Sensor:
             self.bearing_rad * measured,
             self.at_edge[seen][keep],
             turn_s=abs(self.turn_s),
+            begin_rad=self.begin_rad,
             window_rad=self.window_rad,
         )
 

@@ -392,6 +392,7 @@ def test_an_extra_that_is_not_installed_is_named(site: Site, made: Scene, module
     ("options", "words"),
     [
         (("--axes", "sideways"), ("the axes are 'sideways'", "needed is such as 'x forward, z up'")),
+        (("--sweep", "start,cw,10,500"), ("a sweep starts at 500 deg", "needed is -360 to 360")),
         (("--sweep", "start,left,10"), ("--sweep is 'start,left,10'", "needed is start|middle|end,ccw|cw,HZ")),
         (("--sweep", "no"), ("--sweep is 'no'", "or none")),
         (("--sweep", "start,cw,0"), ("rate of sweeps is 0 Hz", "needed is 0.5 to 200")),

@@ -34,6 +34,8 @@ class PointCloud:
     turn_s : float
         How long a turn of a scanner lasts that may turn, and of which neither this nor the points' times are known; 0
         where there is nothing to guess.
+    begin_rad : float
+        Azimuth, counter-clockwise from forward, where such a scanner's scans end and begin.
     window_rad : float
         Side of the square window, as an angle, over which a camera matches: points in one have their noise in common.
         0: each has its own.
@@ -48,6 +50,7 @@ class PointCloud:
     at_edge: BoolArray
     offset_s: FloatArray | None = None
     turn_s: float = 0.0
+    begin_rad: float = np.pi
     window_rad: float = 0.0
     others: PointCloud | None = None
 
@@ -69,6 +72,7 @@ class PointCloud:
             self.at_edge[keep],
             None if self.offset_s is None else self.offset_s[keep],
             self.turn_s,
+            self.begin_rad,
             self.window_rad,
         )
 

@@ -43,6 +43,8 @@ class Evidence:
     vehicle : VehicleTrack
     turn_s : float
         How long a turn of the scanner lasts if it turns, and the points' times are not known; else 0.
+    begin_rad : float
+        Where in a turn its scans end and begin, azimuth in the level frame.
     window_rad : float
         Side of the window within which points have their noise in common; 0 if each has its own.
     borders : ndarray, shape (m, 2, 3), or None
@@ -60,6 +62,7 @@ class Evidence:
     height_m: float
     vehicle: VehicleTrack
     turn_s: float = 0.0
+    begin_rad: float = np.pi
     window_rad: float = 0.0
     borders: FloatArray | None = None
 
@@ -74,9 +77,14 @@ class Evidence:
     @cached_property
     def frames_late_s(self) -> FloatArray:
         """How much later than in the mean a scanner that turns counter-clockwise sees each frame's middle, (m,)."""
-        turned = np.unwrap(np.arctan2(self.middles[:, 1], self.middles[:, 0]))
-        late_s: FloatArray = (turned - turned.mean()) * (self.turn_s / (2 * np.pi))
+        late_s: FloatArray = (self._turned_rad - self._turned_rad.mean()) * (self.turn_s / (2 * np.pi))
         return late_s
+
+    @cached_property
+    def _turned_rad(self) -> FloatArray:
+        """How far to the left of where a scan begins each frame's middle is, 0 to 2 pi, shape (m,)."""
+        turned: FloatArray = (np.arctan2(self.middles[:, 1], self.middles[:, 0]) - self.begin_rad) % (2 * np.pi)
+        return turned
 
     @cached_property
     def beside_rad(self) -> FloatArray:
@@ -104,8 +112,13 @@ class Evidence:
 
     @cached_property
     def points_late_s(self) -> FloatArray:
-        """How much later than its frame's middle such a scanner sees each point, shape (n,)."""
-        return self.beside_rad * (self.turn_s / (2 * np.pi))
+        """How much later than its frame's middle such a scanner sees each point, shape (n,).
+
+        Beyond where a scan begins that is almost a turn earlier.
+        """
+        middle_rad = self._turned_rad[self.frame]
+        late_rad: FloatArray = (middle_rad + self.beside_rad) % (2 * np.pi) - middle_rad
+        return late_rad * (self.turn_s / (2 * np.pi))
 
     def thinned(self, rows: int) -> Evidence:
         """Return about so many of the points, spread evenly over all frames, but for most in which the vehicle stands.
@@ -189,6 +202,7 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         height_m=height_m,
         vehicle=vehicle,
         turn_s=track.turn_s,
+        begin_rad=track.begin_rad,
         window_rad=track.window_rad,
         borders=np.array([sighting.borders for sighting in seen]).reshape(-1, 2, 3),
     )

@@ -47,6 +47,7 @@ def mirrored_track(track: Track) -> Track:
                 low=replace(sighting.low, points=sighting.low.points * over),
                 borders=sighting.borders[::-1] * over,
                 middle=sighting.middle * over[:2],
+                begin_rad=-sighting.begin_rad,
                 box=replace(sighting.box, centre=sighting.box.centre * over[:2], yaw_rad=-sighting.box.yaw_rad),
             )
             for sighting in track.sightings

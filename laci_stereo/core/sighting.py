@@ -82,7 +82,7 @@ class Sighting:
         How fast it moves away from the sensor, where that was measured.
     late_s : ndarray, shape (n,), or None
         By how much later than its stamp each point was taken; None: not at all.
-    turn_s, window_rad : float
+    turn_s, begin_rad, window_rad : float
         See `PointCloud`.
     low : Low
         The same share of them is kept as of its points.
@@ -105,6 +105,7 @@ class Sighting:
     radial_mps: float | None = None
     late_s: FloatArray | None = None
     turn_s: float = 0.0
+    begin_rad: float = np.pi
     window_rad: float = 0.0
     low: Low = NOTHING_LOW
     borders: FloatArray = field(default_factory=lambda: NO_BORDERS)
@@ -301,6 +302,7 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
         sigma_m=sigma_m,
         late_s=None if cloud.offset_s is None else cloud.offset_s[kept] - late_s,
         turn_s=cloud.turn_s,
+        begin_rad=cloud.begin_rad,
         window_rad=cloud.window_rad,
         low=low[kept_low],
     )

@@ -48,10 +48,11 @@ def cli() -> None:
 @click.option("--angle-sigma", type=float, metavar="DEG", help="Noise of a bearing [default: from the beams' spacing].")
 @click.option(
     "--sweep",
-    metavar="AT,DIRECTION,HZ|none",
+    metavar="AT,DIRECTION,HZ[,FROM]|none",
     help="How the scanner turns, where the points have no times of their own: start, middle or end for what the "
-    "stamp is, ccw or cw seen from above, turns in a second; such as start,cw,10. none: all points of a scan belong to "
-    "its stamp, as a flash LiDAR's, or those of scans that were motion-compensated.",
+    "stamp is, ccw or cw seen from above, turns in a second; such as start,cw,10. FROM: where a scan begins, degrees "
+    "counter-clockwise from forward [default: as the points' order has it, else behind]. none: all points of a scan "
+    "belong to its stamp, as a flash LiDAR's, or those of scans that were motion-compensated.",
 )
 @click.option(
     "--accumulate",
@@ -144,7 +145,7 @@ cli.add_command(monitor_command)
 
 
 def parse_sweep(text: str | None) -> Sweep | AtOnce | None:
-    """Read ``AT,DIRECTION,HZ`` or ``none``.
+    """Read ``AT,DIRECTION,HZ``, ``AT,DIRECTION,HZ,FROM`` or ``none``.
 
     Raises
     ------
@@ -153,15 +154,15 @@ def parse_sweep(text: str | None) -> Sweep | AtOnce | None:
     """
     if text is None or text == "none":
         return text  # type: ignore[return-value]
-    needed = "needed is start|middle|end,ccw|cw,HZ, such as start,cw,10, or none"
+    needed = "needed is start|middle|end,ccw|cw,HZ, such as start,cw,10 or start,cw,10,-90, or none"
     parts = text.split(",")
-    if len(parts) != 3 or parts[0] not in ("start", "middle", "end") or parts[1] not in ("ccw", "cw"):
+    if len(parts) not in (3, 4) or parts[0] not in ("start", "middle", "end") or parts[1] not in ("ccw", "cw"):
         raise SettingError(f"--sweep is {text!r}; {needed}")
     try:
-        rate_hz = float(parts[2])
+        numbers = [float(part) for part in parts[2:]]
     except ValueError as error:
         raise SettingError(f"--sweep is {text!r}; {needed}") from error
-    return Sweep(stamp_at=parts[0], direction=parts[1], rate_hz=rate_hz)  # type: ignore[arg-type]
+    return Sweep(parts[0], parts[1], *numbers)  # type: ignore[arg-type]
 
 
 def main() -> None:

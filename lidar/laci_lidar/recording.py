@@ -245,6 +245,7 @@ class LidarRecording:
             at_edge=scanner.view.at_edge(points),
             offset_s=offset_s,
             turn_s=self._turn_s,
+            begin_rad=scanner.view.begin_rad,
         )
 
     @cached_property

@@ -22,8 +22,8 @@ class Sweep:
     rate_hz : float
         Turns in a second, of the mirror or head; a scanner with a field of 100 deg sweeps it in 100 / 360 of a turn.
     start_deg : float or None
-        Where a sweep begins, counter-clockwise from forward. None: at the border of the field of view; behind the
-        sensor if it sees all around.
+        Where a sweep begins, counter-clockwise from forward. None: at the border of the field of view; if the sensor
+        sees all around, where the order of the points has it, else behind.
     """
 
     stamp_at: Literal["start", "middle", "end"] = "start"

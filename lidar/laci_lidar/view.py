@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,12 @@ WHOLE_RAD = float(np.radians(330.0))
 
 MARGIN_RAD = float(np.radians(0.5))
 """So near to the border counts as at it: some steps of any scanner, a tenth of a car 20 m away."""
+
+NO_POINTS_RAD = float(np.pi / 2)
+"""What ends a scan and what begins it may be so far apart: there is a wall, or nothing in reach."""
+
+ALIKE = 0.9
+"""Mean length of the scans' directions of begin, as unit vectors, if they begin at one place: within 26 deg."""
 
 _BINS = 1440
 
@@ -31,11 +37,15 @@ class View:
         Azimuth of the border on the right, from where the field extends to the left.
     width_rad : float
         Of the field; 2 pi if it is all around.
+    begin_rad : float
+        Azimuth where a scan ends and the next begins. Where the order of points does not tell it, that is where nothing
+        is seen, or behind the sensor if it sees all around.
     """
 
     axes: Axes
     right_rad: float
     width_rad: float
+    begin_rad: float = np.pi
 
     @property
     def limited(self) -> bool:
@@ -60,9 +70,12 @@ class View:
     def offsets_s(self, points: FloatArray, sweep: Sweep) -> FloatArray:
         """Return when the sweep passes each of the points, shape (n, 3), in seconds after the scan's stamp."""
         width = self.width_rad if self.limited else 2 * np.pi
-        right = self.right_rad if self.limited else -np.pi
         clockwise = sweep.direction == "cw"
-        start = right + (width if clockwise else 0.0) if sweep.start_deg is None else np.radians(sweep.start_deg)
+        start = self.begin_rad
+        if sweep.start_deg is not None:
+            start = np.radians(sweep.start_deg)
+        elif self.limited and (self.begin_rad - self.right_rad) % (2 * np.pi) >= self.width_rad:
+            start = self.right_rad + (width if clockwise else 0.0)
         turned = (self.azimuths(points) - start) * (-1.0 if clockwise else 1.0) % (2 * np.pi)
         # Jitter before the start is no whole turn later.
         turned = np.where(turned > 2 * np.pi - MARGIN_RAD, turned - 2 * np.pi, turned) if self.limited else turned
@@ -72,11 +85,16 @@ class View:
 
 
 def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
-    """Learn the field of view from whole scans, each of shape (n, 3): all but the widest gap between their azimuths."""
+    """Learn the field of view from whole scans, each of shape (n, 3), in the order in which they were taken.
+
+    It is all but the widest gap between their azimuths.
+    """
     # In each bin the lowest and the highest azimuth that was seen in it.
     low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
+    begins = []
     for points in clouds:
         azimuths = wrap(_azimuths(points, axes))
+        begins.append(_begin(azimuths))
         bins = np.minimum((azimuths + np.pi) * (_BINS / (2 * np.pi)), _BINS - 1).astype(np.int64)
         np.minimum.at(low, bins, azimuths)
         np.maximum.at(high, bins, azimuths)
@@ -87,9 +105,35 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
     gaps = np.append(first[1:], first[0] + 2 * np.pi) - last
     widest = int(np.argmax(gaps))
     width = 2 * np.pi - float(gaps[widest])
+    begin = _together(begins)
     if width >= WHOLE_RAD:
-        return View(axes, -np.pi, 2 * np.pi)
-    return View(axes, float(first[(widest + 1) % len(first)]), width)
+        return View(axes, -np.pi, 2 * np.pi, np.pi if begin is None else begin)
+    right = float(first[(widest + 1) % len(first)])
+    return View(axes, right, width, right - float(gaps[widest]) / 2 if begin is None else begin)
+
+
+def _begin(azimuths: FloatArray) -> float:
+    """Return where a scan that goes all around begins, by the order of its azimuths, shape (n,); NaN if that tells none.
+
+    Beam after beam, or each layer from its begin to its end: either way the first is next to the last, and all turn the
+    same way, once or as often as there are layers.
+    """
+    if len(azimuths) < 2:
+        return np.nan
+    turned = float(wrap(np.diff(azimuths)).sum())
+    missing = float(np.sign(turned) * (azimuths[0] - azimuths[-1]) % (2 * np.pi))
+    if abs(turned) < np.pi or missing > NO_POINTS_RAD:
+        return np.nan
+    return float(azimuths[-1] + np.sign(turned) * missing / 2)
+
+
+def _together(begins: Sequence[float]) -> float | None:
+    """Return where scans begin if most of them do so at one place; None where their order was lost."""
+    known = np.array([begin for begin in begins if np.isfinite(begin)])
+    if 2 * len(known) <= len(begins):
+        return None
+    mean = np.exp(1j * known).mean()
+    return float(np.angle(mean)) if abs(mean) > ALIKE else None
 
 
 def _azimuths(points: FloatArray, axes: Axes) -> FloatArray:

@@ -104,7 +104,9 @@ def test_a_caravan_that_is_seen_as_one_with_its_car() -> None:
     bar, caravan = Solid((-2.5, 0.0), 0.0, 1.4, 1.6, 0.2, 1.0), Solid((-5.6, 0.0), 0.0, 5.6, 2.2, 0.4, 2.6)
     (alone,) = made.recording.movers
     towing = replace(alone, parts=(*alone.parts, bar, caravan))
-    with pytest.raises(MatchError, match=r"in \d+ frames, is (9|10)\.\d m long, .* more than 4\.4 m: if it tows something"):
+    with pytest.raises(
+        MatchError, match=r"in \d+ frames, is (9|10)\.\d m long, .* more than 4\.4 m: if it tows something"
+    ):
         calibrate(replace(made.recording, movers=(towing,)), made.messages)
 
 
@@ -268,12 +270,14 @@ def test_positions_that_their_sender_hardly_knows() -> None:
     covered(TURNING, found)
 
 
+@pytest.mark.parametrize("begin_deg", [180.0, 0.0, -10.0])
 @pytest.mark.parametrize(
     ("turn_s", "how"),
     [(-0.1, "turning clockwise"), (0.1, "turning counter-clockwise")],
 )
-def test_a_scanner_that_turns_and_does_not_tell_the_points_times(turn_s: float, how: str) -> None:
-    made = scene(STRAIGHT, replace(lidar(), turn_s=turn_s))
+def test_a_scanner_that_turns_and_does_not_tell_the_points_times(turn_s: float, how: str, begin_deg: float) -> None:
+    """Where its scans begin in the middle of the drive, what is seen of the vehicle jumps by a turn's way."""
+    made = scene(STRAIGHT, replace(lidar(), turn_s=turn_s, begin_rad=np.radians(begin_deg)))
     found = calibrate(made.recording, accurate(made.messages))
     assert found.remarks == (f"by the drive, the scanner takes a scan's points {how} (probability 100%)",)
     covered(made, found)

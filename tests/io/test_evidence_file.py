@@ -57,7 +57,7 @@ def passage() -> Passage:
         slope=SLOPE,
         altitude_m=np.where(made.vehicle.stamps_s < 1.0, np.nan, 560.0 + made.vehicle.stamps_s),
     )
-    track = Track(tuple(replace(each, turn_s=0.1, window_rad=0.011) for each in sightings))
+    track = Track(tuple(replace(each, turn_s=0.1, begin_rad=2.5, window_rad=0.011) for each in sightings))
     return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
 
 
@@ -156,7 +156,7 @@ def test_detections_without_points(tmp_path: Path) -> None:
 def test_other_versions_are_named(tmp_path: Path) -> None:
     path = tmp_path / "evidence.npz"
     np.savez(path, **{**arrays(), "format": np.array("laci-evidence/2")})
-    refused(path, "laci-evidence/2", "needed is laci-evidence/5")
+    refused(path, "laci-evidence/2", "needed is laci-evidence/6")
 
 
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from laci_lidar.settings import Sweep
 from laci_lidar.view import MARGIN_RAD, learn_view
 
 from laci_stereo.core.errors import SettingError
-from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, wrap
 from laci_stereo.io.axes import parse_axes
 from tests.lidar.scanner import road
 
@@ -40,6 +40,51 @@ def test_the_upper_and_lower_border_do_not_count():
     view = learn_view([points], FORWARD_LEFT_UP_AXES)
     azimuth = np.degrees(view.azimuths(points))
     np.testing.assert_array_equal(view.at_edge(points[outer]), np.abs(azimuth[outer]) > 59.5 + 1e-9)
+
+
+@pytest.mark.parametrize("in_layers", [False, True], ids=["by beams", "by layers"])
+@pytest.mark.parametrize("way", [-1.0, 1.0], ids=["clockwise", "counter-clockwise"])
+@pytest.mark.parametrize("begin_deg", [-170.0, -60.0, 0.0, 135.0])
+def test_where_scans_begin_is_told_by_the_order_of_their_points(begin_deg, way, in_layers):
+    azimuths = begin_deg + way * np.arange(0.0, 360.0, 0.5)
+    layers = [at_azimuth(azimuths, elevation) for elevation in (-12.0, -8.0, -4.0)]
+    points = np.concatenate(layers) if in_layers else np.stack(layers, axis=1).reshape(-1, 3)
+    rng = np.random.default_rng(1)
+    scans = [points[rng.random(len(points)) < 0.8] for _ in range(10)]
+    view = learn_view(scans, FORWARD_LEFT_UP_AXES)
+    assert wrap(view.begin_rad - np.radians(begin_deg - way * 0.25)) == pytest.approx(0.0, abs=np.radians(1.0))
+    late_s = view.offsets_s(points, Sweep("start", "cw" if way < 0.0 else "ccw", 10.0))
+    taken_s = np.arange(len(azimuths)) * 0.1 / len(azimuths)
+    in_turn = np.tile(taken_s, 3) if in_layers else np.repeat(taken_s, 3)
+    off_s = np.abs(late_s - in_turn)
+    assert np.quantile(off_s, 0.99) < 1e-3
+    # Between what ends one scan and what begins the next nothing may be seen.
+    kept = np.abs(np.degrees(wrap(view.azimuths(points) - np.radians(begin_deg + 20.0)))) > 20.0
+    without = learn_view([scan[keep] for scan, keep in ((points, kept),)], FORWARD_LEFT_UP_AXES)
+    assert wrap(without.begin_rad - np.radians(begin_deg + 20.0)) == pytest.approx(0.0, abs=np.radians(21.0))
+
+
+@pytest.mark.parametrize("begin_deg", [20.0, -40.0])
+def test_a_scanner_that_turns_where_nothing_is_in_reach_begins_where_it_does(begin_deg):
+    """Of all around nothing comes back from behind, over 90 deg: its scans begin in view nevertheless."""
+    azimuths = begin_deg - np.arange(0.0, 360.0, 0.2)
+    points = at_azimuth(azimuths)
+    view = learn_view([points[np.abs(np.degrees(wrap(np.radians(azimuths)))) < 135.0]] * 3, FORWARD_LEFT_UP_AXES)
+    assert view.limited
+    assert np.degrees(view.begin_rad) == pytest.approx(begin_deg, abs=0.2)
+    late_s = view.offsets_s(at_azimuth([begin_deg - 1.0, begin_deg + 1.0]), Sweep("start", "cw", 10.0))
+    np.testing.assert_allclose(late_s, [0.1 / 360.0, 0.1 - 0.1 / 360.0], atol=1e-4)
+
+
+def test_an_order_that_was_lost_tells_no_begin_so_it_is_taken_to_be_behind():
+    points = at_azimuth(np.arange(0.0, 360.0, 0.2))
+    rng = np.random.default_rng(2)
+    shuffled = [rng.permutation(points) for _ in range(10)]
+    along = [points[np.argsort(points[:, 0])]] * 10
+    in_squares = [points[np.lexsort((points[:, 1] // 2.0, points[:, 0] // 2.0))]] * 10
+    drifting = [at_azimuth(begin + np.arange(0.0, 360.0, 0.2)) for begin in np.arange(0.0, 360.0, 36.0)]
+    for scans in (shuffled, along, in_squares, drifting):
+        assert learn_view(scans, FORWARD_LEFT_UP_AXES).begin_rad == np.pi
 
 
 def test_all_around_there_is_no_border():

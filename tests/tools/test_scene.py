@@ -135,6 +135,18 @@ def test_a_faster_scanner_fires_as_many_beams_a_second_and_a_slower_one_leaves_o
     assert slow.period_s == pytest.approx(own.period_s / 0.3)
 
 
+def test_scans_are_cut_where_they_begin():
+    own = lidar("lidar_16")
+    cut = own.beginning(30.0)
+    assert np.degrees(cut.azimuth_rad[[0, -1]]) == pytest.approx([30.0, 30.0], abs=0.3)
+    late_s = (np.radians(30.0) - cut.azimuth_rad) % (2 * np.pi) / (2 * np.pi) * own.period_s
+    np.testing.assert_allclose(cut.offset_s, late_s, atol=1e-12)
+    assert (np.diff(cut.offset_s) >= 0.0).all()
+    np.testing.assert_allclose(own.beginning(180.0).offset_s, own.offset_s, atol=own.period_s / 1000)
+    limited = lidar("lidar_8")
+    assert limited.beginning(30.0) is limited
+
+
 @pytest.mark.parametrize("sensor", ["lidar_8", "stereo_05"])
 def test_at_another_frame_rate_the_same_drive_is_seen(sensor):
     anyhow = {"min_seen": 0, "min_driven_m": 0.0}

@@ -134,6 +134,8 @@ class Factors:
         By how much each of their clocks differs from the sender's, one standard deviation.
     noise, rain, point_times
         See `LidarFlaws`; ``noise`` also scales a stereo camera's.
+    begin_deg : float
+        Where the scans of a LiDAR that sees all around begin, counter-clockwise from its forward.
     turning : str
         How a LiDAR turns, of `TURNINGS`; one that takes all points at once is a flash.
     lean_deg : float
@@ -186,6 +188,7 @@ class Factors:
     noise: float = 1.0
     rain: float | None = None
     point_times: bool | None = None
+    begin_deg: float = 180.0
     turning: Turning | None = None
     lean_deg: float = 0.0
     stamp_jitter_s: float = 0.0
@@ -535,6 +538,8 @@ def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCam
             focal = draw.given(factors.focal_px, "focal", lambda rng: float(rng.uniform(800.0, 1500.0)))
             return stereo_camera(name, focal)
     scanner = lidar(next(name for name in LIDARS if name == kind))
+    if factors.begin_deg != 180.0:
+        scanner = scanner.beginning(factors.begin_deg)
     return scanner.turning(draw.choice(factors.turning, "turning", TURNINGS, (0.6, 0.2, 0.2)))
 
 

@@ -109,6 +109,20 @@ class Lidar:
             period_s=period_s,
         )
 
+    def beginning(self, begin_deg: float) -> Lidar:
+        """Return the scanner with its scans cut at another azimuth than behind, if it sees all around."""
+        if not self.repeats or self.field_rad[0] < 3.0:
+            return self
+        turned = (np.radians(begin_deg) - self.azimuth_rad) % (2 * np.pi)
+        order = np.argsort(turned, kind="stable")
+        return replace(
+            self,
+            azimuth_rad=self.azimuth_rad[order],
+            elevation_rad=self.elevation_rad[order],
+            offset_s=turned[order] / (2 * np.pi) * self.period_s,
+            layer=self.layer[order],
+        )
+
     def turning(self, way: Turning) -> Lidar:
         """Return the scanner with its beams fired in this order; one whose frames differ has its own."""
         if not self.repeats or way == "clockwise":
