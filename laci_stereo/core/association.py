@@ -272,7 +272,7 @@ def _goes_on(sender: Sender, one: Track, other: Track, motion: Motion) -> bool:
         return False
     first, second = sorted((one, other), key=lambda track: track.sightings[0].stamp_s)
     begins = second.sightings[0]
-    if abs(begins.stamp_s - first.sightings[-1].stamp_s) > UNSEEN_S:
+    if abs(begins.stamp_s - first.sightings[-1].stamp_s) > max(unseen_s(one.stamps_s), unseen_s(other.stamps_s)):
         return False
     last = min(first.sightings, key=lambda seen: abs(seen.stamp_s - begins.stamp_s))
     stamps_s = np.array([last.stamp_s, begins.stamp_s])
@@ -328,6 +328,14 @@ def _on_vehicle(scene: Scene, best: _Hypothesis, account: Account) -> Track:
     return track.where(near | ~poses.known).without(best.strayed_s if account is best.account else ())
 
 
+def unseen_s(stamps_s: FloatArray) -> float:
+    """Return for how long something that was seen at some times, shape (n,), can be out of sight and count as seen.
+
+    That is one missing frame at least, however seldom they come.
+    """
+    return max(UNSEEN_S, 2.5 * float(np.median(np.diff(stamps_s)))) if len(stamps_s) > 1 else UNSEEN_S
+
+
 def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) -> float:
     """Return how far a sender's vehicle drives while a track is seen, without what it drives meanwhile unseen.
 
@@ -336,7 +344,7 @@ def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) 
     sender = scene.senders[account.station]
     stamps_s = np.array([one.stamp_s for one in track.usable])
     poses = sender.at(stamps_s + best.motion.offset_s)
-    stretches = np.split(np.arange(len(stamps_s)), np.flatnonzero(np.diff(stamps_s) > UNSEEN_S) + 1)
+    stretches = np.split(np.arange(len(stamps_s)), np.flatnonzero(np.diff(stamps_s) > unseen_s(stamps_s)) + 1)
     moving = [stretch for stretch in stretches if extent(poses.xy[stretch]) > sender.reach_m]
     return float(sum(np.ptp(poses.path_m[stretch]) for stretch in moving))
 

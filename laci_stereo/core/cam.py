@@ -255,8 +255,8 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     Raises
     ------
     CamError
-        If there are fewer than two messages with a position, or fewer than half fit one another, or the heading was
-        never sent, or is not what it should be.
+        If there are fewer than two messages with a position, or no two near one another in time, or fewer than half fit
+        one another, or the heading was never sent, or is not what it should be.
     TrackError
         If the vehicle stands still.
     """
@@ -281,6 +281,11 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     sigma_m, stepped = _with_steps(log[whole], world, epoch_ns, xy[whole], places)
     log, xy_reference = log[fits], xy[fits]
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
+    if (np.diff(stamps_s) > MAX_GAP_S).all():
+        raise CamError(
+            f"the {len(log)} messages of station {log.station_id[0]} are {np.diff(stamps_s).min():.1f} s apart or "
+            f"more; needed are two within {MAX_GAP_S} s, as nothing tells where it was over longer gaps"
+        )
     yaw = _body_yaw(log, world, xy_reference)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     track = VehicleTrack(

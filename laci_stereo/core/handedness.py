@@ -38,10 +38,11 @@ def mirrored(
     choice : Choice or None
         What was chosen as it was seen, if anything fits.
     """
-    turned = [mirrored_track(track) for track in tracks]
-    by_boxes = [chosen(each, vehicles, settings.any_fit) for each in (turned, tracks)]
+    boxes = [mirrored_track(track.without_points()) for track in tracks]
+    by_boxes = [chosen(each, vehicles, settings.any_fit) for each in (boxes, tracks)]
     if log_odds_between(*by_boxes) < settings.least_log_odds:
         return ""
+    turned = [mirrored_track(track) for track in tracks]
     other = chosen(turned, vehicles, settings, likeness)
     if other is None or other.doubt or log_odds_between(other, choice) < settings.clear_log_odds:
         return ""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.association import UNSEEN_S
+from laci_stereo.core.association import unseen_s
 from laci_stereo.core.cam_repair import WIDEST_M
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
@@ -102,6 +102,6 @@ def _driven(stamps_s: FloatArray, xy: FloatArray, yaw: FloatArray) -> tuple[Floa
     """Return how far a vehicle drives ahead between its frames, shape (n - 1,), and the part of each frame, (n,)."""
     passed_s = np.diff(stamps_s)
     steps_m = (np.diff(xy, axis=0) * np.column_stack([np.cos(yaw[1:]), np.sin(yaw[1:])])).sum(axis=1)
-    steps_m = np.where((passed_s < UNSEEN_S) & (np.abs(steps_m) > MOVES_MPS * passed_s), steps_m, 0.0)
+    steps_m = np.where((passed_s < unseen_s(stamps_s)) & (np.abs(steps_m) > MOVES_MPS * passed_s), steps_m, 0.0)
     parts_m: FloatArray = (np.append(np.abs(steps_m), 0.0) + np.append(0.0, np.abs(steps_m))) / 2.0
     return steps_m, parts_m

@@ -131,9 +131,11 @@ def places(track: Track) -> FloatArray:
     reach = np.minimum(np.minimum(number, number[::-1]), round(SMOOTH_M / CELL_M))
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(middles, axis=0)])
     smooth: FloatArray = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
-    # Where it was not seen for longer, the way may have turned.
-    gap_m = np.append(np.diff(along_m), 0.0)[np.searchsorted(along_m, at_m, side="right") - 1]
-    return _once(smooth[gap_m < PIECE_M], at_m[gap_m < PIECE_M])
+    # Where it was not seen for longer, the way may have turned; but frames may be seldom.
+    steps_m = np.diff(along_m)
+    longest_m = max(PIECE_M, 1.5 * float(np.median(steps_m))) if len(steps_m) else PIECE_M
+    kept = np.append(steps_m, 0.0)[np.searchsorted(along_m, at_m, side="right") - 1] < longest_m
+    return _once(smooth[kept], at_m[kept])
 
 
 def prolonged(way: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:

@@ -110,6 +110,12 @@ class Sighting:
     low: Low = NOTHING_LOW
     borders: FloatArray = field(default_factory=lambda: NO_BORDERS)
 
+    def without_points(self) -> Sighting:
+        """Return its box only."""
+        points, along, across = NOTHING_LOW.points, NOTHING_LOW.sigma_along_m, NOTHING_LOW.sigma_across_m
+        bare = replace(self, points=points, sigma_along_m=along, sigma_across_m=across, late_s=None)
+        return replace(bare, low=NOTHING_LOW, borders=NO_BORDERS)
+
 
 def find_vehicles(
     cloud: PointCloud,

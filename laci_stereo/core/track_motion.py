@@ -70,8 +70,8 @@ def find_seeds(scene: Scene) -> list[Seed]:
 def _seed(index: int, knots: Knots, sender: Sender, settings: MatchSettings) -> Seed | None:
     """Search the clock offset on a grid, and around its best."""
     knots = knots[evenly(len(knots), SEARCH_KNOTS)]
-    now = sender.at(knots.stamp_s)
-    fastest_mps = max(float(np.linalg.norm(now.velocity, axis=1).max()), 1.0)
+    told = sender.table[sender.known, 2:4]
+    fastest_mps = max(float(np.linalg.norm(told, axis=1).max(initial=0.0)), 1.0)
     limit_s = 3 * settings.clock_sigma_s
     # A step moves the vehicle by less than its reach, most of which the motion takes up; the grid is then narrowed.
     steps = math.ceil(limit_s * fastest_mps / (3 * settings.position_sigma_m))

@@ -189,7 +189,7 @@ def _sender(station: int, vehicle: VehicleTrack) -> Sender:
     grid = first_s + TABLE_S * steps
     xy, yaw, known = vehicle.at(grid)
     for values in (*xy.T, yaw):
-        values[~known] = np.interp(grid[~known], grid[known], values[known])
+        values[~known] = np.interp(grid[~known], grid[known], values[known]) if known.any() else 0.0
     velocity = np.gradient(xy, TABLE_S, axis=0)
     path = np.cumsum(np.linalg.norm(velocity, axis=1)) * TABLE_S
     table = np.column_stack([xy, velocity, yaw, path, _slip(yaw, path, vehicle.length_m)])

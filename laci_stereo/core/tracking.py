@@ -10,6 +10,8 @@ from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from laci_stereo.core.fixtures import stands
 from laci_stereo.core.frames import BoolArray, FloatArray
@@ -105,6 +107,10 @@ class Track:
             return self
         return Track(tuple(sighting for sighting, is_kept in zip(self.sightings, kept, strict=True) if is_kept))
 
+    def without_points(self) -> Track:
+        """Return the track with the boxes of its sightings only."""
+        return Track(tuple(sighting.without_points() for sighting in self.sightings))
+
     def joined(self, other: Track) -> Track:
         """Return two tracks as one; in frames that hold both, the first one's sighting."""
         mine = {sighting.frame_s for sighting in self.sightings}
@@ -140,6 +146,7 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
     stamps_s = np.array([sightings[0].frame_s for sightings in seen])
     # At least one missing frame is bridged, however seldom they come.
     interval_s = float(np.median(np.diff(stamps_s))) if len(seen) > 1 else 0.0
+    settings = replace(settings, max_lost_s=max(settings.max_lost_s, 2.5 * interval_s))
     limit_s = min(max(blind_s(settings), 2.5 * interval_s), settings.max_lost_s)
     for now_s, sightings in zip(stamps_s, seen, strict=True):
         finished += [track for track in active if now_s - track.last.frame_s > limit_s]
@@ -257,15 +264,9 @@ def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
                 kept[len(parts) - 1, len(parts)] = min(strained**2 - UNLIKELY, MOST_KEPT) - UNLINKED, 0, 0
             parts.append(piece)
     found = _links(parts, kept, settings)
-    rows, columns = (sorted({pair[axis] for pair in found}) for axis in (0, 1))
-    costs = np.full((len(rows), len(columns)), UNLINKED)
-    for (i, j), (cost, *_) in found.items():
-        costs[rows.index(i), columns.index(j)] = cost
-    after_of = {rows[before]: columns[after] for after, before in _pairs(costs).items()}
+    after_of = _following(found)
     stitched = []
-    for index in range(len(parts)):
-        if index in after_of.values():
-            continue
+    for index in sorted(set(range(len(parts))) - set(after_of.values())):
         sightings = list(parts[index].sightings)
         while index in after_of:
             _, stray_last, stray_first = found[index, after_of[index]]
@@ -273,6 +274,31 @@ def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
             sightings = sightings[: len(sightings) - stray_last] + parts[index].sightings[stray_first:]
         stitched.append(Track(tuple(sightings)))
     return stitched
+
+
+def _following(found: Links) -> dict[int, int]:
+    """Return what follows each part that something follows, at the least cost in all.
+
+    What is not linked, by any others in between, is looked at by itself: most parts have few that may follow.
+    """
+    pairs = [pair for pair, (cost, *_) in found.items() if cost < UNLINKED]
+    if not pairs:
+        return {}
+    before, after = np.array(pairs).T
+    count = int(max(before.max(), after.max())) + 1
+    graph = coo_array((np.ones(len(pairs)), (before, count + after)), shape=(2 * count, 2 * count))
+    group = connected_components(graph, directed=False)[1]
+    groups: dict[int, list[tuple[int, int]]] = {}
+    for pair in pairs:
+        groups.setdefault(int(group[pair[0]]), []).append(pair)
+    follows = {}
+    for linked in groups.values():
+        rows, columns = (sorted({pair[axis] for pair in linked}) for axis in (0, 1))
+        costs = np.full((len(rows), len(columns)), UNLINKED)
+        for i, j in linked:
+            costs[rows.index(i), columns.index(j)] = found[i, j][0]
+        follows.update({rows[row]: columns[column] for column, row in _pairs(costs).items()})
+    return follows
 
 
 def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Links:
@@ -285,11 +311,16 @@ def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Lin
     for stray_last, stray_first in ((0, 0), (1, 0), (0, 1)):
         ends, begins = ends_by[stray_last], begins_by[stray_first]
         begins_s, ends_s = (np.array([one.last.stamp_s for one in each]) for each in (begins, ends))
-        gap_s = begins_s - ends_s[:, None]
-        for i, j in np.argwhere((gap_s > 0.0) & (gap_s <= settings.max_lost_s)).tolist():
-            strained = strain(ends[i], begins[j], float(gap_s[i, j]), settings) + STRAY * (stray_last + stray_first)
-            if i != j and strained**2 < found.get((i, j), (1.0,))[0]:
-                found[i, j] = strained**2, stray_last, stray_first
+        order = np.argsort(begins_s)
+        firsts, lasts = (
+            np.searchsorted(begins_s[order], ends_s + later_s, side="right") for later_s in (0.0, settings.max_lost_s)
+        )
+        for i, (first, last) in enumerate(zip(firsts.tolist(), lasts.tolist(), strict=True)):
+            for j in np.sort(order[first:last]).tolist():
+                gap_s = float(begins_s[j] - ends_s[i])
+                strained = strain(ends[i], begins[j], gap_s, settings) + STRAY * (stray_last + stray_first)
+                if i != j and strained**2 < found.get((i, j), (1.0,))[0]:
+                    found[i, j] = strained**2, stray_last, stray_first
     return found
 
 

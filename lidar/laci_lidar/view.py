@@ -113,7 +113,7 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
 
 
 def _begin(azimuths: FloatArray) -> float:
-    """Return where a scan that goes all around begins, by the order of its azimuths, shape (n,); NaN if that tells none.
+    """Return where a scan that goes all around begins, by the order of its azimuths, shape (n,), or NaN.
 
     Beam after beam, or each layer from its begin to its end: either way the first is next to the last, and all turn the
     same way, once or as often as there are layers.

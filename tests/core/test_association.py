@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import re
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -41,6 +42,27 @@ motions = st.builds(PlanarMatch, angles, shifts)
 
 def shifted(drive: Drive, x: float, y: float, later_s: float = 0.0) -> Drive:
     return replace(drive, start=(drive.start[0] + x, drive.start[1] + y), start_s=drive.start_s + later_s)
+
+
+@pytest.mark.parametrize("period_s", [0.999, 1.001, 1.4])
+def test_frames_may_come_seldom(period_s: float) -> None:
+    slow = replace(DRIVE, speeds=((0.0, 2.5),))
+    stamps_s = np.arange(0.0, 20.0, period_s)
+    choice = choose_track([track(stamps_s, slow.at(stamps_s)[0])], {42: vehicle(slow, last_s=20.0)})
+    assert len(choice.track.usable) == len(stamps_s)
+
+
+def test_what_drives_long_after_a_sender_was_heard_is_not_sought_at_every_centimetre() -> None:
+    """Where nothing was sent nobody knows how fast it was: the clocks' offsets to try do not depend on it."""
+    heard = vehicle(DRIVE, last_s=7.97)  # the table's last step is beyond the last message
+    later_s = 300.0 + STAMPS
+    tracks = [seen(), track(later_s, DRIVE.at(STAMPS)[0])]
+    tracemalloc.start()
+    choice = choose_track(tracks, {42: heard}, UNKNOWN_CLOCK)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert choice.track is tracks[0]
+    assert peak < 30e6
 
 
 def test_the_senders_track_is_found_among_others() -> None:

@@ -170,6 +170,12 @@ def test_too_few_messages(count: int) -> None:
         track_of(log[np.arange(len(log)) < count])
 
 
+def test_messages_that_are_all_far_apart_tell_no_way() -> None:
+    log = cam_log(ULM, car(NORTH), 12.0, rate_hz=0.5)
+    with pytest.raises(CamError, match=rf"the {len(log)} messages of station 42 are 2\.0 s apart or more; .* 1\.5 s"):
+        track_of(log)
+
+
 def test_a_vehicle_that_stands_still() -> None:
     with pytest.raises(TrackError, match="station 42 stands still"):
         track_of(cam_log(ULM, car(replace(NORTH, speeds=((0.0, 0.0),))), 2.0))

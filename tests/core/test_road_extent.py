@@ -279,6 +279,13 @@ def test_a_fast_vehicle_was_everywhere_between_two_frames_but_not_where_it_was_h
     assert np.sort(between)[-2] < 1.0
 
 
+def test_where_frames_are_seldom_a_vehicle_was_everywhere_between_them() -> None:
+    found = places(Track(tuple(sighting(float(i), np.array([8.0 * i, 3.0])) for i in range(9))))
+    assert np.diff(found[:, 0]).max() < 0.6
+    assert np.ptp(found[:, 0]) == pytest.approx(64.0, abs=1.0)
+    assert len(places(Track((sighting(0.0, np.array([5.0, 3.0])),)))) == 1
+
+
 def there_and_back(first_x: float, turn_x: float, last_x: float, aside_m: float) -> FloatArray:
     """Return the places of who drives there at `WAY_Y_M`, and back so far aside of that."""
     there = [(x, WAY_Y_M) for x in np.arange(first_x, turn_x, 0.5)]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from collections import Counter
 from dataclasses import replace
 from itertools import groupby
@@ -83,6 +84,29 @@ def test_an_occlusion_of_half_a_second_is_bridged(rate_hz: float) -> None:
     seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 2.5))
     (found,) = link_tracks(frames_of(seen))
     assert same(found, seen)
+
+
+@pytest.mark.parametrize("period_s", [0.999, 1.001, 1.7])
+def test_however_seldom_frames_come_one_that_is_missing_is_bridged(period_s: float) -> None:
+    true = driven(replace(DRIVE, speeds=((0.0, 2.0),)), 1.0 / period_s, last_s=20.0)
+    seen = Track(tuple(one for number, one in enumerate(true.sightings) if number not in (4, 8)))
+    (found,) = link_tracks(frames_of(seen))
+    assert same(found, seen)
+
+
+def test_strays_that_nothing_links_cost_little_memory() -> None:
+    """Foliage that is seen for a moment here and there, for an hour: what may follow what is looked at by places."""
+    rng = np.random.default_rng(3)
+    strays = [
+        track(np.array([at_s]), rng.uniform(-60.0, 60.0, (1, 2)), count=6) for at_s in 0.1 * rng.integers(0, 36_000, 3000)
+    ]
+    true = driven(DRIVE, 10.0)
+    tracemalloc.start()
+    found = link_tracks(frames_of(true, *strays))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert same(found[0], true)
+    assert peak < 60e6  # a table of all pairs has 72 MB, and there were three
 
 
 def test_what_was_lost_for_too_long_is_another_track() -> None:
