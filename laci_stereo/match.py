@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from laci_stereo.core.box_ground import HEIGHT_SIGMA_M, height_by_boxes
+from laci_stereo.core.box_ground import HEIGHT_SIGMA_M, LEVEL_SIGMA_DEG, SLOPE_SIGMA, Below, ground_below
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import DetectionError
@@ -21,7 +21,10 @@ from laci_stereo.io.lane_map import find_lane_map
 from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
 
 CONTRADICTION = 4.0
-"""Standard deviations beyond which two heights are not one."""
+"""Standard deviations beyond which two heights are not one, and a slope is no road's."""
+
+STEEP = 2.0
+"""Standard deviations from which on a slope is told."""
 
 BoxOrigin = Literal["centre", "bottom"]
 
@@ -163,16 +166,28 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
 
 
 def _check_level(path: Path, log: DetectionLog, level_m: float, axes: Axes) -> None:
-    """Raise if the boxes stand elsewhere than so far below the sensor."""
-    known = np.isfinite(log.points_sensor).all(axis=1) & np.isfinite(log.above_ground_m)
-    if not known.any():
+    """Raise if the boxes stand elsewhere than so far below the sensor, or on what is steeper than roads are."""
+    below = _below(log, axes)
+    if below is None:
         return
-    height_m, sigma_m = height_by_boxes(log.points_sensor[known], log.above_ground_m[known], axes)
-    if abs(height_m - level_m) > CONTRADICTION * np.hypot(sigma_m, HEIGHT_SIGMA_M):
+    if abs(below.height_m - level_m) > CONTRADICTION * np.hypot(below.height_sigma_m, HEIGHT_SIGMA_M):
         raise DetectionError(
-            f"{path}: the boxes stand {height_m:.1f} m below the sensor, give or take {sigma_m:.1f} m, by their z and "
-            f"height; --level is {level_m:g} m: needed is one height (see --box-origin and --axes), or boxes without z"
+            f"{path}: the boxes stand {below.height_m:.1f} m below the sensor, give or take {below.height_sigma_m:.1f} "
+            f"m, by their z and height; --level is {level_m:g} m: needed is one height (see --box-origin and --axes), "
+            "or boxes without z"
         )
+    if below.slope > CONTRADICTION * np.hypot(below.slope_sigma, SLOPE_SIGMA):
+        raise DetectionError(
+            f"{path}: the ground below the boxes falls by {below.slope:.0%}, {np.degrees(np.arctan(below.slope)):.1f} "
+            f"deg, by their z and height; by --level the sensor is level to {LEVEL_SIGMA_DEG:g} deg, and roads below "
+            "it are less steep: needed is no --level, or boxes without z"
+        )
+
+
+def _below(log: DetectionLog, axes: Axes) -> Below | None:
+    """Return what the boxes' own heights tell of the ground; None where they have none."""
+    known = np.isfinite(log.points_sensor).all(axis=1) & np.isfinite(log.above_ground_m)
+    return ground_below(log.points_sensor[known], log.above_ground_m[known], axes) if known.any() else None
 
 
 def _ground_note(log: DetectionLog, options: MatchOptions) -> str:
@@ -180,7 +195,11 @@ def _ground_note(log: DetectionLog, options: MatchOptions) -> str:
         return f"x, y and z taken for the {options.box_origin} of the boxes (see --box-origin)"
     if np.isnan(log.points_sensor[:, 2]).all():
         return f"no z; x and y taken for distances along the ground, {options.level_m:g} m below the sensor"
-    return f"the sensor's axis is taken for vertical, and the ground for {options.level_m:g} m below it"
+    note = f"the sensor's axis is taken for vertical, and the ground for {options.level_m:g} m below it"
+    below = _below(log, options.axes)
+    if below is None or below.slope < STEEP * np.hypot(below.slope_sigma, np.radians(LEVEL_SIGMA_DEG)):
+        return note
+    return f"{note}; by the boxes' z it falls by {below.slope:.1%}: a road that steep, or a sensor that is not level"
 
 
 def _in_words(axes: Axes) -> str:

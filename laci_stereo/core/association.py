@@ -448,7 +448,8 @@ def _check_motion(vehicles: Mapping[int, VehicleTrack], settings: MatchSettings)
     paths = {station: extent(vehicle.xy) for station, vehicle in vehicles.items()}
     station = max(paths, key=lambda key: paths[key])
     if paths[station] < settings.min_path_m:
+        lasts_s = float(np.ptp(vehicles[station].stamps_s))
         raise TrackError(
-            f"the vehicle of station {station} stands still: it moves {paths[station]:.2f} m according to its CAMs; "
-            f"needed are {settings.min_path_m:.1f} m"
+            f"the vehicle of station {station} stands still, or hardly moves: {paths[station]:.2f} m in the "
+            f"{lasts_s:.1f} s of its CAMs; needed are {settings.min_path_m:.1f} m"
         )

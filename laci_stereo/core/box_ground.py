@@ -66,8 +66,27 @@ def level_ground(height_m: float, axes: Axes) -> GroundPlane:
     return replace(ground, covariance_sensor=_in_sensor(np.diag([tilt, tilt, HEIGHT_SIGMA_M**2]), ground, axes))
 
 
-def height_by_boxes(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> tuple[float, float]:
-    """Return how high a level sensor stands by the boxes' own heights, metres, and one standard deviation.
+@dataclass(frozen=True)
+class Below:
+    """Where the boxes' own heights have the ground below a sensor that is said to be level.
+
+    Attributes
+    ----------
+    height_m, height_sigma_m : float
+        How high the sensor stands, and one standard deviation.
+    slope, slope_sigma : float
+        How steeply the ground falls or rises, in the direction in which it does so most: 0 where the sensor's up axis
+        is at right angles to it.
+    """
+
+    height_m: float
+    height_sigma_m: float
+    slope: float
+    slope_sigma: float
+
+
+def ground_below(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> Below:
+    """Return where the boxes' own heights have the ground below a sensor that is said to be level.
 
     The road may rise, and bend up to where the boxes are; and boxes may all err alike, as one of them does.
 
@@ -92,8 +111,12 @@ def height_by_boxes(points: FloatArray, above_ground_m: FloatArray, axes: Axes) 
         near = off_m <= _GATE * noise_m
         information = plan[near].T @ plan[near] / noise_m**2 + prior
         value = np.linalg.solve(information, plan[near].T @ below_m[near] / noise_m**2)
-    bent_m = BENT_PER_M / 2 * float(np.median((plan[:, 1:] ** 2).sum(axis=1)))
-    return float(value[0]), float(np.sqrt(noise_m**2 + bent_m**2 + np.linalg.inv(information)[0, 0]))
+    far_m2 = float(np.median((plan[:, 1:] ** 2).sum(axis=1)))
+    covariance, slope = np.linalg.inv(information), float(np.hypot(*value[1:]))
+    sigma_m = float(np.sqrt(noise_m**2 + (BENT_PER_M / 2 * far_m2) ** 2 + covariance[0, 0]))
+    steepest = value[1:] / max(slope, 1e-12)
+    variance = float(steepest @ covariance[1:, 1:] @ steepest) + BENT_PER_M**2 / 4 * far_m2
+    return Below(float(value[0]), sigma_m, slope, float(np.sqrt(variance)))
 
 
 def plane_below(

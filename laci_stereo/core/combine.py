@@ -122,8 +122,8 @@ def _check_alike(passages: Sequence[Passage]) -> None:
         if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
             both_s = (min(last_ns, end_ns) - max(first_ns, begin_ns)) / 1e9
             raise EvidenceError(
-                f"{other.name}: is the same drive as {one.name}, for station {one.station_id} drives in both at the "
-                f"same time, for {both_s:.1f} s; needed is each drive once"
+                f"{other.name}: is the same drive as {one.name}, or a part of it: station {one.station_id} drives in "
+                f"both at the same time, for {both_s:.1f} s; needed is each drive once"
             )
 
 

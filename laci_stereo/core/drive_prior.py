@@ -38,6 +38,9 @@ BORDER_SIGMA = 12**-0.5
 is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
 windows, it is off on average, and in each place."""
 
+LEAST_TOLD = 0.25
+"""Of the variance of the clocks' offset, what the points are taken to tell at least."""
+
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
 """What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
 
@@ -60,6 +63,16 @@ class Correction:
     value: float
     sigma: float
     after: float = float("nan")
+
+    @property
+    def surprise(self) -> float:
+        """By how many standard deviations it is off.
+
+        Clocks that the points hardly tell are corrected little, however wrong they are: the variance of a correction is
+        what was to be expected less what is left. Points that err together leave more than they should.
+        """
+        told = max(1.0 - (self.after / self.sigma) ** 2, LEAST_TOLD) if self.what == "clock" else 1.0
+        return abs(self.value) / (self.sigma * float(np.sqrt(told)))
 
 
 class DrivePrior:

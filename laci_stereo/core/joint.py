@@ -25,7 +25,7 @@ from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.recordings import Recordings
 from laci_stereo.core.scatter import Blocks, grown
-from laci_stereo.core.settings import JointSettings, with_turn
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, with_turn
 
 SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
 """Extra standard deviation in the first iterations: from beyond the error of a box's centre down to the noise."""
@@ -77,8 +77,14 @@ HELD_ROWS = 3000
 drive or one of several."""
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
-"""One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, and its headings as far
-off as one that is told of another part of it, such as a cab in a bend, or by a magnet."""
+"""One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, its headings as far off
+as one that is told of another part of it, such as a cab in a bend, or by a magnet, and its clock not set."""
+
+CLEARLY = float(np.log(10.0))
+"""Log odds by which clocks were not set, where a scanner that turns would explain the same less well."""
+
+LATE = 2.0
+"""Clocks that seem to be no farther apart than so many standard deviations are taken for set."""
 
 SURELY, TURNED_RAD = 4.0, np.radians(30.0)
 """It is so only if what is found is beyond so many of its own standard deviations; and where on the vehicle positions
@@ -217,12 +223,13 @@ def fit_jointly(
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    expected = [model.prior.sigmas for model in thinned.models]
+    expected, told = [model.prior.sigmas.copy() for model in thinned.models], settings
     if mistakes:
         from_there = thinned.solve(best, COMPARED)
         log_likely = thinned.log_posterior(from_there)
         senders = len(set(thinned.recordings.stations))
-        for what, wrong, log_prior in _mistakes(drives, senders, settings):
+        apart_s = 0.0 if turn.possible else float(np.abs(from_there.x[thinned.clocks]).max())
+        for what, wrong, log_prior in _mistakes(drives, senders, settings, apart_s):
             wider = _Problem(coarse, begin, centre, wrong, turn, stations)
             there = wider.solve(from_there.x, COMPARED)
             its_log_likely = wider.log_posterior(there) + log_prior
@@ -231,23 +238,31 @@ def fit_jointly(
     problem = _Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
-        turned = [_turned(problem, solved, each) for each in TURNS]
+        turned, unset = (
+            [_turned(problem, solved, each, known_s) for each in TURNS]
+            for known_s in (told.clock_sigma_s, UNKNOWN_CLOCK_S)
+        )
+        if mistakes and settings is told and _log_sum(unset) + np.log(MISTAKEN) > _log_sum(turned) + CLEARLY:
+            turned, settings = unset, replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         likeliest = max(turned, key=lambda each: each.log_probability)
         problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), stations)
         solved, probability = _among(turned, likeliest, problem.solve(likeliest.x))
         its_turn = likeliest.turn
+    for drive, its in zip(drives, expected, strict=True):
+        its[0] = with_turn(told.clock_sigma_s, drive.turn_s) if its_turn else told.clock_sigma_s
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
     return replace(fit, turn=its_turn, turn_probability=probability, standing=standing, settings=settings)
 
 
 def _mistakes(
-    drives: Sequence[Evidence], senders: int, settings: JointSettings
+    drives: Sequence[Evidence], senders: int, settings: JointSettings, apart_s: float
 ) -> list[tuple[set[str], JointSettings, float]]:
     """Return what may be wrong by far, what is to be expected then, and how likely that is, as a logarithm.
 
-    Positions are those of another place on the vehicle than was said, or headings are not the drive's. To take small
-    errors of much else for it is likelier the nearer it is to none, and downhill from there.
+    Positions are those of another place on the vehicle than was said, or headings are not the drive's; or a clock was
+    not set, if some seem to be ``apart_s`` apart. To take small errors of much else for it is likelier the nearer it is
+    to none, and downhill from there.
     """
     length_m = max(drive.vehicle.length_m for drive in drives)
     place = replace(settings, lever_sigma_m=length_m / 2)
@@ -256,7 +271,12 @@ def _mistakes(
         ({"ahead", "left"}, place, 2 * np.log(settings.lever_sigma_m / place.lever_sigma_m)),
         ({"heading"}, heading, np.log(settings.heading_sigma_deg / heading.heading_sigma_deg)),
     )
-    return [(what, each, float(np.log(MISTAKEN) + senders * wider)) for what, each, wider in found]
+    likely = [(what, each, float(np.log(MISTAKEN) + senders * wider)) for what, each, wider in found]
+    if apart_s > LATE * settings.clock_sigma_s:
+        wider = len(drives) * np.log(settings.clock_sigma_s / UNKNOWN_CLOCK_S)
+        unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
+        likely.append(({"clock"}, unset, float(np.log(MISTAKEN) + wider)))
+    return likely
 
 
 def _turned_rad(drive: Evidence) -> float:
@@ -447,12 +467,22 @@ class _Problem:
         return sum(each.log_likelihood for each in solved.fitness) + self._log_prior(solved.x)
 
     def tells(self, solved: _Solved, what: Set[str]) -> bool:
-        """Tell whether some correction of a drive is not only possible, but surely there."""
+        """Tell whether some correction of a drive is not only possible, but surely there.
+
+        A clock that was not set looks much like positions of another place along the vehicle: it is one only if nothing
+        else is left that the messages do not allow for.
+        """
+        found = [
+            (model, model.prior.corrections(solved.x[own], solved.covariance[own, own]))
+            for model, own in zip(self.models, solved.own, strict=True)
+        ]
+        if "clock" in what and any(each.surprise > SURELY for _, its in found for each in its if each.what not in what):
+            return False
         return any(
             each.what in what and abs(each.value) > SURELY * each.after
-            for model, own in zip(self.models, solved.own, strict=True)
-            if "heading" in what or _turned_rad(model.drive) > TURNED_RAD
-            for each in model.prior.corrections(solved.x[own], solved.covariance[own, own])
+            for model, its in found
+            if "ahead" not in what or _turned_rad(model.drive) > TURNED_RAD
+            for each in its
         )
 
     def solve(self, x: FloatArray, converged: float = CONVERGED) -> _Solved:
@@ -578,8 +608,8 @@ class _Turned:
     log_probability: float
 
 
-def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
-    """Condition what was found with any turn, a normal distribution, on one.
+def _turned(problem: _Problem, solved: _Solved, turn: float, known_s: float) -> _Turned:
+    """Condition what was found with any turn, a normal distribution, on one, and on how well clocks are known.
 
     What the points tell of turn and clocks is what was found, less what was expected; the evidence of a turn is the
     mean of that over what the turn lets expect.
@@ -592,7 +622,6 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
     told = vectors[:, values > 0.0]
     pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
-    known_s = problem.settings.clock_sigma_s
     clocks = [with_turn(known_s, model.drive.turn_s) if turn else known_s for model in problem.models]
     prior = block_diag(FIXED**-2.0, problem.recordings.clocks(np.array(clocks) ** -2.0))
     mean = np.array([turn, *np.zeros(len(clocks))])
@@ -605,13 +634,17 @@ def _turned(problem: _Problem, solved: _Solved, turn: float) -> _Turned:
     return _Turned(turn, x, left, float(evidence + np.log(TURNS[turn])))
 
 
+def _log_sum(turned: Sequence[_Turned]) -> float:
+    """Return how likely any of them is, as a logarithm."""
+    return float(np.logaddexp.reduce([each.log_probability for each in turned]))
+
+
 def _among(turned: Sequence[_Turned], likeliest: _Turned, solved: _Solved) -> tuple[_Solved, float]:
     """Make what was solved with the likeliest turn as uncertain as the others are different, uncertain, and likely.
 
     Return how likely it is as well.
     """
-    log_probabilities = np.array([each.log_probability for each in turned])
-    probabilities = np.exp(log_probabilities - np.logaddexp.reduce(log_probabilities))
+    probabilities = np.exp([each.log_probability - _log_sum(turned) for each in turned])
     off = np.array([each.x - likeliest.x for each in turned])
     within = [solved.covariance if each is likeliest else each.covariance for each in turned]
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off

@@ -355,7 +355,7 @@ def _missing(fit: JointFit, drives: Sequence[Evidence]) -> list[dict[str, float]
 
 def _wrong(corrections: Iterable[Correction]) -> list[Correction]:
     """Return the corrections that the messages do not allow for."""
-    return [each for each in corrections if abs(each.value) > CONTRADICTED * each.sigma]
+    return [each for each in corrections if each.surprise > CONTRADICTED]
 
 
 def _in_words(correction: Correction) -> str:

@@ -38,6 +38,10 @@ def read_cam_log(path: Path) -> CamRecording:
     CamError
         If it is in none of these formats, or unusable.
     """
+    if path.is_dir() and not any(
+        entry.name == "metadata.yaml" or entry.suffix in (".mcap", ".db3") for entry in path.iterdir()
+    ):
+        raise CamError(f"{path} holds no .mcap or .db3 file; needed is a file, or a folder that ROS 2 recorded")
     if path.is_dir() or begins_with(path, BAG_MAGICS):
         return _read_bag(path)
     content = read_content(path, CamError)

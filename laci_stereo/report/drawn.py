@@ -27,6 +27,7 @@ def drives_of(calibration: Calibration) -> Iterator[Calibration]:
             calibration,
             track=passage.track,
             vehicle=passage.body or passage.vehicle,
+            body=None,
             station_id=passage.station_id,
             time_offset_s=passage.time_offset_s,
             background=passage.background,

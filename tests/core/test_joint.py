@@ -9,7 +9,7 @@ import pytest
 
 from laci_stereo.core import outline
 from laci_stereo.core.drive_model import BIAS, FIRST_OWN, SWEEP, DriveModel
-from laci_stereo.core.drive_prior import BEGIN, CLOCK, GROWTH, HEADING, KNOTS, LEVER, PARTIAL, SHAPE
+from laci_stereo.core.drive_prior import BEGIN, CLOCK, GROWTH, HEADING, KNOTS, LEVER, PARTIAL, SHAPE, Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import FRAMES_PER_PLACE, Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -543,6 +543,30 @@ def test_how_a_scanner_turns_is_found(drive: Drive, turn: float) -> None:
     assert fit.turn == turn
     assert fit.turn_probability > 0.5
     assert within_three_sigma(fit)
+
+
+@pytest.mark.parametrize("turn_s", [0.0, 0.1], ids=["points' times known", "not known"])
+@pytest.mark.parametrize("by_s", [-0.2, 0.2])
+def test_clocks_that_were_not_set_are_no_scanner_that_turns(by_s: float, turn_s: float) -> None:
+    """Neither do ten milliseconds that were to be expected pull them back half of the way."""
+    fit = fit_jointly([replace(evidence(BRAKING, offset_s=by_s), turn_s=turn_s)], TRUTH)
+    (clock,) = (each for each in fit.corrections[0] if each.what == "clock")
+    assert fit.turn == 0.0
+    assert abs(fit.time_offsets_s[0] - by_s) < 3.0 * fit.time_sigmas_s[0]
+    assert within_three_sigma(fit)
+    assert clock.sigma == JointSettings().clock_sigma_s
+    assert clock.surprise > 4.0
+
+
+def test_what_the_points_hardly_tell_is_surprising_early() -> None:
+    """Clocks as exact as is said are as far off as is said, however little the points tell of them."""
+    rng = np.random.default_rng(0)
+    truth, points = rng.normal(0.0, 0.01, 4000), rng.normal(0.0, 0.02, 4000)
+    after = (0.01**-2 + 0.02**-2) ** -0.5
+    found = [Correction("clock", float(value), 0.01, after) for value in (truth + points) * (after / 0.02) ** 2]
+    assert np.std([each.surprise * np.sign(each.value) for each in found]) < 1.1
+    late = Correction("clock", 0.2 * (after / 0.02) ** 2, 0.01, after)  # the points say that it is 0.2 s
+    assert late.surprise > 4.0 > abs(Correction("clock", late.value / 5, 0.01, after).surprise)
 
 
 def test_where_two_turns_fit_alike_the_result_is_as_uncertain_as_they_are_apart() -> None:

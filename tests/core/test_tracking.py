@@ -98,7 +98,8 @@ def test_strays_that_nothing_links_cost_little_memory() -> None:
     """Foliage that is seen for a moment here and there, for an hour: what may follow what is looked at by places."""
     rng = np.random.default_rng(3)
     strays = [
-        track(np.array([at_s]), rng.uniform(-60.0, 60.0, (1, 2)), count=6) for at_s in 0.1 * rng.integers(0, 36_000, 3000)
+        track(np.array([at_s]), rng.uniform(-60.0, 60.0, (1, 2)), count=6)
+        for at_s in 0.1 * rng.integers(0, 36_000, 3000)
     ]
     true = driven(DRIVE, 10.0)
     tracemalloc.start()

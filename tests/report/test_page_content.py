@@ -15,6 +15,7 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, invert, planar
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.world import World
 from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.report.drawn import drives_of, sender_track
 from laci_stereo.report.page import Made, Photograph, Photographs
 from laci_stereo.report.page.photo import MOST_BYTES, jpeg
 from tests.passages import passages, recorded
@@ -113,6 +114,18 @@ def test_the_papers_method_stands_beside() -> None:
     assert f"{true.paper_differs[0]:.3f} m apart" in shown
     assert f"+{np.degrees(0.01):.3f}°" in shown
     assert "no answer" in read(page(replace(true, paper=None))).one("section", id="paper").text
+
+
+@pytest.mark.slow
+def test_each_drive_has_its_own_track_by_the_messages() -> None:
+    true = recorded()[0][1]
+    others = [replace(one, match=true.match) for one in passages()[1:]]
+    combined = replace(true, others=tuple(others), body=true.vehicle)
+    tracks = [sender_track(drive) for drive in drives_of(combined)]
+    vehicles = [one.body or one.vehicle for one in combined.passages]
+    assert len(tracks) == len(vehicles) > 1
+    for (track,), vehicle in zip(tracks, vehicles, strict=True):
+        assert track[0] == pytest.approx(vehicle.xy[0], abs=1e-6)
 
 
 @pytest.mark.slow
