@@ -26,6 +26,7 @@ from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.land import learn_land
 from laci_stereo.core.laying import laid_background, laid_track, laid_xy
+from laci_stereo.core.outline import SIDES_HIGHEST_M
 from laci_stereo.core.pieces import whole
 from laci_stereo.core.road_extent import places, prolonged
 from laci_stereo.core.road_surface import OTHER
@@ -197,7 +198,7 @@ def _where_driven(
     tried = []
     for each in chain([seen], _on_other_grounds(seen, source, settings)):
         choice = _driven(each, vehicles, settings, surely=True)
-        if choice is not None:
+        if choice is not None and _stands(choice.track):
             return each, choice
         tried.append(each)
     for each in tried:
@@ -205,6 +206,12 @@ def _where_driven(
         if choice is not None:
             return each, choice
     return seen, None
+
+
+def _stands(track: Track) -> bool:
+    """Tell whether anything of a track is as low as a car's sides: what drives on an embankment is above the land's."""
+    parts = [points for one in track.sightings for points in (one.points, one.low.points)]
+    return any((points[:, 2] < SIDES_HIGHEST_M).any() for points in parts)
 
 
 def _driven(
