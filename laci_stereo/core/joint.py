@@ -238,12 +238,7 @@ def fit_jointly(
     problem = _Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
-        turned, unset = (
-            [_turned(problem, solved, each, known_s) for each in TURNS]
-            for known_s in (told.clock_sigma_s, UNKNOWN_CLOCK_S)
-        )
-        if mistakes and settings is told and _log_sum(unset) + np.log(MISTAKEN) > _log_sum(turned) + CLEARLY:
-            turned, settings = unset, replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
+        turned, settings = _turns_of(problem, solved, unset=mistakes and settings is told)
         likeliest = max(turned, key=lambda each: each.log_probability)
         problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), stations)
         solved, probability = _among(turned, likeliest, problem.solve(likeliest.x))
@@ -606,6 +601,26 @@ class _Turned:
     x: FloatArray
     covariance: FloatArray
     log_probability: float
+
+
+def _turns_of(problem: _Problem, solved: _Solved, *, unset: bool) -> tuple[list[_Turned], JointSettings]:
+    """Condition what was found on each turn, and return what is known then: of clocks nothing, if these were not set.
+
+    Parameters
+    ----------
+    problem : _Problem
+    solved : _Solved
+    unset : bool
+        They may not be set, which explains clearly more than the likeliest turn does.
+    """
+    settings = problem.settings
+    free = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
+    by_any, by_free = (
+        [_turned(problem, solved, turn, each.clock_sigma_s) for turn in TURNS] for each in (settings, free)
+    )
+    if unset and _log_sum(by_free) + np.log(MISTAKEN) > _log_sum(by_any) + CLEARLY:
+        return by_free, free
+    return by_any, settings
 
 
 def _turned(problem: _Problem, solved: _Solved, turn: float, known_s: float) -> _Turned:
