@@ -20,6 +20,7 @@ STAMP_FILES = ("timestamps.txt", "timestamps.csv")
 _NUMBER_IN_NAME = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 _SECONDS = re.compile(r"[0-9]{10}")
 _NANOSECONDS = re.compile(r"[0-9]{1,9}")
+_DATE = re.compile(r"(?<![0-9])20[0-9]{2}([-_]?)[01][0-9]\1[0-3][0-9]")
 
 
 @dataclass(frozen=True)
@@ -128,8 +129,9 @@ def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntA
     unit, place = _unit_and_place(numbers)
     if unit is None:
         if all(numbers):
+            are = "dates, of no time zone that is told" if _DATE.search(names[0]) else "frame numbers, not times"
             raise kind.error(
-                f"{folder}: the names (such as {quoted(names[0])}) are frame numbers, not times; put a timestamps.txt "
+                f"{folder}: the names (such as {quoted(names[0])}) are {are}; put a timestamps.txt "
                 f"with one Unix time per {kind.noun} into the folder, or name the {kind.noun}s by their time, "
                 "in Unix seconds or parts of them"
             )

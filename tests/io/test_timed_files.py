@@ -81,10 +81,18 @@ def test_of_two_times_in_every_name_the_finer_one_counts() -> None:
     assert np.diff(folder_stamps(Path("left"), names, IMAGES)).tolist() == [1, 1]
 
 
-@pytest.mark.parametrize("names", [["000001.png", "000002.png"], ["0000000000.png"], ["20260729130225.png"]])
+@pytest.mark.parametrize("names", [["000001.png", "000002.png"], ["0000000000.png"]])
 def test_frame_numbers_are_no_times(names: list[str]) -> None:
     with pytest.raises(ImageError, match=r"left: the names .* are frame numbers, not times; put a timestamps\.txt"):
         folder_stamps(Path("left"), names, IMAGES)
+
+
+@pytest.mark.parametrize("name", ["20260729130225.png", "2026-07-29T13-02-25.500.png", "cam_2026_07_29_13_02_25.png"])
+def test_dates_are_no_times_for_nobody_knows_of_which_zone(name: str) -> None:
+    with pytest.raises(
+        ImageError, match=r"left: the names .* are dates, of no time zone that is told; put a timestamps"
+    ):
+        folder_stamps(Path("left"), [name], IMAGES)
 
 
 def test_a_name_without_any_number_is_named() -> None:
