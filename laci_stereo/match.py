@@ -24,7 +24,7 @@ CONTRADICTION = 4.0
 """Standard deviations beyond which two heights are not one, and a slope is no road's."""
 
 STEEP = 2.0
-"""Standard deviations from which on a slope is told."""
+"""A slope beyond so many standard deviations is mentioned."""
 
 BoxOrigin = Literal["centre", "bottom"]
 
@@ -178,9 +178,9 @@ def _check_level(path: Path, log: DetectionLog, level_m: float, axes: Axes) -> N
         )
     if below.slope > CONTRADICTION * np.hypot(below.slope_sigma, SLOPE_SIGMA):
         raise DetectionError(
-            f"{path}: the ground below the boxes falls by {below.slope:.0%}, {np.degrees(np.arctan(below.slope)):.1f} "
-            f"deg, by their z and height; by --level the sensor is level to {LEVEL_SIGMA_DEG:g} deg, and roads below "
-            "it are less steep: needed is no --level, or boxes without z"
+            f"{path}: the ground below the boxes falls or rises by {below.slope:.0%}, "
+            f"{np.degrees(np.arctan(below.slope)):.1f} deg, by their z and height; by --level the sensor is level to "
+            f"{LEVEL_SIGMA_DEG:g} deg, and roads below it are less steep: needed is no --level, or boxes without z"
         )
 
 
@@ -199,7 +199,8 @@ def _ground_note(log: DetectionLog, options: MatchOptions) -> str:
     below = _below(log, options.axes)
     if below is None or below.slope < STEEP * np.hypot(below.slope_sigma, np.radians(LEVEL_SIGMA_DEG)):
         return note
-    return f"{note}; by the boxes' z it falls by {below.slope:.1%}: a road that steep, or a sensor that is not level"
+    slope = f"by the boxes' z it falls or rises by {below.slope:.1%}"
+    return f"{note}; {slope}: a road that steep, or a sensor that is not level"
 
 
 def _in_words(axes: Axes) -> str:

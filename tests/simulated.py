@@ -215,10 +215,14 @@ class Sensor:
     @cached_property
     def late_s(self) -> FloatArray:
         """When each ray is sent after the stamp, by steps of a millisecond, shape (n,)."""
-        azimuth = np.arctan2(self.directions[:, 1], self.directions[:, 0])
-        turned = (azimuth - self.begin_rad) % (2 * np.pi) - np.pi
-        late_s: FloatArray = np.round(self.turn_s * turned / (2 * np.pi), 3)
+        late_s: FloatArray = np.round(self.turn_s * (self.turned_rad - np.pi) / (2 * np.pi), 3)
         return late_s
+
+    @cached_property
+    def turned_rad(self) -> FloatArray:
+        """How far to the left of where a scan begins each ray is, shape (n,)."""
+        turned: FloatArray = (np.arctan2(self.directions[:, 1], self.directions[:, 0]) - self.begin_rad) % (2 * np.pi)
+        return turned
 
     def measure(self, distance: FloatArray, stamp_ns: int, rng: np.random.Generator) -> PointCloud:
         """Add noise to true distances; inf is nothing."""
@@ -238,7 +242,7 @@ class Sensor:
             self.bearing_rad * measured,
             self.at_edge[seen][keep],
             turn_s=abs(self.turn_s),
-            begin_rad=self.begin_rad,
+            turned_rad=self.turned_rad[seen][keep] if self.turn_s else None,
             window_rad=self.window_rad,
         )
 

@@ -283,7 +283,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     stamps_s = (log.stamps_ns - epoch_ns) / 1e9
     if (np.diff(stamps_s) > MAX_GAP_S).all():
         raise CamError(
-            f"the {len(log)} messages of station {log.station_id[0]} are {np.diff(stamps_s).min():.1f} s apart or "
+            f"the {len(log)} messages of station {log.station_id[0]} are {np.diff(stamps_s).min():.2f} s apart or "
             f"more; needed are two within {MAX_GAP_S} s, as nothing tells where it was over longer gaps"
         )
     yaw = _body_yaw(log, world, xy_reference)

@@ -34,8 +34,8 @@ class PointCloud:
     turn_s : float
         How long a turn of a scanner lasts that may turn, and of which neither this nor the points' times are known; 0
         where there is nothing to guess.
-    begin_rad : float
-        Azimuth, counter-clockwise from forward, where such a scanner's scans end and begin.
+    turned_rad : ndarray, shape (n,), or None
+        How far to the left of where such a scanner's scans begin it sees each point, 0 to 2 pi.
     window_rad : float
         Side of the square window, as an angle, over which a camera matches: points in one have their noise in common.
         0: each has its own.
@@ -50,7 +50,7 @@ class PointCloud:
     at_edge: BoolArray
     offset_s: FloatArray | None = None
     turn_s: float = 0.0
-    begin_rad: float = np.pi
+    turned_rad: FloatArray | None = None
     window_rad: float = 0.0
     others: PointCloud | None = None
 
@@ -72,7 +72,7 @@ class PointCloud:
             self.at_edge[keep],
             None if self.offset_s is None else self.offset_s[keep],
             self.turn_s,
-            self.begin_rad,
+            None if self.turned_rad is None else self.turned_rad[keep],
             self.window_rad,
         )
 

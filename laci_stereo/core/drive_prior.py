@@ -38,7 +38,7 @@ BORDER_SIGMA = 12**-0.5
 is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
 windows, it is off on average, and in each place."""
 
-LEAST_TOLD = 0.25
+LEAST_TOLD = 0.5
 """Of the variance of the clocks' offset, what the points are taken to tell at least."""
 
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
@@ -62,7 +62,7 @@ class Correction:
     what: str
     value: float
     sigma: float
-    after: float = float("nan")
+    after: float
 
     @property
     def surprise(self) -> float:

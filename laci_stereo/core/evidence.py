@@ -43,12 +43,12 @@ class Evidence:
     vehicle : VehicleTrack
     turn_s : float
         How long a turn of the scanner lasts if it turns, and the points' times are not known; else 0.
-    begin_rad : float
-        Where in a turn its scans end and begin, azimuth in the level frame.
     window_rad : float
         Side of the window within which points have their noise in common; 0 if each has its own.
     borders : ndarray, shape (m, 2, 3), or None
         The vehicle's outermost points in each frame, level, right and left; NaN where unknown, None: all are.
+    begins_rad : ndarray, shape (m,), or None
+        See `Sighting`; None: behind.
     """
 
     stamps_s: FloatArray
@@ -62,9 +62,9 @@ class Evidence:
     height_m: float
     vehicle: VehicleTrack
     turn_s: float = 0.0
-    begin_rad: float = np.pi
     window_rad: float = 0.0
     borders: FloatArray | None = None
+    begins_rad: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -83,7 +83,8 @@ class Evidence:
     @cached_property
     def _turned_rad(self) -> FloatArray:
         """How far to the left of where a scan begins each frame's middle is, 0 to 2 pi, shape (m,)."""
-        turned: FloatArray = (np.arctan2(self.middles[:, 1], self.middles[:, 0]) - self.begin_rad) % (2 * np.pi)
+        begins = np.pi if self.begins_rad is None else self.begins_rad
+        turned: FloatArray = (np.arctan2(self.middles[:, 1], self.middles[:, 0]) - begins) % (2 * np.pi)
         return turned
 
     @cached_property
@@ -146,6 +147,7 @@ class Evidence:
             lacking_m=self.lacking_m[kept],
             frame=(np.cumsum(kept) - 1)[drive.frame],
             borders=None if self.borders is None else self.borders[kept],
+            begins_rad=None if self.begins_rad is None else self.begins_rad[kept],
         )
 
     def _with_points(self, keep: IntArray) -> Evidence:
@@ -202,7 +204,7 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         height_m=height_m,
         vehicle=vehicle,
         turn_s=track.turn_s,
-        begin_rad=track.begin_rad,
         window_rad=track.window_rad,
         borders=np.array([sighting.borders for sighting in seen]).reshape(-1, 2, 3),
+        begins_rad=np.array([sighting.begin_rad for sighting in seen]),
     )

@@ -467,18 +467,26 @@ class _Problem:
         A clock that was not set looks much like positions of another place along the vehicle: it is one only if nothing
         else is left that the messages do not allow for.
         """
-        found = [
-            (model, model.prior.corrections(solved.x[own], solved.covariance[own, own]))
-            for model, own in zip(self.models, solved.own, strict=True)
-        ]
-        if "clock" in what and any(each.surprise > SURELY for _, its in found for each in its if each.what not in what):
+        if "clock" in what and not self.only(solved, what):
             return False
         return any(
             each.what in what and abs(each.value) > SURELY * each.after
-            for model, its in found
+            for model, its in self._corrections(solved)
             if "ahead" not in what or _turned_rad(model.drive) > TURNED_RAD
             for each in its
         )
+
+    def only(self, solved: _Solved, what: Set[str]) -> bool:
+        """Tell whether the messages allow for all corrections but these."""
+        return all(
+            each.surprise <= SURELY for _, its in self._corrections(solved) for each in its if each.what not in what
+        )
+
+    def _corrections(self, solved: _Solved) -> list[tuple[DriveModel, tuple[Correction, ...]]]:
+        return [
+            (model, model.prior.corrections(solved.x[own], solved.covariance[own, own]))
+            for model, own in zip(self.models, solved.own, strict=True)
+        ]
 
     def solve(self, x: FloatArray, converged: float = CONVERGED) -> _Solved:
         """Descend to the end from a start nearby; which points are on the wall is told anew after each time."""
@@ -611,7 +619,8 @@ def _turns_of(problem: _Problem, solved: _Solved, *, unset: bool) -> tuple[list[
     problem : _Problem
     solved : _Solved
     unset : bool
-        They may not be set, which explains clearly more than the likeliest turn does.
+        They may not be set, if that explains clearly more than turns do, and leaves nothing else that the messages do
+        not allow for.
     """
     settings = problem.settings
     free = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
@@ -619,7 +628,9 @@ def _turns_of(problem: _Problem, solved: _Solved, *, unset: bool) -> tuple[list[
         [_turned(problem, solved, turn, each.clock_sigma_s) for turn in TURNS] for each in (settings, free)
     )
     if unset and _log_sum(by_free) + np.log(MISTAKEN) > _log_sum(by_any) + CLEARLY:
-        return by_free, free
+        likeliest = max(by_free, key=lambda each: each.log_probability)
+        if problem.only(replace(solved, x=likeliest.x, covariance=likeliest.covariance), {"clock"}):
+            return by_free, free
     return by_any, settings
 
 
@@ -659,7 +670,8 @@ def _among(turned: Sequence[_Turned], likeliest: _Turned, solved: _Solved) -> tu
 
     Return how likely it is as well.
     """
-    probabilities = np.exp([each.log_probability - _log_sum(turned) for each in turned])
+    log_sum = _log_sum(turned)
+    probabilities = np.exp([each.log_probability - log_sum for each in turned])
     off = np.array([each.x - likeliest.x for each in turned])
     within = [solved.covariance if each is likeliest else each.covariance for each in turned]
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off

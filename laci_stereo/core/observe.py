@@ -194,7 +194,10 @@ def _is_along(way: FloatArray, before: FloatArray) -> bool:
 def _where_driven(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
 ) -> tuple[Observation, Choice | None]:
-    """Return what is seen on the first ground on which a track is clearly a sender's; else, on which one may be."""
+    """Return what is seen on the first ground on which a track that stands on it is clearly a sender's.
+
+    Else, on which one may be.
+    """
     tried = []
     for each in chain([seen], _on_other_grounds(seen, source, settings)):
         choice = _driven(each, vehicles, settings, surely=True)

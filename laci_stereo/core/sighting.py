@@ -82,8 +82,10 @@ class Sighting:
         How fast it moves away from the sensor, where that was measured.
     late_s : ndarray, shape (n,), or None
         By how much later than its stamp each point was taken; None: not at all.
-    turn_s, begin_rad, window_rad : float
+    turn_s, window_rad : float
         See `PointCloud`.
+    begin_rad : float
+        Azimuth in the level frame, as far up or down as it is seen, where a turning scanner's scans begin.
     low : Low
         The same share of them is kept as of its points.
     borders : ndarray, shape (2, 3)
@@ -308,10 +310,16 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
         sigma_m=sigma_m,
         late_s=None if cloud.offset_s is None else cloud.offset_s[kept] - late_s,
         turn_s=cloud.turn_s,
-        begin_rad=cloud.begin_rad,
+        begin_rad=np.pi if cloud.turned_rad is None else _begin(points, cloud.turned_rad),
         window_rad=cloud.window_rad,
         low=low[kept_low],
     )
+
+
+def _begin(points: FloatArray, turned_rad: FloatArray) -> float:
+    """Return where scans begin, azimuth in the level frame, as a tilted scanner has it beside what is seen."""
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    return float(np.angle(np.exp(1j * (azimuth - turned_rad)).mean()))
 
 
 def _borders(points: FloatArray, cloud: PointCloud, beside: FloatArray, settings: Settings) -> FloatArray:

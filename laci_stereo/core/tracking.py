@@ -75,11 +75,6 @@ class Track:
         return max((sighting.turn_s for sighting in self.sightings), default=0.0)
 
     @cached_property
-    def begin_rad(self) -> float:
-        """Where in a turn its scans end and begin, azimuth in the level frame."""
-        return self.sightings[0].begin_rad if self.sightings else np.pi
-
-    @cached_property
     def window_rad(self) -> float:
         """Side of the window within which points have their noise in common, 0 if each has its own."""
         return max((sighting.window_rad for sighting in self.sightings), default=0.0)

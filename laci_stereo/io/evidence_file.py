@@ -60,14 +60,12 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "message_altitudes_m": ("f", ("messages", 1)),  # NaN: not told
     "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
     "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 where it is not known
-    "turn": (
-        "f",
-        (3,),
-    ),  # how long the scanner's lasts, how it was taken to turn (0: points' times are known), its begin
+    "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
     "window": ("f", ()),  # side of a matcher's, within which points have their noise in common, rad; 0 for none
     "method": ("U", ()),  # by which its own match and clock offset were estimated
     "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
+    "begins": ("f", ("frames",)),  # azimuth where a turning scanner's scans begin
     "middles": ("f", ("frames", 2)),
     "boxes": ("f", ("frames", 5)),  # centre x and y, length, width, yaw
     "noise": ("f", ("frames", 2)),  # sigma of the points, radial speed (NaN: not measured)
@@ -249,11 +247,12 @@ def _to_arrays(passage: Passage) -> Arrays:
         "message_altitudes_m": _of_altitudes(vehicle),
         "vehicle": np.array(size),
         "slope": _of_slope(vehicle),
-        "turn": np.array([passage.track.turn_s, passage.turn, passage.track.begin_rad]),
+        "turn": np.array([passage.track.turn_s, passage.turn]),
         "window": np.array(passage.track.window_rad),
         "method": np.array(passage.method),
         "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
         "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
+        "begins": np.array([each.begin_rad for each in sightings]),
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
         "boxes": np.array([_row(each.box) for each in sightings]).reshape(-1, 5),
         "noise": np.array(noise).reshape(-1, 2),
@@ -403,7 +402,7 @@ def _track(found: Arrays) -> Track:
     boxes, middles = (found[name].astype(np.float64) for name in ("boxes", "middles"))
     borders = found["borders"].astype(np.float64).reshape(-1, 2, 3)
     borders[~borders[:, :, :2].any(axis=2)] = np.nan
-    (turn_s, _, begin_rad), window_rad = found["turn"].tolist(), float(found["window"])
+    turn_s, window_rad = float(found["turn"][0]), float(found["window"])
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
     return Track(
         tuple(
@@ -420,7 +419,7 @@ def _track(found: Arrays) -> Track:
                 sigma_m=noise[i][0],
                 radial_mps=None if np.isnan(noise[i][1]) else noise[i][1],
                 turn_s=turn_s,
-                begin_rad=begin_rad,
+                begin_rad=float(found["begins"][i]),
                 window_rad=window_rad,
                 low=Low(*(column[slice(*lows)] for column in low)),
                 borders=borders[i],

@@ -245,7 +245,7 @@ class LidarRecording:
             at_edge=scanner.view.at_edge(points),
             offset_s=offset_s,
             turn_s=self._turn_s,
-            begin_rad=scanner.view.begin_rad,
+            turned_rad=scanner.view.turned_rad(points) if self._turn_s else None,
         )
 
     @cached_property

@@ -20,6 +20,12 @@ MARGIN_RAD = float(np.radians(0.5))
 NO_POINTS_RAD = float(np.pi / 2)
 """What ends a scan and what begins it may be so far apart: there is a wall, or nothing in reach."""
 
+ONE_LAYER_RAD = float(np.radians(0.1))
+"""Points of one laser are seen no farther up or down than one another; layers are 0.2 deg apart at the least."""
+
+LEAST_OF_LAYER = 36
+"""Points of a layer that tell a turn: one in ten degrees."""
+
 ALIKE = 0.9
 """Mean length of the scans' directions of begin, as unit vectors, if they begin at one place: within 26 deg."""
 
@@ -67,18 +73,24 @@ class View:
         edge: BoolArray = inward > self.width_rad - 2 * MARGIN_RAD
         return edge
 
+    def turned_rad(self, points: FloatArray) -> FloatArray:
+        """Return how far to the left of where scans begin points, shape (n, 3), are seen, 0 to 2 pi, shape (n,)."""
+        turned: FloatArray = (self.azimuths(points) - self.begin_rad) % (2 * np.pi)
+        return turned
+
     def offsets_s(self, points: FloatArray, sweep: Sweep) -> FloatArray:
         """Return when the sweep passes each of the points, shape (n, 3), in seconds after the scan's stamp."""
-        width = self.width_rad if self.limited else 2 * np.pi
         clockwise = sweep.direction == "cw"
-        start = self.begin_rad
-        if sweep.start_deg is not None:
-            start = np.radians(sweep.start_deg)
-        elif self.limited and (self.begin_rad - self.right_rad) % (2 * np.pi) >= self.width_rad:
-            start = self.right_rad + (width if clockwise else 0.0)
+        start = self.begin_rad if sweep.start_deg is None else float(np.radians(sweep.start_deg))
+        # A scan that begins within the field goes all around; else it passes from one border to the other.
+        inward = (start - self.right_rad + MARGIN_RAD) % (2 * np.pi)
+        across = self.limited and not 2 * MARGIN_RAD < inward < self.width_rad
+        if across and sweep.start_deg is None:
+            start = self.right_rad + (self.width_rad if clockwise else 0.0)
         turned = (self.azimuths(points) - start) * (-1.0 if clockwise else 1.0) % (2 * np.pi)
         # Jitter before the start is no whole turn later.
-        turned = np.where(turned > 2 * np.pi - MARGIN_RAD, turned - 2 * np.pi, turned) if self.limited else turned
+        turned = np.where(turned > 2 * np.pi - MARGIN_RAD, turned - 2 * np.pi, turned) if across else turned
+        width = self.width_rad if across else 2 * np.pi
         at_stamp = {"start": 0.0, "middle": width / 2, "end": width}[sweep.stamp_at]
         offsets: FloatArray = (turned - at_stamp) / (2 * np.pi * sweep.rate_hz)
         return offsets
@@ -94,7 +106,7 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
     begins = []
     for points in clouds:
         azimuths = wrap(_azimuths(points, axes))
-        begins.append(_begin(azimuths))
+        begins.append(_begin(points, axes))
         bins = np.minimum((azimuths + np.pi) * (_BINS / (2 * np.pi)), _BINS - 1).astype(np.int64)
         np.minimum.at(low, bins, azimuths)
         np.maximum.at(high, bins, azimuths)
@@ -112,19 +124,28 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
     return View(axes, right, width, right - float(gaps[widest]) / 2 if begin is None else begin)
 
 
-def _begin(azimuths: FloatArray) -> float:
-    """Return where a scan that goes all around begins, by the order of its azimuths, shape (n,), or NaN.
+def _begin(points: FloatArray, axes: Axes) -> float:
+    """Return where a scan begins that goes all around, by the order of its points, shape (n, 3), or NaN.
 
-    Beam after beam, or each layer from its begin to its end: either way the first is next to the last, and all turn the
-    same way, once or as often as there are layers.
+    It is told by what ends a turn and what begins it, next to each other: of the scan, where beams follow one another,
+    and of each layer, where it is written layer by layer. Of a layer that sees little the two are far apart.
     """
-    if len(azimuths) < 2:
-        return np.nan
+    azimuths, up = _azimuths(points, axes), forward_left_up(axes)[2]
+    elevations = np.arcsin(np.clip(points @ up / np.maximum(np.linalg.norm(points, axis=1), 1e-9), -1.0, 1.0))
+    bounds = np.concatenate([[0], np.flatnonzero(np.abs(np.diff(elevations)) > ONE_LAYER_RAD) + 1, [len(azimuths)]])
+    long = np.flatnonzero(np.diff(bounds) >= LEAST_OF_LAYER)
+    layers = [azimuths[bounds[index] : bounds[index + 1]] for index in long.tolist()]
+    missing, begin = min((_ends(each) for each in (azimuths, *layers)), key=lambda ends: ends[0])
+    return begin if missing < NO_POINTS_RAD else np.nan
+
+
+def _ends(azimuths: FloatArray) -> tuple[float, float]:
+    """Return how far it is from the last point of a turn to its first, and the middle of that, by their azimuths."""
     turned = float(wrap(np.diff(azimuths)).sum())
+    if abs(turned) < np.pi:
+        return np.inf, np.nan
     missing = float(np.sign(turned) * (azimuths[0] - azimuths[-1]) % (2 * np.pi))
-    if abs(turned) < np.pi or missing > NO_POINTS_RAD:
-        return np.nan
-    return float(azimuths[-1] + np.sign(turned) * missing / 2)
+    return missing, float(azimuths[-1] + np.sign(turned) * missing / 2)
 
 
 def _together(begins: Sequence[float]) -> float | None:

@@ -172,7 +172,7 @@ def test_too_few_messages(count: int) -> None:
 
 def test_messages_that_are_all_far_apart_tell_no_way() -> None:
     log = cam_log(ULM, car(NORTH), 12.0, rate_hz=0.5)
-    with pytest.raises(CamError, match=rf"the {len(log)} messages of station 42 are 2\.0 s apart or more; .* 1\.5 s"):
+    with pytest.raises(CamError, match=rf"the {len(log)} messages of station 42 are 2\.00 s apart or more; .* 1\.5 s"):
         track_of(log)
 
 

@@ -53,6 +53,7 @@ def test_a_mirrored_track() -> None:
     seen = replace(
         sighting(0.0, np.array([20.0, 5.0]), yaw_rad=0.3), borders=np.array([[19.0, 4.0, 1.0], [21.0, 6.0, 1.0]])
     )
+    seen = replace(seen, begin_rad=2.5)
     other = mirrored_track(Track((seen,))).sightings[0]
     np.testing.assert_allclose(other.box.centre, [20.0, -5.0])
     np.testing.assert_allclose(
@@ -60,3 +61,4 @@ def test_a_mirrored_track() -> None:
     )
     np.testing.assert_allclose(other.points, seen.points * [1.0, -1.0, 1.0])
     np.testing.assert_allclose(other.borders, [[21.0, -6.0, 1.0], [19.0, -4.0, 1.0]])
+    assert other.begin_rad == -2.5

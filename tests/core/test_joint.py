@@ -559,14 +559,15 @@ def test_clocks_that_were_not_set_are_no_scanner_that_turns(by_s: float, turn_s:
 
 
 def test_what_the_points_hardly_tell_is_surprising_early() -> None:
-    """Clocks as exact as is said are as far off as is said, however little the points tell of them."""
+    """Clocks as exact as is said are as far off as is said, if the points tell as much of them."""
     rng = np.random.default_rng(0)
-    truth, points = rng.normal(0.0, 0.01, 4000), rng.normal(0.0, 0.02, 4000)
-    after = (0.01**-2 + 0.02**-2) ** -0.5
-    found = [Correction("clock", float(value), 0.01, after) for value in (truth + points) * (after / 0.02) ** 2]
-    assert np.std([each.surprise * np.sign(each.value) for each in found]) < 1.1
-    late = Correction("clock", 0.2 * (after / 0.02) ** 2, 0.01, after)  # the points say that it is 0.2 s
-    assert late.surprise > 4.0 > abs(Correction("clock", late.value / 5, 0.01, after).surprise)
+    truth, points = rng.normal(0.0, 0.01, 4000), rng.normal(0.0, 0.01, 4000)
+    after = 0.01 / np.sqrt(2.0)
+    found = [Correction("clock", float(value), 0.01, after) for value in (truth + points) / 2]
+    assert np.std([each.surprise * np.sign(each.value) for each in found]) == pytest.approx(1.0, abs=0.04)
+    late = Correction("clock", 0.06 / 2, 0.01, after)  # the points say that it is 60 ms
+    assert late.surprise == pytest.approx(0.06 / np.hypot(0.01, 0.01))
+    assert replace(late, what="length").surprise == pytest.approx(3.0)
 
 
 def test_where_two_turns_fit_alike_the_result_is_as_uncertain_as_they_are_apart() -> None:

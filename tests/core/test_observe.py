@@ -51,7 +51,7 @@ def test_what_a_mask_leaves_out_is_no_road() -> None:
 
 @pytest.mark.slow
 def test_what_drives_above_the_land_altogether_is_on_another_ground() -> None:
-    """The road is a metre above most of what is seen, and background; another car on it is taken for the sender."""
+    """The road is a metre above most of what is seen, and background; another car on it was taken for the sender."""
     pytest.importorskip("embreex")
     from tools.scenes.scene import draw_scene, errors_of
     from tools.scenes.seeing import see

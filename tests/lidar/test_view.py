@@ -60,7 +60,7 @@ def test_where_scans_begin_is_told_by_the_order_of_their_points(begin_deg, way, 
     assert np.quantile(off_s, 0.99) < 1e-3
     # Between what ends one scan and what begins the next nothing may be seen.
     kept = np.abs(np.degrees(wrap(view.azimuths(points) - np.radians(begin_deg + 20.0)))) > 20.0
-    without = learn_view([scan[keep] for scan, keep in ((points, kept),)], FORWARD_LEFT_UP_AXES)
+    without = learn_view([points[kept]], FORWARD_LEFT_UP_AXES)
     assert wrap(without.begin_rad - np.radians(begin_deg + 20.0)) == pytest.approx(0.0, abs=np.radians(21.0))
 
 
@@ -72,8 +72,19 @@ def test_a_scanner_that_turns_where_nothing_is_in_reach_begins_where_it_does(beg
     view = learn_view([points[np.abs(np.degrees(wrap(np.radians(azimuths)))) < 135.0]] * 3, FORWARD_LEFT_UP_AXES)
     assert view.limited
     assert np.degrees(view.begin_rad) == pytest.approx(begin_deg, abs=0.2)
-    late_s = view.offsets_s(at_azimuth([begin_deg - 1.0, begin_deg + 1.0]), Sweep("start", "cw", 10.0))
-    np.testing.assert_allclose(late_s, [0.1 / 360.0, 0.1 - 0.1 / 360.0], atol=1e-4)
+    beside = at_azimuth([begin_deg - 1.0, begin_deg + 0.3])
+    for stamp_at, before_s in (("start", 0.0), ("middle", 0.05), ("end", 0.1)):
+        late_s = view.offsets_s(beside, Sweep(stamp_at, "cw", 10.0))
+        np.testing.assert_allclose(late_s + before_s, [0.1 / 360.0, 0.1 - 0.03 / 360.0], atol=1e-4)
+
+
+def test_a_layer_that_sees_little_does_not_tell_where_scans_begin():
+    """The first one sees a building only, from 140 deg on; what begins behind is told by the others."""
+    azimuths = 180.0 - np.arange(0.0, 360.0, 0.5)
+    top = at_azimuth(azimuths[(azimuths < 140.0) & (azimuths > -160.0)], 3.0)
+    below = [at_azimuth(azimuths, elevation) for elevation in (-4.0, -8.0)]
+    view = learn_view([np.concatenate([top, *below])] * 3, FORWARD_LEFT_UP_AXES)
+    assert abs(wrap(view.begin_rad - np.pi)) < np.radians(1.0)
 
 
 def test_an_order_that_was_lost_tells_no_begin_so_it_is_taken_to_be_behind():

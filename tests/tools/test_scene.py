@@ -124,9 +124,9 @@ def _some_points(scene):
 def test_a_faster_scanner_fires_as_many_beams_a_second_and_a_slower_one_leaves_out_frames(name):
     own = lidar(name)
     fast, slow = own.at_rate(2.0 / own.period_s), own.at_rate(0.3 / own.period_s)
-    column = len(set(own.layer.tolist()))
+    layers = len(set(own.layer.tolist()))
     assert len(fast.azimuth_rad) / fast.period_s == pytest.approx(
-        len(own.azimuth_rad) / own.period_s, abs=2 * column / own.period_s
+        len(own.azimuth_rad) / own.period_s, abs=2 * layers / own.period_s
     )
     assert fast.offset_s.max() < fast.period_s == own.period_s / 2
     assert fast.field_rad == pytest.approx(own.field_rad, abs=np.radians(0.5))

@@ -253,7 +253,7 @@ def corrected(corrections: Sequence[Correction]) -> tuple[Corrected, ...]:
 
 def _corrected(correction: Correction) -> Corrected:
     what, factor, digits, unit = _WORDS[correction.what]
-    sigmas = abs(correction.value) / correction.sigma
+    sigmas = correction.surprise
     judgement = "contradiction" if sigmas > CONTRADICTED else "notable" if sigmas > NOTABLE else "as expected"
     value = f"{_signed(factor * correction.value, digits)}{unit}"
     return Corrected(what, value, f"0 ± {factor * correction.sigma:.{digits}f}{unit}", sigmas, judgement)
