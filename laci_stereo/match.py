@@ -114,7 +114,7 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
     log = recorded.log
     if options.box_origin == "bottom":
         log = replace(log, above_ground_m=np.zeros(len(log)))
-    _check_ground(detections, log, options)
+    below = _check_ground(detections, log, options)
     drive = read_drive(cam, options.lane_map or find_lane_map(detections), log.span_ns, options)
     return MatchTask(
         drive=drive,
@@ -125,7 +125,7 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
             frame=f"as in the detections: {_in_words(options.axes)}",
             inputs={str(detections): sha256(detections), **drive.files},
             config=options.config(),
-            notes=(*recorded.notes, _ground_note(log, options), *drive.notes),
+            notes=(*recorded.notes, _ground_note(log, options, below), *drive.notes),
         ),
         inputs=f"{len(log)} detections at {len(np.unique(log.stamps_ns))} times, {len(drive.messages)} CAMs",
         detections=log,
@@ -147,15 +147,17 @@ def _with_assumption(calibration: Calibration) -> Calibration:
     return replace(calibration, quality=quality.doubted(reason))
 
 
-def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
-    """Raise if nothing tells where the ground is."""
+def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> Below | None:
+    """Raise if nothing tells where the ground is; return what the boxes tell of it, if it is said to be level."""
     no_z = bool(np.isnan(log.points_sensor[:, 2]).all())
     if options.level_m is not None:
         above_zero("--level", options.level_m, "m")
         if no_z and options.axes.up[2] == 0.0:
             raise DetectionError(f"{path} lacks z, but {_in_words(options.axes)}; needed is z, or other --axes")
-        _check_level(path, log, options.level_m, options.axes)
-        return
+        below = _below(log, options.axes)
+        if below is not None:
+            _check_level(path, below, options.level_m)
+        return below
     if no_z:
         raise DetectionError(f"{path} lacks z; needed is z to find the ground below the boxes, or --level HEIGHT")
     if np.isnan(log.above_ground_m).all():
@@ -163,13 +165,11 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> None:
             f"{path} lacks height; needed is height to find the ground below the boxes' centres, --box-origin bottom, "
             "or --level HEIGHT"
         )
+    return None
 
 
-def _check_level(path: Path, log: DetectionLog, level_m: float, axes: Axes) -> None:
+def _check_level(path: Path, below: Below, level_m: float) -> None:
     """Raise if the boxes stand elsewhere than so far below the sensor, or on what is steeper than roads are."""
-    below = _below(log, axes)
-    if below is None:
-        return
     if abs(below.height_m - level_m) > CONTRADICTION * np.hypot(below.height_sigma_m, HEIGHT_SIGMA_M):
         raise DetectionError(
             f"{path}: the boxes stand {below.height_m:.1f} m below the sensor, give or take {below.height_sigma_m:.1f} "
@@ -190,13 +190,12 @@ def _below(log: DetectionLog, axes: Axes) -> Below | None:
     return ground_below(log.points_sensor[known], log.above_ground_m[known], axes) if known.any() else None
 
 
-def _ground_note(log: DetectionLog, options: MatchOptions) -> str:
+def _ground_note(log: DetectionLog, options: MatchOptions, below: Below | None) -> str:
     if options.level_m is None:
         return f"x, y and z taken for the {options.box_origin} of the boxes (see --box-origin)"
     if np.isnan(log.points_sensor[:, 2]).all():
         return f"no z; x and y taken for distances along the ground, {options.level_m:g} m below the sensor"
     note = f"the sensor's axis is taken for vertical, and the ground for {options.level_m:g} m below it"
-    below = _below(log, options.axes)
     if below is None or below.slope < STEEP * np.hypot(below.slope_sigma, np.radians(LEVEL_SIGMA_DEG)):
         return note
     slope = f"by the boxes' z it falls or rises by {below.slope:.1%}"

@@ -36,7 +36,7 @@ from laci_stereo.core.settings import MatchSettings, with_turn
 from laci_stereo.core.track_likelihood import MAX_GOOD_SIGMA, Account, hold_against, joined
 from laci_stereo.core.track_motion import Motion, Seed, find_seeds, refit
 from laci_stereo.core.track_scene import Scene, Sender, extent, lay_out
-from laci_stereo.core.tracking import GATE, Times, Track
+from laci_stereo.core.tracking import GATE, Times, Track, bridged_s
 
 log = logging.getLogger(__name__)
 
@@ -331,9 +331,9 @@ def _on_vehicle(scene: Scene, best: _Hypothesis, account: Account) -> Track:
 def unseen_s(stamps_s: FloatArray) -> float:
     """Return for how long something that was seen at some times, shape (n,), can be out of sight and count as seen.
 
-    That is one missing frame at least, however seldom they come.
+    That is one missing frame at least.
     """
-    return max(UNSEEN_S, 2.5 * float(np.median(np.diff(stamps_s)))) if len(stamps_s) > 1 else UNSEEN_S
+    return max(UNSEEN_S, bridged_s(stamps_s))
 
 
 def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) -> float:

@@ -59,6 +59,7 @@ class PointCloud:
         assert self.points.shape == (n, 3), self.points.shape
         assert self.sigma_along_m.shape == self.sigma_across_m.shape == self.at_edge.shape == (n,)
         assert self.offset_s is None or self.offset_s.shape == (n,)
+        assert self.turned_rad is None or self.turned_rad.shape == (n,)
 
     def __len__(self) -> int:
         return len(self.points)

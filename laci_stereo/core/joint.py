@@ -223,7 +223,7 @@ def fit_jointly(
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    expected, told = [model.prior.sigmas.copy() for model in thinned.models], settings
+    told = settings
     if mistakes:
         from_there = thinned.solve(best, COMPARED)
         log_likely = thinned.log_posterior(from_there)
@@ -245,8 +245,8 @@ def fit_jointly(
         problem = _Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), stations)
         solved, probability = _among(turned, likeliest, problem.solve(likeliest.x))
         its_turn = likeliest.turn
-    for drive, its in zip(drives, expected, strict=True):
-        its[0] = with_turn(told.clock_sigma_s, drive.turn_s) if its_turn else told.clock_sigma_s
+    clocks_s = _clock_sigmas_s(drives, told.clock_sigma_s, its_turn)
+    expected = [np.append(clock_s, m.prior.sigmas[1:]) for clock_s, m in zip(clocks_s, thinned.models, strict=True)]
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
     return replace(fit, turn=its_turn, turn_probability=probability, standing=standing, settings=settings)
@@ -473,7 +473,7 @@ class _Problem:
             return False
         return any(
             each.what in what and abs(each.value) > SURELY * each.after
-            for model, its in self._corrections(solved)
+            for model, its in self.corrections(solved)
             if "ahead" not in what or _turned_rad(model.drive) > TURNED_RAD
             for each in its
         )
@@ -481,10 +481,11 @@ class _Problem:
     def only(self, solved: _Solved, what: Set[str]) -> bool:
         """Tell whether the messages allow for all corrections but these."""
         return all(
-            each.surprise <= SURELY for _, its in self._corrections(solved) for each in its if each.what not in what
+            each.surprise <= SURELY for _, its in self.corrections(solved) for each in its if each.what not in what
         )
 
-    def _corrections(self, solved: _Solved) -> list[tuple[DriveModel, tuple[Correction, ...]]]:
+    def corrections(self, solved: _Solved) -> list[tuple[DriveModel, tuple[Correction, ...]]]:
+        """Return each drive, and by how much its messages had to be corrected."""
         return [
             (model, model.prior.corrections(solved.x[own], solved.covariance[own, own]))
             for model, own in zip(self.models, solved.own, strict=True)
@@ -625,11 +626,12 @@ def _turns_of(problem: _Problem, solved: _Solved, *, unset: bool) -> tuple[list[
         not allow for.
     """
     settings = problem.settings
+    by_any = [_turned(problem, solved, turn, settings.clock_sigma_s) for turn in TURNS]
+    if not unset:
+        return by_any, settings
     free = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
-    by_any, by_free = (
-        [_turned(problem, solved, turn, each.clock_sigma_s) for turn in TURNS] for each in (settings, free)
-    )
-    if unset and _log_sum(by_free) + np.log(MISTAKEN) > _log_sum(by_any) + CLEARLY:
+    by_free = [_turned(problem, solved, turn, free.clock_sigma_s) for turn in TURNS]
+    if _log_sum(by_free) + np.log(MISTAKEN) > _log_sum(by_any) + CLEARLY:
         likeliest = max(by_free, key=lambda each: each.log_probability)
         if problem.only(replace(solved, x=likeliest.x, covariance=likeliest.covariance), {"clock"}):
             return by_free, free
@@ -650,7 +652,7 @@ def _turned(problem: _Problem, solved: _Solved, turn: float, known_s: float) -> 
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
     told = vectors[:, values > 0.0]
     pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
-    clocks = [with_turn(known_s, model.drive.turn_s) if turn else known_s for model in problem.models]
+    clocks = _clock_sigmas_s([model.drive for model in problem.models], known_s, turn)
     prior = block_diag(FIXED**-2.0, problem.recordings.clocks(np.array(clocks) ** -2.0))
     mean = np.array([turn, *np.zeros(len(clocks))])
     after, sum_pull = prior + information, prior @ mean + pull
@@ -660,6 +662,11 @@ def _turned(problem: _Problem, solved: _Solved, turn: float, known_s: float) -> 
     x = solved.x + gain @ (at - solved.x[index])
     left = solved.covariance + gain @ (np.linalg.inv(after) - covariance) @ gain.T
     return _Turned(turn, x, left, float(evidence + np.log(TURNS[turn])))
+
+
+def _clock_sigmas_s(drives: Sequence[Evidence], known_s: float, turn: float) -> list[float]:
+    """Return how well each drive's clock offset is known, if the scanner turns so."""
+    return [with_turn(known_s, drive.turn_s) if turn else known_s for drive in drives]
 
 
 def _log_sum(turned: Sequence[_Turned]) -> float:
@@ -696,13 +703,8 @@ def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Seque
         centre_level=centre,
         time_sigmas_s=tuple(float(after[own.start]) for own in solved.own),
         corrections=tuple(
-            tuple(
-                replace(each, sigma=float(sigma))
-                for each, sigma in zip(
-                    model.prior.corrections(solved.x[own], solved.covariance[own, own]), sigmas, strict=True
-                )
-            )
-            for model, own, sigmas in zip(problem.models, solved.own, expected, strict=True)
+            tuple(replace(each, sigma=float(sigma)) for each, sigma in zip(its, sigmas, strict=True))
+            for (_, its), sigmas in zip(problem.corrections(solved), expected, strict=True)
         ),
         residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
         frames=sum(each.frames for each in solved.fitness),

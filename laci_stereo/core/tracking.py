@@ -139,10 +139,8 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
     active: list[Moving] = []
     seen = [frame for frame in _that_move([frame for frame in frames if frame], settings) if frame]
     stamps_s = np.array([sightings[0].frame_s for sightings in seen])
-    # At least one missing frame is bridged, however seldom they come.
-    interval_s = float(np.median(np.diff(stamps_s))) if len(seen) > 1 else 0.0
-    settings = replace(settings, max_lost_s=max(settings.max_lost_s, 2.5 * interval_s))
-    limit_s = min(max(blind_s(settings), 2.5 * interval_s), settings.max_lost_s)
+    settings = replace(settings, max_lost_s=max(settings.max_lost_s, bridged_s(stamps_s)))
+    limit_s = min(max(blind_s(settings), bridged_s(stamps_s)), settings.max_lost_s)
     for now_s, sightings in zip(stamps_s, seen, strict=True):
         finished += [track for track in active if now_s - track.last.frame_s > limit_s]
         active = [track for track in active if now_s - track.last.frame_s <= limit_s]
@@ -165,6 +163,11 @@ def _that_move(frames: Sequence[Sequence[Sighting]], settings: TrackSettings) ->
     fixed = stands(number, np.array([one.middle for _, one in clusters]), len(frames), settings.fixture_share)
     fixtures = {id(one) for (_, one), its in zip(clusters, fixed, strict=True) if its}
     return [[one for one in frame if id(one) not in fixtures] for frame in frames]
+
+
+def bridged_s(stamps_s: FloatArray) -> float:
+    """Return for how long one missing frame leaves things unseen, however seldom frames come; 0 of a single one."""
+    return 2.5 * float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 0.0
 
 
 def blind_s(settings: TrackSettings) -> float:
@@ -274,7 +277,7 @@ def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
 def _following(found: Links) -> dict[int, int]:
     """Return what follows each part that something follows, at the least cost in all.
 
-    What is not linked, by any others in between, is looked at by itself: most parts have few that may follow.
+    What no chain of possible links connects is looked at apart: of many parts, each may be followed by few.
     """
     pairs = [pair for pair, (cost, *_) in found.items() if cost < UNLINKED]
     if not pairs:

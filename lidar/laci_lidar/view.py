@@ -106,7 +106,7 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
     begins = []
     for points in clouds:
         azimuths = wrap(_azimuths(points, axes))
-        begins.append(_begin(points, axes))
+        begins.append(_begin(azimuths, _elevations(points, axes)))
         bins = np.minimum((azimuths + np.pi) * (_BINS / (2 * np.pi)), _BINS - 1).astype(np.int64)
         np.minimum.at(low, bins, azimuths)
         np.maximum.at(high, bins, azimuths)
@@ -124,14 +124,12 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
     return View(axes, right, width, right - float(gaps[widest]) / 2 if begin is None else begin)
 
 
-def _begin(points: FloatArray, axes: Axes) -> float:
-    """Return where a scan begins that goes all around, by the order of its points, shape (n, 3), or NaN.
+def _begin(azimuths: FloatArray, elevations: FloatArray) -> float:
+    """Return where a scan begins that goes all around, by the order of its points, each shape (n,), or NaN.
 
     It is told by what ends a turn and what begins it, next to each other: of the scan, where beams follow one another,
     and of each layer, where it is written layer by layer. Of a layer that sees little the two are far apart.
     """
-    azimuths, up = _azimuths(points, axes), forward_left_up(axes)[2]
-    elevations = np.arcsin(np.clip(points @ up / np.maximum(np.linalg.norm(points, axis=1), 1e-9), -1.0, 1.0))
     bounds = np.concatenate([[0], np.flatnonzero(np.abs(np.diff(elevations)) > ONE_LAYER_RAD) + 1, [len(azimuths)]])
     long = np.flatnonzero(np.diff(bounds) >= LEAST_OF_LAYER)
     layers = [azimuths[bounds[index] : bounds[index + 1]] for index in long.tolist()]
@@ -155,6 +153,12 @@ def _together(begins: Sequence[float]) -> float | None:
         return None
     mean = np.exp(1j * known).mean()
     return float(np.angle(mean)) if abs(mean) > ALIKE else None
+
+
+def _elevations(points: FloatArray, axes: Axes) -> FloatArray:
+    forward, left, up = forward_left_up(axes)
+    elevations: FloatArray = np.arctan2(points @ up, np.hypot(points @ forward, points @ left))
+    return elevations
 
 
 def _azimuths(points: FloatArray, axes: Axes) -> FloatArray:

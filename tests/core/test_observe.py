@@ -11,7 +11,6 @@ import pytest
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import BoolArray, transform
 from laci_stereo.core.observe import observe
-from laci_stereo.core.settings import Settings
 from tests.simulated import LEFT_TURN, Drive, Mover, Recording, lidar, pedestrian, scene
 
 WALKER = pedestrian(Drive((24.0, 6.0), -90.0, speeds=((0.0, 1.4),)))
@@ -47,18 +46,3 @@ def test_what_a_mask_leaves_out_is_no_road() -> None:
     for index, cloud, without in zip(indices, masked.standing, whole.standing, strict=True):
         assert not recording.near(recording.movers[-1], index, cloud, 0.4).any()
         assert len(cloud) == len(without)
-
-
-@pytest.mark.slow
-def test_what_drives_above_the_land_altogether_is_on_another_ground() -> None:
-    """The road is a metre above most of what is seen, and background; another car on it was taken for the sender."""
-    pytest.importorskip("embreex")
-    from tools.scenes.scene import draw_scene, errors_of
-    from tools.scenes.seeing import see
-
-    made = draw_scene(300188, "lidar_64")
-    found = see(made, "simulated").locate(Settings())
-    error = errors_of(found, made)
-    assert error.track_xy_cm < 15.0
-    assert error.track_z_cm < 10.0
-    assert error.sigma_ratio < 3.0

@@ -144,6 +144,16 @@ def test_a_road_in_hills_is_the_ground_of_who_drives_on_it() -> None:
 
 
 @pytest.mark.slow
+def test_what_drives_above_the_land_altogether_is_on_another_ground() -> None:
+    """The road is a metre above most of what is seen, and background; another car on it was taken for the sender."""
+    (one,) = run(Job("lidar_64", 300188, ("joint",)), {})
+    assert not one.refused
+    assert one.track_xy_cm < 15.0
+    assert one.track_z_cm < 10.0
+    assert one.sigma_ratio < 3.0
+
+
+@pytest.mark.slow
 def test_a_trailer_whose_cab_is_seen_only_when_it_is_not_is_warned_of() -> None:
     (one,) = run(Job("lidar_16", 610004, ("joint",)), {"vehicle": "trailer"})
     assert one.verdict == "warn" or one.sigma_ratio < 3.0
