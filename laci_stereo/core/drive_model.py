@@ -29,12 +29,18 @@ from laci_stereo.core.in_common import SAME_BORDER_M, SAME_ERROR_M, blocks_of, c
 from laci_stereo.core.receiver import KNOTS_PER_TIME, decay, position_sigma_m
 from laci_stereo.core.settings import JointSettings, with_turn
 
-BIAS, SWEEP = 3, 4
-FIRST_OWN = 5
-"""Yaw, x, y, the range bias and how it turns are the sensor's; what follows is each drive's own, see `drive_prior`."""
+BIAS, SWEEP, FOCAL, BASELINE = range(3, 7)
+FIRST_OWN = 7
+"""Yaw, x, y, the range bias, how it turns, and by which share a stereo camera's focal length and baseline are taken too
+short are the sensor's; what follows is each drive's own, see `drive_prior`."""
+
+AHEAD = np.array([1.0, 0.0])
+"""The sensor's forward axis on the ground plan."""
 
 _NORMAL = slice(1, 3)
 """The derivatives by x and y: where the normal points on the map."""
+
+_OPTICS = slice(FOCAL, BASELINE + 1)
 
 _CLOCK, _HEADING, _LEVER, _BEGIN, _GLOSS, _GROWTH, _KNOTS = (
     FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GLOSS, GROWTH, KNOTS)
@@ -466,13 +472,13 @@ class DriveModel:
         swing = rotate_xy(yaw, reference) - rotate_xy(poses.heading, reference)
         shift = x[1:3] + bias - poses.xy + swing
         xy = rotate_xy(-yaw[frame], rotate_xy(x[0], arm) + shift[frame])
-        origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre) + shift)
+        origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre * _scale(x)) + shift)
         return xy, origin[frame], yaw[frame]
 
     def _meet(self, x: FloatArray, poses: Poses, points: IntArray) -> Met:
         along = self.drive.sigma_along_m[points]
         frame = self.drive.frame[points]
-        arm = self.drive.points[points, :2] - x[BIAS] * along[:, None] * self.sight[points] - self.centre
+        arm = (self.drive.points[points, :2] - self.centre) * _scale(x) - x[BIAS] * along[:, None] * self.sight[points]
         late_s = x[SWEEP] * self.drive.points_late_s[points]
         moved = late_s[:, None] * rotate_xy(-x[0], poses.rates.velocity)[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm - moved)
@@ -486,6 +492,10 @@ class DriveModel:
         late_s = drive.frames_late_s[frame] + drive.points_late_s[points]
         rows = self._rows_of(x, poses, met, frame, late_s, share)
         towards = dot_xy(rotate_xy(x[0], self.sight[points]), rows.jacobian[:, _NORMAL])
+        # Of what optics do along the line of sight, noise has its share: they scale what was measured.
+        sight, ahead_m = self.sight[points], drive.points[points, 0]
+        longer = np.column_stack([sight[:, 0] * ahead_m, dot_xy(sight, drive.points[points, :2])])
+        rows.jacobian[:, _OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
         # What is seen within half a window of a border may be the border's: beside the outline all of it, and on a side
         # that is narrower than that, for it is grazed.
@@ -511,7 +521,7 @@ class DriveModel:
         """
         frame, side = np.nonzero(np.isfinite(self.borders[:, :, 0]) & poses.known[:, None])
         at = self.borders[frame, side, :2]
-        arm = at - self.centre
+        arm = (at - self.centre) * _scale(x)
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE])
         window_m = self._window_m(hits.reach * np.hypot(*at.T))
@@ -529,10 +539,12 @@ class DriveModel:
     ) -> Rows:
         hits = met.hits
         # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
-        arm = (met.arm + self.centre) * hits.reach[:, None] - self.centre
+        from_sensor = self.centre * _scale(x)
+        arm = (met.arm + from_sensor) * hits.reach[:, None] - from_sensor
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
         jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, met.yaw, hits.normal)
         jacobian[:, _SHAPE] = hits.by_shape
+        jacobian[:, _OPTICS] = _by_optics(x, jacobian[:, _NORMAL], arm)
         return Rows(
             distance=hits.distance,
             variance=hits.variance,
@@ -610,6 +622,21 @@ class DriveModel:
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         jacobian[:, _BEGIN] = about * poses.by_begin[frame]
         return jacobian
+
+
+def _scale(x: FloatArray) -> FloatArray:
+    """Return what focal length and baseline make of points ahead of a stereo camera, and to its side, shape (2,).
+
+    Depth is their product over the disparity; across the axis the focal length cancels out.
+    """
+    scale: FloatArray = 1.0 + x[BASELINE] + x[FOCAL] * AHEAD
+    return scale
+
+
+def _by_optics(x: FloatArray, normal_world: FloatArray, arm: FloatArray) -> FloatArray:
+    """Return by how much focal length and baseline move points along their normals, shape (n, 2)."""
+    normal, told = rotate_xy(-x[0], normal_world), arm / _scale(x)
+    return np.column_stack([dot_xy(normal, told * AHEAD), dot_xy(normal, told)])
 
 
 def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> float:

@@ -41,18 +41,22 @@ windows, it is off on average, and in each place."""
 LEAST_TOLD = 0.5
 """Of the variance of the clocks' offset, what the points are taken to tell at least."""
 
+OPTICS = ("depth", "breadth")
+"""What of a stereo camera's points is corrected, along its axis and across it, each as a share: their product with a
+wrong focal length, which cancels out across the axis, or with a wrong baseline."""
+
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
 """What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Something that the messages tell and the points contradict.
+    """Something that the messages, or a stereo calibration, tell and the points contradict.
 
     Attributes
     ----------
     what : str
-        One of `CORRECTED`.
+        One of `CORRECTED` or of `OPTICS`.
     value, sigma : float
         The correction, and the standard deviation that was to be expected.
     after : float

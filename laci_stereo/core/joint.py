@@ -11,14 +11,16 @@ from scipy.linalg import block_diag
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import (
+    BASELINE,
     FIRST_OWN,
+    FOCAL,
     SWEEP,
     Chosen,
     DriveModel,
     Fitness,
     Rows,
 )
-from laci_stereo.core.drive_prior import LASTING, Correction
+from laci_stereo.core.drive_prior import LASTING, OPTICS, Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
@@ -76,6 +78,16 @@ HELD_ROWS = 3000
 """Of each that a scanner saw at least; and of what is registered only to hold it against something else, a half of a
 drive or one of several."""
 
+WRONG_OPTICS = 0.03
+"""By such a share a focal length is off that was read from another matrix, such as the raw image's, or a baseline that
+was measured from outside."""
+
+_OPTICS = slice(FOCAL, BASELINE + 1)
+
+SURELY_OPTICS = 3.0
+"""It is so only if what is found is beyond so many of its own standard deviations: by them, which grow where residuals
+scatter more than the model has it, of a hundred calibrations that are right one is (two degrees of freedom)."""
+
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, its headings as far off
 as one that is told of another part of it, such as a cab in a bend, or by a magnet, and its clock not set."""
@@ -130,6 +142,8 @@ class JointFit:
     time_sigmas_s : tuple of float
     corrections : tuple of tuple of Correction
         Of each drive's messages.
+    optics : tuple of Correction
+        Of a stereo calibration, `OPTICS`, if the points contradict it.
     residual_rms_m : float
         Of the points that the outline explains.
     frames : int
@@ -162,6 +176,7 @@ class JointFit:
     turn: float = 0.0
     turn_probability: float = 1.0
     standing: int = 0
+    optics: tuple[Correction, ...] = ()
     settings: JointSettings = field(default_factory=JointSettings)
 
     def covariance_about(self, place: FloatArray) -> FloatArray:
@@ -225,18 +240,7 @@ def fit_jointly(
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     told = settings
     if mistakes:
-        from_there = thinned.solve(best, COMPARED)
-        log_likely = thinned.log_posterior(from_there)
-        senders = len(set(thinned.recordings.stations))
-        apart_s = 0.0 if turn.possible else float(np.abs(from_there.x[thinned.clocks]).max())
-        for what, wrong, log_prior in _mistakes(drives, senders, settings, apart_s):
-            if "clock" in what and settings is not told:
-                continue  # positions of another place along the vehicle look much like it
-            wider = _Problem(coarse, begin, centre, wrong, turn, stations)
-            there = wider.solve(from_there.x, COMPARED)
-            its_log_likely = wider.log_posterior(there) + log_prior
-            if its_log_likely > log_likely and wider.tells(there, what):
-                log_likely, best, settings = its_log_likely, there.x, wrong
+        best, settings = _mistaken(thinned, best)
     problem = _Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
@@ -249,18 +253,39 @@ def fit_jointly(
     expected = [np.append(clock_s, m.prior.sigmas[1:]) for clock_s, m in zip(clocks_s, thinned.models, strict=True)]
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
-    return replace(fit, turn=its_turn, turn_probability=probability, standing=standing, settings=settings)
+    optics = _optics(solved) if settings.optics_sigma > told.optics_sigma else ()
+    return replace(
+        fit, optics=optics, turn=its_turn, turn_probability=probability, standing=standing, settings=settings
+    )
 
 
-def _mistakes(
-    drives: Sequence[Evidence], senders: int, settings: JointSettings, apart_s: float
-) -> list[tuple[set[str], JointSettings, float]]:
+def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettings]:
+    """Return what is to be expected if something is surely mistaken, and then likeliest, and where the search goes on.
+
+    If nothing is, that is where it began, and what was expected before.
+    """
+    here = problem.solve(x, COMPARED)
+    settings, most_likelier = problem.settings, 0.0
+    for what, wrong, log_prior in _mistakes(problem, here):
+        if "clock" in what and settings is not problem.settings:
+            continue  # positions of another place along the vehicle look much like it
+        wider = problem.expecting(wrong)
+        there = wider.solve(here.x, COMPARED)
+        likelier = log_prior + _likelier_by(problem, here, wider, there)
+        if likelier > most_likelier and wider.tells(there, what):
+            most_likelier, x, settings = likelier, there.x, wrong
+    return x, settings
+
+
+def _mistakes(problem: _Problem, solved: _Solved) -> list[tuple[set[str], JointSettings, float]]:
     """Return what may be wrong by far, what is to be expected then, and how likely that is, as a logarithm.
 
-    Positions are those of another place on the vehicle than was said, or headings are not the drive's; or a clock was
-    not set, if some seem to be ``apart_s`` apart. To take small errors of much else for it is likelier the nearer it is
-    to none, and downhill from there.
+    Positions are those of another place on the vehicle than was said, or headings are not the drive's; a stereo camera
+    has another focal length or baseline; or a clock was not set, if some seem to be apart. To take small errors of much
+    else for it is likelier the nearer it is to none, and downhill from there.
     """
+    settings, drives = problem.settings, [model.drive for model in problem.models]
+    senders = len(set(problem.recordings.stations))
     length_m = max(drive.vehicle.length_m for drive in drives)
     place = replace(settings, lever_sigma_m=length_m / 2)
     heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
@@ -269,11 +294,30 @@ def _mistakes(
         ({"heading"}, heading, np.log(settings.heading_sigma_deg / heading.heading_sigma_deg)),
     )
     likely = [(what, each, float(np.log(MISTAKEN) + senders * wider)) for what, each, wider in found]
-    if apart_s > LATE * settings.clock_sigma_s:
+    if any(drive.window_rad for drive in drives):
+        optics = replace(settings, optics_sigma=WRONG_OPTICS)
+        likely.append((set(OPTICS), optics, float(np.log(MISTAKEN))))
+    apart_s = float(np.abs(solved.x[problem.clocks]).max())
+    if not problem.turn.possible and apart_s > LATE * settings.clock_sigma_s:
         wider = len(drives) * np.log(settings.clock_sigma_s / UNKNOWN_CLOCK_S)
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         likely.append(({"clock"}, unset, float(np.log(MISTAKEN) + wider)))
     return likely
+
+
+def _likelier_by(one: _Problem, solved: _Solved, other: _Problem, its: _Solved) -> float:
+    """Return by how much likelier another solution is than one, as a logarithm.
+
+    Which points meet an upright outline is not the same for both: those are compared that both place, of what one of
+    them registers and of what the other does, on average.
+    """
+    gains = [2.0 * (other.log_prior_of(its) - one.log_prior_of(solved))]
+    for chosen in (solved.chosen, its.chosen):
+        here, there = one.rows_at(solved.x, chosen), other.rows_at(its.x, chosen)
+        for i, (before, after) in enumerate(zip(here, there, strict=True)):
+            _, mine, others = np.intersect1d(before.point, after.point, assume_unique=True, return_indices=True)
+            gains.append(other.settled(i, its, after[others]) - one.settled(i, solved, before[mine]))
+    return sum(gains) / 2
 
 
 def _turned_rad(drive: Evidence) -> float:
@@ -358,6 +402,7 @@ class _Solved:
     covariance: FloatArray
     fitness: tuple[Fitness, ...]
     own: tuple[slice, ...]
+    chosen: tuple[Chosen, ...]
 
 
 @dataclass(frozen=True)
@@ -386,7 +431,8 @@ class _Problem:
         turn: Turn,
         stations: Sequence[int] | None = None,
     ) -> None:
-        self.settings = settings
+        self.settings, self.turn = settings, turn
+        self._given = drives, begin, centre, stations
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         self.recordings = Recordings(self.models, stations)
         ends = FIRST_OWN + np.cumsum([0, *(len(model.prior.mean) for model in self.models)])
@@ -401,9 +447,15 @@ class _Problem:
         # Yaw and position are as good as free; the range bias is what all points' noise has in common.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
+        first += [settings.optics_sigma**-2] * 2
         self.precision[range(FIRST_OWN), range(FIRST_OWN)] = first
-        self.mean = np.concatenate([begin, [turn.mean], *(model.prior.mean for model in self.models)])
+        self.mean = np.concatenate([begin, [turn.mean, 0.0, 0.0], *(model.prior.mean for model in self.models)])
         self.loosen(None)
+
+    def expecting(self, settings: JointSettings) -> _Problem:
+        """Return the same where something else is to be expected."""
+        drives, begin, centre, stations = self._given
+        return _Problem(drives, begin, centre, settings, self.turn, stations)
 
     def loosen(self, x: FloatArray | None) -> None:
         """Weigh the priors by how far the drives' own parameters are from them, if these are known."""
@@ -430,7 +482,7 @@ class _Problem:
 
         Starts that come together go on as one.
         """
-        found = [_Descent(x, self._rows(x), self._first_shares(), self.precision, -np.inf) for x in starts]
+        found = [_Descent(x, self.rows_at(x), self._first_shares(), self.precision, -np.inf) for x in starts]
         for soft in SOFTENING_M[:FIRST_STEPS]:
             found = self._apart(self._step(each, soft) for each in found)
         found = [replace(each, shares=self._first_shares()) for each in found[:FOLLOWED]]
@@ -445,7 +497,7 @@ class _Problem:
         """Take a step at some softness, and tell how likely the place is that is reached."""
         curvature, gradient, fitness = self._sum(at.x, at.rows, softening_m, at.shares)
         x = at.x - np.linalg.solve(curvature, gradient)
-        rows, shares = self._rows(x), [each.shares for each in fitness]
+        rows, shares = self.rows_at(x), [each.shares for each in fitness]
         likely = sum(each.log_likelihood for each in self._sum(x, rows, softening_m, shares)[2])
         return _Descent(x, rows, shares, curvature, likely + self._log_prior(x))
 
@@ -458,10 +510,18 @@ class _Problem:
                 kept.append(each)
         return kept
 
-    def log_posterior(self, solved: _Solved) -> float:
-        """Return how likely what was found is, as a logarithm."""
+    def settled(self, drive: int, solved: _Solved, rows: Rows) -> float:
+        """Return how likely some points of a drive are, as a logarithm, with the mixture's shares that suit them."""
+        model, fitness = self.models[drive], solved.fitness[drive]
+        for _ in range(SETTLING):
+            fitness = model.weigh(rows, 0.0, fitness.shares)
+        return fitness.log_likelihood
+
+    def log_prior_of(self, solved: _Solved) -> float:
+        """Return how likely what was found is beforehand, as a logarithm, and any optics like those found."""
         self.loosen(solved.x)
-        return sum(each.log_likelihood for each in solved.fitness) + self._log_prior(solved.x)
+        after = np.linalg.slogdet(solved.covariance[_OPTICS, _OPTICS])[1] / 2
+        return self._log_prior(solved.x) + float(after - 2.0 * np.log(self.settings.optics_sigma))
 
     def tells(self, solved: _Solved, what: Set[str]) -> bool:
         """Tell whether some correction of a drive is not only possible, but surely there.
@@ -471,6 +531,9 @@ class _Problem:
         """
         if "clock" in what and not self.only(solved, what):
             return False
+        if what == set(OPTICS):
+            found, covariance = solved.x[_OPTICS], solved.covariance[_OPTICS, _OPTICS]
+            return float(found @ np.linalg.solve(covariance, found)) > SURELY_OPTICS**2
         return any(
             each.what in what and abs(each.value) > SURELY * each.after
             for model, its in self.corrections(solved)
@@ -496,7 +559,7 @@ class _Problem:
         shares: Sequence[FloatArray] = self._first_shares()
         for _ in range(ROUNDS):
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
-            rows: Sequence[Rows] = self._rows(x, chosen)
+            rows: Sequence[Rows] = self.rows_at(x, chosen)
             for _ in range(SETTLING):
                 shares = [each.shares for each in self._sum(x, rows, 0.0, shares)[2]]
             before = x
@@ -506,7 +569,8 @@ class _Problem:
             if (x - before) @ information @ (x - before) < converged:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        return _Solved(x, self._covariance(inverse, fitness, rows), tuple(fitness), tuple(self.own))
+        covariance = self._covariance(inverse, fitness, rows)
+        return _Solved(x, covariance, tuple(fitness), tuple(self.own), tuple(chosen))
 
     def _climb(
         self,
@@ -528,7 +592,7 @@ class _Problem:
             step = np.linalg.solve(curvature, gradient)
             size = float(step @ curvature @ step)
             while pace**2 * size >= converged:
-                there = self._rows(x - pace * step, chosen)
+                there = self.rows_at(x - pace * step, chosen)
                 if self._gain(x - pace * step, there, x, rows, fitness, shares) > 0.0:
                     break
                 pace /= 4.0
@@ -562,7 +626,7 @@ class _Problem:
         """Return where in the vector each drive's parameters are."""
         return [np.r_[:FIRST_OWN, own] for own in self.own]
 
-    def _rows(self, x: FloatArray, chosen: Sequence[Chosen] | None = None) -> list[Rows]:
+    def rows_at(self, x: FloatArray, chosen: Sequence[Chosen] | None = None) -> list[Rows]:
         each_chosen: Sequence[Chosen | None] = chosen or [None] * len(self.models)
         each = zip(self.models, self._places(), each_chosen, strict=True)
         return [model.rows(x[index], some) for model, index, some in each]
@@ -690,6 +754,16 @@ def _among(turned: Sequence[_Turned], likeliest: _Turned, solved: _Solved) -> tu
 def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
     yaw = float(wrap(solved.x[0]))
     return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
+
+
+def _optics(solved: _Solved) -> tuple[Correction, ...]:
+    """Return by how much depths and breadths had to be corrected."""
+    by = np.array([[1.0, 1.0], [0.0, 1.0]])  # depths by focal length and baseline, breadths by the latter
+    values, after = by @ solved.x[_OPTICS], np.sqrt(np.diag(by @ solved.covariance[_OPTICS, _OPTICS] @ by.T))
+    return tuple(
+        Correction(what, float(value), WRONG_OPTICS, float(left))
+        for what, value, left in zip(OPTICS, values, after, strict=True)
+    )
 
 
 def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray]) -> JointFit:

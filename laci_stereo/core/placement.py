@@ -277,6 +277,8 @@ def _contradicted(
         found += [(name, words) for words in (*map(_in_words, _wrong(corrections)), *drive.vehicle.doubts)]
         if missing_m:
             found.append((name, f"{_lacks(missing_m, drive.vehicle)}: {ANOTHER_PIECE}"))
+    if fit.optics:
+        found.append(("", _optics_in_words(fit)))
     return found
 
 
@@ -372,6 +374,18 @@ def _in_words(correction: Correction) -> str:
         side = "right" if value > 0 else "left"
         return f"the messages' positions are {abs(value):.2f} m to the {side} of where --cam-reference puts them"
     return f"the vehicle's {correction.what} is {value:+.2f} m off what its messages tell"
+
+
+def _optics_in_words(fit: JointFit) -> str:
+    """Say what of a stereo calibration the points contradict."""
+    depth, breadth = (100.0 * each.value for each in fit.optics)
+    depth_sigma, breadth_sigma = (100.0 * each.after for each in fit.optics)
+    off_m = float(np.hypot(*(fit.centre_level * [depth, breadth]))) / 100.0
+    return (
+        f"what the camera sees is {depth:+.1f} +- {depth_sigma:.1f} % deeper than measured, and {breadth:+.1f} +- "
+        f"{breadth_sigma:.1f} % broader: the stereo calibration's focal length (depths alone) or baseline (both) is "
+        f"wrong, and the camera is put {off_m:.1f} m off its place: mend it and calibrate again"
+    )
 
 
 def _turning(fit: JointFit) -> str:

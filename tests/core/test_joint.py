@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core import outline
-from laci_stereo.core.drive_model import BIAS, FIRST_OWN, SWEEP, DriveModel
+from laci_stereo.core.drive_model import BASELINE, BIAS, FIRST_OWN, FOCAL, SWEEP, DriveModel
 from laci_stereo.core.drive_prior import BEGIN, CLOCK, GROWTH, HEADING, KNOTS, LEVER, PARTIAL, SHAPE, Correction
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.evidence import FRAMES_PER_PLACE, Evidence
@@ -35,6 +35,7 @@ from tests.core.outlines import (
 from tests.simulated import Drive
 
 UNKNOWN_CLOCK = JointSettings(clock_sigma_s=1.0)
+ITS_CLOCK, ITS_HEADING, ITS_LEVER = FIRST_OWN + CLOCK, FIRST_OWN + HEADING, FIRST_OWN + LEVER
 
 
 def error(fit: JointFit) -> FloatArray:
@@ -261,7 +262,7 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings(), turns=True)
     x = np.zeros(FIRST_OWN + len(model.prior.mean))
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
-    x[BIAS], x[SWEEP] = 0.01, 0.7
+    x[[BIAS, SWEEP, FOCAL, BASELINE]] = 0.01, 0.7, 0.02, -0.01
     radii = FIRST_OWN + SHAPE.start + outline.SHAPE.index("front_radius")
     x[FIRST_OWN : radii + 2] = np.random.default_rng(2).normal(0.0, 0.01, radii + 2 - FIRST_OWN)
     x[[FIRST_OWN + LEVER, FIRST_OWN + BEGIN]] += 2.0, 0.3
@@ -278,7 +279,7 @@ def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     assert np.median(off) < 0.01 * max(1.0, float(np.abs(slope).max()))
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, BIAS, *range(FIRST_OWN, FIRST_OWN + KNOTS + 4)])
+@pytest.mark.parametrize("index", [0, 1, 2, BIAS, FOCAL, BASELINE, *range(FIRST_OWN, FIRST_OWN + KNOTS + 4)])
 def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = with_borders(evidence(sigma_m=0.05, per_frame=10), sigma=0.1)
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
@@ -406,15 +407,16 @@ def at_the_truth(drive: Evidence) -> tuple[DriveModel, FloatArray]:
 @pytest.mark.parametrize("sigma_m", [0.03, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_at_the_truth_noise_pulls_no_way(sigma_m: float) -> None:
     # Ranges that vary by much more than the outline turn it, if the distances from it are taken for what was measured.
-    pulls, information = [], np.zeros((8, 8))
+    count = ITS_LEVER + 1
+    pulls, information = [], np.zeros((count, count))
     for seed in range(80):
         model, x = at_the_truth(evidence(CIRCLE, seed=seed, sigma_m=sigma_m))
         rows = model.rows(x)
-        jacobian = rows.jacobian[:, :8]
+        jacobian = rows.jacobian[:, :count]
         weight = rows.share * (rows.cos > 0.0) / rows.variance
         pulls.append((jacobian * (weight * rows.distance)[:, None]).sum(axis=0))
         information += (jacobian * weight[:, None]).T @ jacobian / 80
-    free = [0, 1, 2, 5, 6, 7]  # yaw, place, clock, heading and its lever
+    free = [0, 1, 2, ITS_CLOCK, ITS_HEADING, ITS_LEVER]
     pull = np.mean(pulls, axis=0)[free] / np.sqrt(np.diag(information)[free])
     assert np.abs(pull).max() < 0.2
     spread = np.std(pulls, axis=0)[free] / np.sqrt(np.diag(information)[free])
@@ -436,7 +438,10 @@ def test_what_is_matched_in_one_window_is_one_statement() -> None:
     assert weights[0].sum() < weights[1].sum() < weights[2].sum()
 
 
-@pytest.mark.parametrize(("drive", "indices"), [(TURN, (0, 1, 2, 5, 6, 7)), (CIRCLE, (0, 5, 6))])
+@pytest.mark.parametrize(
+    ("drive", "indices"),
+    [(TURN, (0, 1, 2, FOCAL, BASELINE, ITS_CLOCK, ITS_HEADING, ITS_LEVER)), (CIRCLE, (0, ITS_CLOCK, ITS_HEADING))],
+)
 @pytest.mark.parametrize("camera", [False, True])
 def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple[int, ...], camera: bool) -> None:
     seen = evidence(drive, sigma_m=0.3, behind=0.2)
@@ -453,7 +458,7 @@ def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple
         assert (more - less) / 2e-6 / scale == pytest.approx(-fitness.gradient[index] / scale, abs=0.1)
 
 
-@pytest.mark.parametrize("index", [5, 0, 2])
+@pytest.mark.parametrize("index", [ITS_CLOCK, 0, 2])
 def test_the_curvature_is_by_how_much_the_gradient_changes(index: int) -> None:
     """Clock, yaw and y; a way with jitter bends the likelihood by more than is known of the clock on an even turn."""
     drive = evidence(CIRCLE)
@@ -464,14 +469,54 @@ def test_the_curvature_is_by_how_much_the_gradient_changes(index: int) -> None:
     for _ in range(3):
         shares = model.weigh(model.rows(x), 0.0, shares).shares
     chosen = model.choose(x)
-    step = 0.02 * np.eye(len(x))[index] * (0.1 if index in (0, 5) else 1.0)
+    step = 0.02 * np.eye(len(x))[index] * (0.1 if index in (0, ITS_CLOCK) else 1.0)
     more, less = (model.weigh(model.rows(each, chosen), 0.0, shares) for each in (x + step, x - step))
     changes = (more.gradient - less.gradient)[index] / (2.0 * step[index])
     at = model.weigh(model.rows(x, chosen), 0.0, shares)
     assert changes == pytest.approx(at.curvature[index, index], rel=0.25)
-    place_and_clock = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
+    place_and_clock = np.ix_([0, 1, 2, ITS_CLOCK], [0, 1, 2, ITS_CLOCK])
     known, bent = (1.0 / np.linalg.inv(each[place_and_clock])[3, 3] for each in (at.information, at.curvature))
     assert known < bent / 2.0
+
+
+def by_another_calibration(drive: Evidence, depth: float, breadth: float) -> Evidence:
+    """Return what a stereo camera measures whose depths and breadths are too short by such shares."""
+    measured = 1.0 / np.array([1.0 + depth, 1.0 + breadth])
+    points, borders = drive.points.copy(), drive.borders
+    assert borders is not None
+    points[:, :2] *= measured
+    return replace(drive, points=points, middles=drive.middles * measured, borders=borders * np.append(measured, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("depth", "breadth"),
+    [(0.03, 0.0), pytest.param(-0.03, 0.0, marks=pytest.mark.slow), pytest.param(0.02, 0.02, marks=pytest.mark.slow)],
+)
+def test_a_wrong_stereo_calibration_is_told_and_what_it_does_to_the_camera(depth: float, breadth: float) -> None:
+    right = with_borders(evidence(sigma_m=0.05), sigma=0.1)
+    wrong = by_another_calibration(right, depth, breadth)
+    fit = fit_jointly([wrong], TRUTH)
+    for found, true in zip(fit.optics, (depth, breadth), strict=True):
+        assert abs(found.value - true) < 3.0 * found.after < 0.03
+    # Where the vehicle drives what is measured is laid where it is; the camera's place is off by as much.
+    assert (
+        np.hypot(
+            *(
+                fit.match(fit.centre_level[None])[0]
+                - TRUTH(fit.centre_level[None] * (1.0 + np.array([depth, breadth])))[0]
+            )
+        )
+        < 0.1
+    )
+    off_m = np.hypot(*(fit.match(np.zeros((1, 2)))[0] - TRUTH.shift))
+    assert off_m == pytest.approx(np.hypot(*(fit.centre_level * (depth, breadth))), abs=0.1)
+
+
+@pytest.mark.parametrize("drive", [TURN, pytest.param(STRAIGHT, marks=pytest.mark.slow)], ids=["turn", "straight"])
+@pytest.mark.parametrize("matched", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_a_stereo_calibration_that_is_right_is_not_told_wrong(drive: Drive, matched: bool) -> None:
+    seen = evidence(drive, sigma_m=0.05)
+    assert not fit_jointly([with_borders(seen, drive, sigma=0.1) if matched else seen], TRUTH).optics
 
 
 def test_points_that_change_sides_do_not_judge_a_step() -> None:

@@ -1,3 +1,4 @@
+import re
 from dataclasses import asdict, replace
 
 import cv2
@@ -6,10 +7,11 @@ import pytest
 
 pytest.importorskip("embreex")
 
+from laci_stereo.core.settings import Settings
 from tools.bench_scenes import METHODS, Job, jobs_of, missing, run
 from tools.scenes.runs import Run, beyond, read_runs, recorded, table
 from tools.scenes.scene import draw_scene
-from tools.scenes.seeing import rendered
+from tools.scenes.seeing import rendered, see
 
 DONE = Run("lidar_16", "joint", 1, good=True, verdict="pass", track_xy_cm=3.0, rotation_deg=0.1)
 DONE = replace(DONE, sigma_ratio=1.0, rotation_ratio=0.5)
@@ -157,3 +159,19 @@ def test_what_drives_above_the_land_altogether_is_on_another_ground() -> None:
 def test_a_trailer_whose_cab_is_seen_only_when_it_is_not_is_warned_of() -> None:
     (one,) = run(Job("lidar_16", 610004, ("joint",)), {"vehicle": "trailer"})
     assert one.verdict == "warn" or one.sigma_ratio < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        pytest.param({}, "", id="right"),
+        pytest.param({"focal_error": 0.03}, r"-[23]\.\d \+- \d\.\d % deeper .* focal length", id="focal length"),
+        pytest.param({"baseline_error": -0.03}, r"\+[23]\.\d \+- \d\.\d % broader: .* baseline", id="baseline"),
+    ],
+)
+def test_a_stereo_calibration_that_is_wrong_is_a_warning(error: dict[str, float], told: str) -> None:
+    scene = draw_scene(320106, "stereo_10", **error)
+    quality = see(scene, "simulated").locate(Settings()).quality
+    assert quality.verdict == ("warn" if told else "pass")
+    assert re.search(told, "; ".join(quality.reasons))

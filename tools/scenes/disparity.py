@@ -109,6 +109,8 @@ class StereoCamera:
     stride : int
         A ray for every pixel so far apart, in both directions.
     period_s : float
+    focal_error, baseline_error : float
+        By which share its calibration has them too long.
     """
 
     name: StereoName
@@ -117,6 +119,19 @@ class StereoCamera:
     size_px: tuple[int, int] = (1280, 720)
     stride: int = 3
     period_s: float = 0.1
+    focal_error: float = 0.0
+    baseline_error: float = 0.0
+
+    @cached_property
+    def as_told(self) -> StereoCamera:
+        """What its calibration says that it is."""
+        return replace(
+            self,
+            focal_px=self.focal_px * (1.0 + self.focal_error),
+            baseline_m=self.baseline_m * (1.0 + self.baseline_error),
+            focal_error=0.0,
+            baseline_error=0.0,
+        )
 
     def at_rate(self, frame_rate_hz: float) -> StereoCamera:
         """Return the camera at another frame rate."""
@@ -309,7 +324,7 @@ def reproject(camera: StereoCamera, stamp_ns: int, matched: Matched, where: Bool
         Only these pixels.
     """
     keep = np.isfinite(matched.disparity_px) & where
-    d, sigma = matched.disparity_px[keep], matched.sigma_px[keep]
+    d, sigma, camera = matched.disparity_px[keep], matched.sigma_px[keep], camera.as_told
     u, v = (axis[keep] for axis in camera.pixels)
     depth = camera.focal_px * camera.baseline_m / d
     points = camera.rays[keep.ravel()] * depth[:, None]

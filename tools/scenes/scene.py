@@ -146,6 +146,8 @@ class Factors:
         Scales the sensors' errors that are common to many points.
     bleed_px, gross, gloss_px, focal_px
         Of stereo cameras; ``gross`` scales the share of mismatches, and see `StereoFlaws`.
+    focal_error, baseline_error : float
+        By which share a stereo calibration has them too long.
     """
 
     layout: LayoutKind | None = None
@@ -197,6 +199,8 @@ class Factors:
     gross: float | None = None
     gloss_px: float | None = None
     focal_px: float | None = None
+    focal_error: float = 0.0
+    baseline_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -536,7 +540,8 @@ def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCam
     for name in get_args(StereoName):
         if kind == name:
             focal = draw.given(factors.focal_px, "focal", lambda rng: float(rng.uniform(800.0, 1500.0)))
-            return stereo_camera(name, focal)
+            camera = stereo_camera(name, focal)
+            return replace(camera, focal_error=factors.focal_error, baseline_error=factors.baseline_error)
     scanner = lidar(next(name for name in LIDARS if name == kind))
     if factors.begin_deg != 180.0:
         scanner = scanner.beginning(factors.begin_deg)

@@ -97,4 +97,4 @@ def reopened(scene: Scene, folder: Path) -> StereoRecording:
     """Open images of a stereo camera that were rendered before."""
     assert isinstance(scene.sensor, StereoCamera), scene.sensor_kind
     pairs = pair_images(ImageFolder.open(folder / "left"), ImageFolder.open(folder / "right"))
-    return StereoRecording(pairs.pairs, scene.sensor.rig, StereoSettings(workers=1))
+    return StereoRecording(pairs.pairs, scene.sensor.as_told.rig, StereoSettings(workers=1))
