@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -16,6 +17,9 @@ from laci_stereo.io.images import write_picture
 from laci_stereo.io.output import check_files, check_png, write_file
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
+
+OF_NO_USE = 1
+"""Exit code of a log of which no run could use a station."""
 
 Format: TypeAlias = Literal["csv", "geojson"]
 
@@ -35,6 +39,8 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
 
     LOG is CSV, a packet capture (pcap, pcapng), a ROS or MCAP bag, lines of hexadecimal CAMs, V2AIX's JSON, NMEA or
     GPX; its content tells which.
+
+    Exit codes: 0 a run could use it, or it was converted; 1 it could use none of its stations; 2 it cannot be read.
     """
     if out is not None:
         check_files([out], overwrite=overwrite)
@@ -42,10 +48,13 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
             check_png(out)
     recording = read_cam_log(log)
     if form is None:
-        click.echo(summarise_log(recording, str(log)))
+        summary = summarise_log(recording, str(log))
+        click.echo(summary.text)
         if out is not None:
             write_picture(out, draw_log(recording))
             say_written(out)
+        if not summary.of_use:
+            sys.exit(OF_NO_USE)
         return
     for note in recording.notes:
         click.echo(f"note: {note}", err=True)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator, PPoly
 
-from laci_stereo.core.cam_headings import WRONG_SHARE, check_filled, check_forwards, check_reading
+from laci_stereo.core.cam_headings import READINGS, WRONG_SHARE, check_filled, check_forwards, check_reading
 from laci_stereo.core.cam_repair import (
     REAR_AXLE_SHARE,
     dimensions,
@@ -40,6 +40,12 @@ STANDING_MPS = 0.5
 TIGHTEST_M, HURRIED_MPS2 = 3.0, 2.0
 """Of a small car (9.5 m from kerb to kerb, 2.4 m from axle to axle) the rear axle's middle goes on that radius at the
 least. Nobody speeds up by more in order to turn round."""
+
+COARSE_DECIMALS, ROUNDED_SHARE = 5, 1e-3
+"""Of latitudes and longitudes: a metre, and how near to such a step a number is that has no more."""
+
+METRES_PER_DEG = 111_195.0
+"""Of latitude, on a sphere as large as the Earth: 0.5 % off at most."""
 
 OTHER_SPEEDS = {"km/h": 3.6, "knots": 3.6 / 1.852, "miles per hour": 3.6 / 1.609344, "cm/s": 100.0}
 """What speeds are written in instead of m/s; no two of these are within 10 %."""
@@ -335,15 +341,34 @@ def _fitting(
     if np.count_nonzero(fits) < max(2, len(fits) / 2):
         told = float(np.nanmedian(log.speed_mps)) if np.isfinite(log.speed_mps).any() else float("nan")
         moved = float(np.median(usual_speed(stamps_s, xy)))
-        units = [unit for unit, per_mps in OTHER_SPEEDS.items() if abs(told - per_mps * moved) < 0.05 * told]
+        likely = [
+            f"speed is in {unit}" for unit, per_mps in OTHER_SPEEDS.items() if abs(told - per_mps * moved) < 0.05 * told
+        ]
+        likely += _rounding(log)
+        likely += [
+            words
+            for words, read in READINGS
+            if np.mean(fitting_by(north - np.radians(read(log.heading_deg)))) > 1.0 - WRONG_SHARE
+        ]
         raise CamError(
             f"the messages of station {station} contradict one another: {np.count_nonzero(fits)} of "
             f"{len(fits)} positions follow from the one before by speed and heading, needed is half; the speed told is "
             f"{told:.1f} m/s, the positions move at {moved:.1f} m/s (medians)"
-            f"{''.join(f'; likely: speed is in {unit}' for unit in units)}"
+            f"{'; likely: ' if likely else ''}{', or '.join(likely)}"
         )
     reversing = check_forwards(onwards_mps(stamps_s, xy, yaw)[fits], station)
     return fits, (reversing,) if reversing else ()
+
+
+def _rounding(log: CamLog) -> list[str]:
+    """Say that positions are rounded to more than vehicles move between messages, if they are."""
+    places = np.concatenate([log.latitude_deg, log.longitude_deg])
+    for decimals in range(COARSE_DECIMALS + 1):
+        steps = places * 10.0**decimals
+        if (np.abs(steps - np.round(steps)) < ROUNDED_SHARE).all():
+            step_m = METRES_PER_DEG / 10.0**decimals
+            return [f"positions are rounded to {decimals} decimals, {step_m:.1f} m; needed are 7"]
+    return []
 
 
 def _another_part(

@@ -27,14 +27,14 @@ REVERSING_MPS = 4.0
 
 NEEDED = "needed are degrees clockwise from north"
 
-_Reading = Callable[[FloatArray], FloatArray]
-_READINGS: tuple[tuple[str, _Reading], ...] = (
-    ("they are in radians", np.degrees),
-    ("they are in radians, counter-clockwise from east", lambda told: 90.0 - np.degrees(told)),
-    ("they are counter-clockwise from east", lambda told: 90.0 - told),
-    ("they are counter-clockwise, or the longitudes lack their sign", lambda told: -told),
+Reading = Callable[[FloatArray], FloatArray]
+READINGS: tuple[tuple[str, Reading], ...] = (
+    ("headings are in radians", np.degrees),
+    ("headings are in radians, counter-clockwise from east", lambda told: 90.0 - np.degrees(told)),
+    ("headings are counter-clockwise from east", lambda told: 90.0 - told),
+    ("headings are counter-clockwise, or the longitudes lack their sign", lambda told: -told),
     ("the latitudes lack their sign", lambda told: 180.0 - told),
-    ("they are in degrees and were taken for tenths", lambda told: 10.0 * told),
+    ("headings are in degrees and were taken for tenths", lambda told: 10.0 * told),
 )
 """What senders and loggers write instead, and what heading that is; angles between -180 and 180 deg."""
 
@@ -66,7 +66,7 @@ def check_reading(heading_deg: FloatArray, course_deg: FloatArray, speed_mps: Fl
     off_deg = _most(np.minimum(off, 180.0 - off))
     if off_deg <= SURELY_OFF_DEG:
         return
-    likely = [words for words, read in _READINGS if _most(np.abs(_half_turn(read(told) - course))) < off_deg / 4]
+    likely = [words for words, read in READINGS if _most(np.abs(_half_turn(read(told) - course))) < off_deg / 4]
     if likely:
         raise CamError(
             f"heading is {off_deg:.0f} deg off the way in which the positions of station {station} move, such as "

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from laci_stereo.core.cam import MAX_GAP_S, CamLog
+from laci_stereo.core.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
 from laci_stereo.core.frames import FloatArray
 
-METRES_PER_DEG = 111_195.0
-"""Of latitude, on a sphere as large as the Earth: 0.5 % off at most."""
 _MOVING_MPS = 2.0
 _FEWEST_STEPS = 5
 _DISAGREES = 0.25

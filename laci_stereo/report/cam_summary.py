@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from laci_stereo.core.calibrate import world_around
-from laci_stereo.core.cam import MAX_GAP_S, CamLog, vehicle_track
+from laci_stereo.core.cam import MAX_GAP_S, METRES_PER_DEG, CamLog, vehicle_track
 from laci_stereo.core.errors import LaciError
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.io.cam_exchange import METRES_PER_DEG
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.stamps import iso_text
 
@@ -21,9 +21,31 @@ MOST_CHECKED = 6000
 """Messages of ten minutes: nobody is in view for longer, and what is wrong with all of a log is wrong with these."""
 
 
-def summarise_log(recording: CamRecording, name: str) -> str:
-    """Return what a log holds, of its stations those with most messages, and each interpretation in a line."""
-    return "\n".join([*_whole(recording, name), *_stations(recording), *(f"note: {note}" for note in recording.notes)])
+@dataclass(frozen=True)
+class LogSummary:
+    """What a log holds, in words.
+
+    Attributes
+    ----------
+    text : str
+        The whole, its stations with most messages, and each interpretation in a line.
+    of_use : bool
+        A calibration could use one of these stations.
+    """
+
+    text: str
+    of_use: bool
+
+
+def summarise_log(recording: CamRecording, name: str) -> LogSummary:
+    """Put into words what a log holds."""
+    lines, of_use = [*_whole(recording, name)], False
+    for station in recording.log.stations()[:MOST_STATIONS]:
+        log = recording.log.of(station)
+        its_use, found = _found(log)
+        lines += [f"Station {station}", *_station(log), *(_line("  Check", words) for words in found)]
+        of_use |= its_use
+    return LogSummary("\n".join([*lines, *(f"note: {note}" for note in recording.notes)]), of_use)
 
 
 def _whole(recording: CamRecording, name: str) -> Iterator[str]:
@@ -42,35 +64,30 @@ def _whole(recording: CamRecording, name: str) -> Iterator[str]:
     yield _line("Stations", f"{len(stations)}: {first}{more}")
 
 
-def _stations(recording: CamRecording) -> Iterator[str]:
-    for station in recording.log.stations()[:MOST_STATIONS]:
-        log = recording.log.of(station)
-        yield f"Station {station}"
-        yield _line("  Messages", f"{len(log)}, {_rate(log)}")
-        yield _line("  Time", _span(log))
-        yield _line("  Place", _place(log))
-        yield _line("  Speed", _range(log.speed_mps, "m/s", 2))
-        yield _line("  Vehicle", _sizes(log.length_m, log.width_m))
-        yield _line("  Accuracy", f"{_sizes(log.semi_major_95_m, log.semi_minor_95_m)}, axes of the 95 % ellipse")
-        yield from (_line("  Check", found) for found in _found(log))
+def _station(log: CamLog) -> Iterator[str]:
+    yield _line("  Messages", f"{len(log)}, {_rate(log)}")
+    yield _line("  Time", _span(log))
+    yield _line("  Place", _place(log))
+    yield _line("  Speed", _range(log.speed_mps, "m/s", 2))
+    yield _line("  Vehicle", _sizes(log.length_m, log.width_m))
+    yield _line("  Accuracy", f"{_sizes(log.semi_major_95_m, log.semi_minor_95_m)}, axes of the 95 % ellipse")
 
 
-def _found(log: CamLog) -> Iterator[str]:
-    """Yield what a calibration would say of one station's messages."""
+def _found(log: CamLog) -> tuple[bool, list[str]]:
+    """Return whether a calibration could use one station's messages, and what it would say of them."""
     part = f" (of the first {MOST_CHECKED} messages)" if len(log) > MOST_CHECKED else ""
     log = log[np.arange(min(len(log), MOST_CHECKED))]
     located = np.count_nonzero(np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg))
     if located < 2:
-        yield f"of no use{part}: {located} messages with a position; needed are at least 2"
-        return
+        return False, [f"of no use{part}: {located} messages with a position; needed are at least 2"]
     try:
         track = vehicle_track(log, world_around(log), int(log.stamps_ns[0]))
     except LaciError as error:
-        yield f"of no use{part}: {error}"
-        return
-    yield from (f"{found}{part}" for found in dict.fromkeys((*track.doubts, *track.remarks)))
+        return False, [f"of no use{part}: {error}"]
+    found = [*dict.fromkeys((*track.doubts, *track.remarks))]
     if not track.doubts:
-        yield f"{len(track.stamps_s)} of {len(log)} messages follow from one another by speed and heading{part}"
+        found.append(f"{len(track.stamps_s)} of {len(log)} messages follow from one another by speed and heading")
+    return True, [f"{words}{part}" for words in found]
 
 
 def _line(label: str, text: str) -> str:

@@ -37,10 +37,10 @@ def told(log: CamLog, tell: Callable[[FloatArray], FloatArray]) -> CamLog:
 @pytest.mark.parametrize(
     ("tell", "likely"),
     [
-        (np.radians, "they are in radians"),
-        (lambda heading: np.radians((heading + 180.0) % 360.0 - 180.0), "they are in radians"),
+        (np.radians, "headings are in radians"),
+        (lambda heading: np.radians((heading + 180.0) % 360.0 - 180.0), "headings are in radians"),
         (lambda heading: np.radians((90.0 - heading) % 360.0), "in radians, counter-clockwise from east"),
-        (lambda heading: 90.0 - heading, "they are counter-clockwise from east"),
+        (lambda heading: 90.0 - heading, "headings are counter-clockwise from east"),
         (lambda heading: heading / 10.0, "taken for tenths"),
     ],
     ids=["radians", "radians of both signs", "radians from east", "from east", "tenths"],

@@ -17,7 +17,7 @@ from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
-from tests.cli_support import run, run_installed
+from tests.cli_support import DEMONSTRATION, run, run_installed
 from tests.io import cam_writers as writers
 from tests.io.cam_writers import START_NS, drive
 from tests.io.support import fuzz
@@ -52,6 +52,10 @@ def counter_clockwise(log: CamLog) -> CamLog:
     return replace(log, heading_deg=(90.0 - log.heading_deg) % 360.0)
 
 
+def rounded(log: CamLog) -> CamLog:
+    return replace(log, latitude_deg=np.round(log.latitude_deg, 5), longitude_deg=np.round(log.longitude_deg, 5))
+
+
 def exchanged(log: CamLog) -> CamLog:
     return replace(log, length_m=log.width_m, width_m=log.length_m)
 
@@ -61,7 +65,8 @@ def exchanged(log: CamLog) -> CamLog:
     [
         (wrong_speed, "of no use: the messages of station 3725855973 contradict one another"),
         (wrong_speed, "likely: speed is in km/h"),
-        (counter_clockwise, "likely: they are counter-clockwise from east"),
+        (rounded, "likely: positions are rounded to 5 decimals, 1.1 m; needed are 7"),
+        (counter_clockwise, "likely: headings are counter-clockwise from east"),
         (exchanged, "exceeds its length, 1.80 m; exchanged?"),
         (lambda log: log[np.array([0])], "of no use: 1 messages with a position; needed are at least 2"),
         (lambda log: log, "60 of 60 messages follow from one another by speed and heading"),
@@ -70,9 +75,24 @@ def exchanged(log: CamLog) -> CamLog:
 def test_it_says_what_a_calibration_would(tmp_path: Path, change: Callable[[CamLog], CamLog], words: str):
     (tmp_path / "cam.csv").write_text(to_csv(change(drive())))
     ran = run(["cam", str(tmp_path / "cam.csv")], tmp_path)
-    assert ran.code == 0
     (check,) = (line for line in ran.out.splitlines() if line.startswith("  Check"))
     assert words in check
+    assert ran.code == (1 if "of no use" in check else 0)
+
+
+def test_a_sign_that_lacks_is_named_where_most_of_a_drive_is_straight_east(tmp_path: Path):
+    log = read_cam_log(DEMONSTRATION / "cam.csv").log
+    (tmp_path / "cam.csv").write_text(to_csv(replace(log, latitude_deg=-log.latitude_deg)))
+    ran = run(["cam", str(tmp_path / "cam.csv")], tmp_path)
+    assert "or the longitudes lack their sign, or the latitudes lack their sign" in ran.out
+    assert ran.code == 1
+
+
+def test_a_log_is_of_use_if_one_of_its_stations_is(tmp_path: Path):
+    (tmp_path / "cam.csv").write_text(to_csv(mixed(wrong_speed(drive()), drive(30, station=12))))
+    ran = run(["cam", str(tmp_path / "cam.csv")], tmp_path)
+    assert ran.out.count("of no use") == 1
+    assert ran.code == 0
 
 
 def test_it_writes_a_map_and_replaces_none(tmp_path: Path):
@@ -141,7 +161,7 @@ def test_whatever_a_log_holds_is_said(rows: list[tuple[float, ...]]):
     rows = sorted({row[0]: row for row in rows}.values())
     stamps = START_NS + np.array([row[0] for row in rows], dtype=np.int64)
     values = [np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)][2:]
-    said = summarise_log(CamRecording(CamLog(stamps, np.full(len(rows), 7), *values), ()), "a")
+    said = summarise_log(CamRecording(CamLog(stamps, np.full(len(rows), 7), *values), ()), "a").text
     assert "  Check" in said
 
 
@@ -169,7 +189,7 @@ def test_what_is_converted_to_csv_comes_back_exactly(tmp_path: Path, rows: list[
 @pytest.mark.parametrize("form", [*COMPLETE, *POSITIONS])
 def test_every_format_is_told_drawn_and_converted(form: str, tmp_path: Path):
     recording = read_cam_log({**COMPLETE, **POSITIONS}[form](tmp_path, drive()))
-    said = summarise_log(recording, "a")
+    said = summarise_log(recording, "a").text
     assert recording.format in said
     assert all(f"note: {note}" in said for note in recording.notes)
     assert (draw_log(recording) < 200).any()
