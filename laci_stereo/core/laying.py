@@ -55,6 +55,25 @@ def mirrored_track(track: Track) -> Track:
     )
 
 
+def stretched_track(track: Track, ahead: float, aside: float) -> Track:
+    """Return a track that is so many times as deep along the sensor's axis, and as large across it and upwards."""
+    over = np.array([ahead, aside, aside])
+    return Track(
+        tuple(
+            replace(
+                sighting,
+                points=sighting.points * over,
+                sigma_along_m=sighting.sigma_along_m * ahead,
+                low=replace(sighting.low, points=sighting.low.points * over),
+                borders=sighting.borders * over,
+                middle=sighting.middle * over[:2],
+                box=_stretched_box(sighting.box, over[:2]),
+            )
+            for sighting in track.sightings
+        )
+    )
+
+
 def told_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
     """Return the positions of a vehicle's messages, shape (n, 2), and its yaws, shape (n,), on the map."""
     xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(vehicle.reference, (len(vehicle.xy), 1)))
@@ -80,3 +99,13 @@ def laid_background(T_a_b: FloatArray, background: Background) -> Background:
 def _laid_box(T_a_b: FloatArray, box: Box) -> Box:
     turned = 2 * (box.yaw_rad + np.arctan2(T_a_b[1, 0], T_a_b[0, 0]))
     return replace(box, centre=laid_xy(T_a_b, box.centre[None])[0], yaw_rad=float(wrap(turned)) / 2)
+
+
+def _stretched_box(box: Box, over: FloatArray) -> Box:
+    along, across = rotate_xy(box.yaw_rad, np.eye(2)) * over
+    return Box(
+        centre=box.centre * over,
+        length_m=box.length_m * float(np.hypot(*along)),
+        width_m=box.width_m * float(np.hypot(*across)),
+        yaw_rad=float(np.arctan2(along[1], along[0])),
+    )

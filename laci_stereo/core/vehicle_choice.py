@@ -17,6 +17,7 @@ from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, Settings
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.unset_clock import clocks_apart
+from laci_stereo.core.wrong_optics import optics_off
 
 
 def choose_vehicle(
@@ -40,7 +41,7 @@ def choose_vehicle(
         If no sender moves while it is recorded, or no track is long enough.
     MatchError
         If none fits, two fit equally well, or all fit better in a mirrored frame; where they would by another clock,
-        that is said.
+        or with another stereo calibration, that is said.
     """
     likeness = _likeness_by(settings.joint, vehicles, height_m)
     by_any_clock = _likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S), vehicles, height_m)
@@ -50,6 +51,8 @@ def choose_vehicle(
         if why := mirrored(tracks, vehicles, settings.match, likeness, None):
             raise MatchError(why) from error
         if why := clocks_apart(tracks, vehicles, settings.match, by_any_clock, None):
+            raise MatchError(f"{error}; {why}") from error
+        if why := optics_off(tracks, vehicles, settings.match, likeness):
             raise MatchError(f"{error}; {why}") from error
         raise
     if why := mirrored(tracks, vehicles, settings.match, likeness, choice):

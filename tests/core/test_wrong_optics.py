@@ -1,0 +1,87 @@
+"""Another focal length or baseline is told where nothing fits as it was seen."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.choice import no_likeness
+from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.errors import MatchError
+from laci_stereo.core.laying import stretched_track
+from laci_stereo.core.settings import MatchSettings
+from laci_stereo.core.tracking import Track
+from laci_stereo.core.wrong_optics import STEP, optics_off
+from tests.core.tracks import seen, sighting, vehicle
+from tests.simulated import LEFT_TURN, Recording, scene, stereo
+
+TOLD = re.compile(
+    r"were the stereo camera's (focal length|baseline) (\d+) % (longer|shorter), station 42 would be seen where its "
+    r"messages say: is the stereo calibration that of these images\?"
+)
+
+
+def by_a_matcher(track: Track) -> Track:
+    return Track(tuple(replace(sighting, window_rad=0.01) for sighting in track.sightings))
+
+
+def said(track: Track) -> str:
+    return optics_off([track], {42: vehicle()}, MatchSettings(), no_likeness)
+
+
+@pytest.mark.parametrize("by", [0.55, 0.8, 0.9, 1.1, 1.3, 1.9])
+@pytest.mark.parametrize("what", ["focal length", "baseline"])
+def test_by_how_much_what_is_wrong_is_told(what: str, by: float) -> None:
+    measured = stretched_track(by_a_matcher(seen()), 1.0 / by, 1.0 / by if what == "baseline" else 1.0)
+    told = TOLD.fullmatch(said(measured))
+    assert told is not None
+    assert told[1] == what
+    assert told[3] == ("longer" if by > 1.0 else "shorter")
+    assert float(told[2]) / 100.0 == pytest.approx(abs(by - 1.0), abs=STEP * by)
+
+
+def test_of_what_fits_as_it_was_seen_nothing_is_said() -> None:
+    assert said(by_a_matcher(seen())) == ""
+
+
+def test_what_no_matcher_saw_has_no_optics() -> None:
+    assert said(stretched_track(seen(), 0.8, 0.8)) == ""
+
+
+@pytest.mark.parametrize(("ahead", "aside"), [(1.2, 1.2), (1.2, 1.0), (0.7, 1.0)])
+def test_a_stretched_track(ahead: float, aside: float) -> None:
+    one = sighting(0.0, np.array([20.0, 5.0]), yaw_rad=0.3)
+    one = replace(one, borders=np.array([[19.0, 4.0, 1.0], [21.0, 6.0, 1.0]]))
+    (other,) = stretched_track(Track((one,)), ahead, aside).sightings
+    over = np.array([ahead, aside, aside])
+    np.testing.assert_allclose(other.box.centre, one.box.centre * over[:2])
+    np.testing.assert_allclose(other.points, one.points * over)
+    np.testing.assert_allclose(other.borders, one.borders * over)
+    area = one.box.length_m * one.box.width_m
+    if ahead == aside:
+        np.testing.assert_allclose(other.box.corners(), one.box.corners() * over[:2])
+    # What is sheared is no rectangle any more; the box has its sides.
+    assert other.box.length_m * other.box.width_m >= area * ahead * aside - 1e-9
+
+
+@dataclass(frozen=True)
+class TooShort(Recording):
+    """A recording whose stereo calibration has the focal length 20 % too short."""
+
+    def frame(self, index: int) -> PointCloud:
+        cloud = super().frame(index)
+        return replace(cloud, points=cloud.points * [1.0, 1.0, 0.8])
+
+
+@pytest.mark.slow
+def test_a_focal_length_that_is_far_off_is_named_where_nothing_fits() -> None:
+    made = scene(LEFT_TURN, stereo(window_px=5))
+    right = made.recording
+    wrong = TooShort(right.sensor, right.T_world_sensor, right.static, right.movers, right.times_s)
+    with pytest.raises(MatchError, match=r"camera's focal length 2\d % longer, station \d+ would be seen") as refused:
+        calibrate(wrong, made.messages)
+    assert "is the stereo calibration that of these images" in str(refused.value)
