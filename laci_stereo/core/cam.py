@@ -344,7 +344,7 @@ def _fitting(
         likely = [
             f"speed is in {unit}" for unit, per_mps in OTHER_SPEEDS.items() if abs(told - per_mps * moved) < 0.05 * told
         ]
-        likely += _rounding(log)
+        likely += _rounding(log, moved * float(np.median(np.diff(stamps_s))))
         likely += [
             words
             for words, read in READINGS
@@ -360,14 +360,15 @@ def _fitting(
     return fits, (reversing,) if reversing else ()
 
 
-def _rounding(log: CamLog) -> list[str]:
-    """Say that positions are rounded to more than vehicles move between messages, if they are."""
+def _rounding(log: CamLog, step_m: float) -> list[str]:
+    """Say that positions are rounded to more than half of what the vehicle moves between messages, if they are."""
     places = np.concatenate([log.latitude_deg, log.longitude_deg])
     for decimals in range(COARSE_DECIMALS + 1):
         steps = places * 10.0**decimals
         if (np.abs(steps - np.round(steps)) < ROUNDED_SHARE).all():
-            step_m = METRES_PER_DEG / 10.0**decimals
-            return [f"positions are rounded to {decimals} decimals, {step_m:.1f} m; needed are 7"]
+            rounded_m = METRES_PER_DEG / 10.0**decimals
+            words = f"positions are rounded to {decimals} decimals, {rounded_m:.1f} m; ETSI's have 7"
+            return [words] if rounded_m > step_m / 2.0 else []
     return []
 
 

@@ -565,7 +565,7 @@ class DriveModel:
         (Kish's design effect, as in `choose`); which part, the boxes tell.
         """
         frame = np.flatnonzero(poses.known)
-        arm = self.drive.middles[frame] - self.centre
+        arm = (self.drive.middles[frame] - self.centre) * _scale(x)
         late_s = self.drive.frames_late_s[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         shape = x[_SHAPE]
@@ -627,7 +627,8 @@ class DriveModel:
 def _scale(x: FloatArray) -> FloatArray:
     """Return what focal length and baseline make of points ahead of a stereo camera, and to its side, shape (2,).
 
-    Depth is their product over the disparity; across the axis the focal length cancels out.
+    Depth is their product over the disparity; across the axis the focal length cancels out. Of a camera that looks down
+    it makes less on the ground plan, by the cosine's square, as the ground that is found tilts with it.
     """
     scale: FloatArray = 1.0 + x[BASELINE] + x[FOCAL] * AHEAD
     return scale

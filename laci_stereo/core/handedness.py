@@ -25,7 +25,8 @@ def mirrored(
 ) -> str:
     """Say that what moves fits the messages clearly better with left and right exchanged; empty where it does not.
 
-    One vehicle on a straight road fits both ways equally well. Boxes are asked first, for outlines take time.
+    One vehicle on a straight road fits both ways equally well. Boxes are asked first, for outlines take time. What a
+    matcher saw is never mirrored: images that are would not match.
 
     Parameters
     ----------
@@ -38,6 +39,8 @@ def mirrored(
     choice : Choice or None
         What was chosen as it was seen, if anything fits.
     """
+    if any(track.window_rad for track in tracks):
+        return ""
     boxes = [mirrored_track(track.without_points()) for track in tracks]
     by_boxes = [chosen(each, vehicles, settings.any_fit) for each in (boxes, tracks)]
     if log_odds_between(*by_boxes) < settings.least_log_odds:

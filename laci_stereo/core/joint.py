@@ -90,7 +90,8 @@ scatter more than the model has it, of a hundred calibrations that are right one
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, its headings as far off
-as one that is told of another part of it, such as a cab in a bend, or by a magnet, and its clock not set."""
+as one that is told of another part of it, such as a cab in a bend, or by a magnet, and its clock not set. So is one
+stereo camera in fifty, whose calibration is another's, or another mode's."""
 
 CLEARLY = float(np.log(10.0))
 """Log odds by which clocks were not set, where a scanner that turns would explain the same less well."""
@@ -143,7 +144,7 @@ class JointFit:
     corrections : tuple of tuple of Correction
         Of each drive's messages.
     optics : tuple of Correction
-        Of a stereo calibration, `OPTICS`, if the points contradict it.
+        Of a stereo calibration, `OPTICS`, where it was not taken for right.
     residual_rms_m : float
         Of the points that the outline explains.
     frames : int
@@ -185,7 +186,21 @@ class JointFit:
         moved = np.eye(3)
         moved[1:, 0] = -arm[1], arm[0]
         covariance: FloatArray = moved @ self.covariance @ moved.T
+        covariance[1:, 1:] += self.covariance_by_optics(place[None])
         return covariance
+
+    def covariance_by_optics(self, places: FloatArray) -> FloatArray:
+        """Return the mean square, shape (2, 2), by which wrong optics lay places of the level frame, (n, 2), wrongly.
+
+        What is measured is laid where it is in the middle only.
+        """
+        if not self.optics:
+            return np.zeros((2, 2))
+        shares = np.array([each.value**2 + each.after**2 for each in self.optics])
+        squares = ((places - self.centre_level) ** 2).mean(axis=0) * shares
+        axes = rotate_xy(self.match.yaw_rad, np.eye(2))
+        by_optics: FloatArray = (axes.T * squares) @ axes
+        return by_optics
 
 
 def fit_jointly(
@@ -253,7 +268,7 @@ def fit_jointly(
     expected = [np.append(clock_s, m.prior.sigmas[1:]) for clock_s, m in zip(clocks_s, thinned.models, strict=True)]
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
-    optics = _optics(solved) if settings.optics_sigma > told.optics_sigma else ()
+    optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
     return replace(
         fit, optics=optics, turn=its_turn, turn_probability=probability, standing=standing, settings=settings
     )
@@ -267,7 +282,7 @@ def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettin
     here = problem.solve(x, COMPARED)
     settings, most_likelier = problem.settings, 0.0
     for what, wrong, log_prior in _mistakes(problem, here):
-        if "clock" in what and settings is not problem.settings:
+        if "clock" in what and settings.lever_sigma_m > problem.settings.lever_sigma_m:
             continue  # positions of another place along the vehicle look much like it
         wider = problem.expecting(wrong)
         there = wider.solve(here.x, COMPARED)
@@ -311,7 +326,7 @@ def _likelier_by(one: _Problem, solved: _Solved, other: _Problem, its: _Solved) 
     Which points meet an upright outline is not the same for both: those are compared that both place, of what one of
     them registers and of what the other does, on average.
     """
-    gains = [2.0 * (other.log_prior_of(its) - one.log_prior_of(solved))]
+    gains = [2.0 * (other.log_room_of(its) - one.log_room_of(solved))]
     for chosen in (solved.chosen, its.chosen):
         here, there = one.rows_at(solved.x, chosen), other.rows_at(its.x, chosen)
         for i, (before, after) in enumerate(zip(here, there, strict=True)):
@@ -517,8 +532,11 @@ class _Problem:
             fitness = model.weigh(rows, 0.0, fitness.shares)
         return fitness.log_likelihood
 
-    def log_prior_of(self, solved: _Solved) -> float:
-        """Return how likely what was found is beforehand, as a logarithm, and any optics like those found."""
+    def log_room_of(self, solved: _Solved) -> float:
+        """Return how likely what was found is beforehand, as a logarithm, and how much room it leaves the optics.
+
+        The room of other mistakes is in what `_mistakes` says: what they leave is far less than what was expected.
+        """
         self.loosen(solved.x)
         after = np.linalg.slogdet(solved.covariance[_OPTICS, _OPTICS])[1] / 2
         return self._log_prior(solved.x) + float(after - 2.0 * np.log(self.settings.optics_sigma))

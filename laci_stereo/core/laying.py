@@ -102,10 +102,8 @@ def _laid_box(T_a_b: FloatArray, box: Box) -> Box:
 
 
 def _stretched_box(box: Box, over: FloatArray) -> Box:
-    along, across = rotate_xy(box.yaw_rad, np.eye(2)) * over
-    return Box(
-        centre=box.centre * over,
-        length_m=box.length_m * float(np.hypot(*along)),
-        width_m=box.width_m * float(np.hypot(*across)),
-        yaw_rad=float(np.arctan2(along[1], along[0])),
-    )
+    sides = rotate_xy(box.yaw_rad, np.eye(2)) * over
+    sizes = np.array([box.length_m, box.width_m]) * np.linalg.norm(sides, axis=1)
+    long = int(sizes.argmax())
+    along = sides[long] * np.sign(sides[long, 0] or 1.0)
+    return Box(box.centre * over, float(sizes[long]), float(sizes[1 - long]), float(np.arctan2(along[1], along[0])))

@@ -227,7 +227,9 @@ def place(
         )
     missing = _missing(fit, drives)
     fit = _with_doubt_along(fit, drives, missing)
-    doubt = Doubt(fit.covariance, doubt.arms)
+    covariance = fit.covariance.copy()
+    covariance[1:, 1:] += fit.covariance_by_optics(middles)
+    doubt = Doubt(covariance, doubt.arms)
     known = sum(
         int(drive.vehicle.at(drive.stamps_s + offset_s)[2].sum())
         for drive, offset_s in zip(drives, fit.time_offsets_s, strict=True)
@@ -250,7 +252,10 @@ def place(
             *_assumed_accuracies(drives, names, settings.joint),
         ),
         advice=_advice(fit, doubt, drives[0], _all_lack_m(missing)),
-        contradictions=tuple(f"{name}: {words}" if name else words for name, words in contradicted),
+        contradictions=(
+            *(f"{name}: {words}" if name else words for name, words in contradicted),
+            *([_optics_in_words(fit)] if fit.optics else []),
+        ),
         bodies=fit.bodies,
     )
 
@@ -277,8 +282,6 @@ def _contradicted(
         found += [(name, words) for words in (*map(_in_words, _wrong(corrections)), *drive.vehicle.doubts)]
         if missing_m:
             found.append((name, f"{_lacks(missing_m, drive.vehicle)}: {ANOTHER_PIECE}"))
-    if fit.optics:
-        found.append(("", _optics_in_words(fit)))
     return found
 
 
@@ -378,13 +381,16 @@ def _in_words(correction: Correction) -> str:
 
 def _optics_in_words(fit: JointFit) -> str:
     """Say what of a stereo calibration the points contradict."""
-    depth, breadth = (100.0 * each.value for each in fit.optics)
-    depth_sigma, breadth_sigma = (100.0 * each.after for each in fit.optics)
-    off_m = float(np.hypot(*(fit.centre_level * [depth, breadth]))) / 100.0
+    shares = [each.value for each in fit.optics]
+    off_m = float(np.hypot(*(fit.centre_level * shares)))
+    depths, breadths = (
+        f"{100.0 * abs(each.value):.1f} +- {100.0 * each.after:.1f} % {'larger' if each.value > 0.0 else 'smaller'}"
+        for each in fit.optics
+    )
     return (
-        f"what the camera sees is {depth:+.1f} +- {depth_sigma:.1f} % deeper than measured, and {breadth:+.1f} +- "
-        f"{breadth_sigma:.1f} % broader: the stereo calibration's focal length (depths alone) or baseline (both) is "
-        f"wrong, and the camera is put {off_m:.1f} m off its place: mend it and calibrate again"
+        f"depths are {depths} than measured, and breadths {breadths}: the stereo calibration's focal length (depths "
+        f"alone) or baseline (both) is wrong, and the camera is put about {off_m:.1f} m off its place; mend it and "
+        "calibrate again"
     )
 
 

@@ -52,7 +52,8 @@ def choose_vehicle(
             raise MatchError(why) from error
         if why := clocks_apart(tracks, vehicles, settings.match, by_any_clock, None):
             raise MatchError(f"{error}; {why}") from error
-        if why := optics_off(tracks, vehicles, settings.match, likeness):
+        fits_none = isinstance(error, MatchError)
+        if fits_none and (why := optics_off(tracks, vehicles, settings.match, likeness)):
             raise MatchError(f"{error}; {why}") from error
         raise
     if why := mirrored(tracks, vehicles, settings.match, likeness, choice):

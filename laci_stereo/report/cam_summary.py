@@ -40,11 +40,15 @@ class LogSummary:
 def summarise_log(recording: CamRecording, name: str) -> LogSummary:
     """Put into words what a log holds."""
     lines, of_use = [*_whole(recording, name)], False
-    for station in recording.log.stations()[:MOST_STATIONS]:
+    stations = recording.log.stations()
+    for station in stations[:MOST_STATIONS]:
         log = recording.log.of(station)
         its_use, found = _found(log)
         lines += [f"Station {station}", *_station(log), *(_line("  Check", words) for words in found)]
         of_use |= its_use
+    if not of_use and (others := stations[MOST_STATIONS:]):
+        of_use = any(_found(recording.log.of(station))[0] for station in others)
+        lines.append(_line("Others", "one of them is of use: --station tells which" if of_use else "none is of use"))
     return LogSummary("\n".join([*lines, *(f"note: {note}" for note in recording.notes)]), of_use)
 
 
@@ -74,16 +78,19 @@ def _station(log: CamLog) -> Iterator[str]:
 
 
 def _found(log: CamLog) -> tuple[bool, list[str]]:
-    """Return whether a calibration could use one station's messages, and what it would say of them."""
+    """Return whether a calibration could use one station's messages, and what it would say of them.
+
+    Of those that were not checked nothing is known, so that they are of use.
+    """
     part = f" (of the first {MOST_CHECKED} messages)" if len(log) > MOST_CHECKED else ""
     log = log[np.arange(min(len(log), MOST_CHECKED))]
     located = np.count_nonzero(np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg))
     if located < 2:
-        return False, [f"of no use{part}: {located} messages with a position; needed are at least 2"]
+        return bool(part), [f"of no use{part}: {located} messages with a position; needed are at least 2"]
     try:
         track = vehicle_track(log, world_around(log), int(log.stamps_ns[0]))
     except LaciError as error:
-        return False, [f"of no use{part}: {error}"]
+        return bool(part), [f"of no use{part}: {error}"]
     found = [*dict.fromkeys((*track.doubts, *track.remarks))]
     if not track.doubts:
         found.append(f"{len(track.stamps_s)} of {len(log)} messages follow from one another by speed and heading")

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
+from laci_stereo.core.choice import no_likeness
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import MatchError
+from laci_stereo.core.handedness import mirrored
 from laci_stereo.core.laying import mirrored_track
+from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
-from tests.core.tracks import sighting
+from tests.core.tracks import seen, sighting, vehicle
 from tests.simulated import LEFT_TURN, STRAIGHT, Drive, Recording, lidar, scene
 
 IN_WORDS = r"messages of station \d+ (by odds of \d+ to 1 )?with left and right exchanged: .* is left-handed; needed is"
@@ -47,6 +51,14 @@ def test_a_left_handed_frame_is_refused(drive: Drive) -> None:
 def test_one_vehicle_on_a_straight_road_does_not_tell() -> None:
     made = scene(STRAIGHT, lidar())
     assert calibrate(left_handed(made.recording), made.messages).quality.verdict == "pass"
+
+
+def test_what_a_matcher_saw_is_never_mirrored() -> None:
+    by_laser = mirrored_track(seen())
+    by_images = Track(tuple(replace(one, window_rad=0.01) for one in by_laser.sightings))
+    senders, settings = {42: vehicle()}, MatchSettings()
+    assert re.search(IN_WORDS, mirrored([by_laser], senders, settings, no_likeness, None))
+    assert mirrored([by_images], senders, settings, no_likeness, None) == ""
 
 
 def test_a_mirrored_track() -> None:

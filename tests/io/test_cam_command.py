@@ -65,7 +65,7 @@ def exchanged(log: CamLog) -> CamLog:
     [
         (wrong_speed, "of no use: the messages of station 3725855973 contradict one another"),
         (wrong_speed, "likely: speed is in km/h"),
-        (rounded, "likely: positions are rounded to 5 decimals, 1.1 m; needed are 7"),
+        (rounded, "likely: positions are rounded to 5 decimals, 1.1 m; ETSI's have 7"),
         (counter_clockwise, "likely: headings are counter-clockwise from east"),
         (exchanged, "exceeds its length, 1.80 m; exchanged?"),
         (lambda log: log[np.array([0])], "of no use: 1 messages with a position; needed are at least 2"),
@@ -93,6 +93,17 @@ def test_a_log_is_of_use_if_one_of_its_stations_is(tmp_path: Path):
     ran = run(["cam", str(tmp_path / "cam.csv")], tmp_path)
     assert ran.out.count("of no use") == 1
     assert ran.code == 0
+
+
+def test_of_many_stations_the_one_of_use_may_send_the_fewest_messages(tmp_path: Path):
+    parked = [wrong_speed(drive(40 + number, station=20 + number)) for number in range(5)]
+    for last, words, code in ((drive(30, station=12), "one of them is of use", 0), (parked[0][np.arange(9)], "", 1)):
+        log = mixed(*parked, last)
+        (tmp_path / "cam.csv").write_text(to_csv(log))
+        ran = run(["cam", str(tmp_path / "cam.csv")], tmp_path)
+        assert ran.out.count("of no use") == 5
+        assert words in ran.out
+        assert ran.code == code
 
 
 def test_it_writes_a_map_and_replaces_none(tmp_path: Path):

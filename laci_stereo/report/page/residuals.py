@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core import outline
-from laci_stereo.core.drive_model import BASELINE, BIAS, FIRST_OWN, FOCAL, DriveModel
+from laci_stereo.core.drive_model import BIAS, FIRST_OWN, DriveModel
 from laci_stereo.core.drive_prior import CLOCK, Correction
 from laci_stereo.core.evidence import evidence_of
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
@@ -113,17 +113,16 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
     )
     x[FIRST_OWN + CLOCK] = passage.time_offset_s
     shares = model.shares()
-    free = np.r_[BIAS, FOCAL, BASELINE, FIRST_OWN : len(x)]
-    first = [model.settings.bias_noise_share, model.settings.optics_sigma, model.settings.optics_sigma]
-    mean, precision = x[free], np.diag(np.append(first, np.ones(len(prior.mean))) ** -2.0)
-    mean[len(first) :] = prior.mean
+    free = np.r_[BIAS, FIRST_OWN : len(x)]  # the optics are the stereo calibration's, as the points are
+    precision = np.zeros((len(free), len(free)))
+    precision[0, 0] = model.settings.bias_noise_share**-2
     pace, step = 1.0, np.zeros(len(free))
     for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
         fitness = model.weigh(model.rows(x), soft, shares)
         shares = fitness.shares
-        precision[len(first) :, len(first) :] = prior.precision(x[FIRST_OWN:])
+        precision[1:, 1:] = prior.precision(x[FIRST_OWN:])
         curvature = fitness.curvature[np.ix_(free, free)] + precision
-        gradient = fitness.gradient[free] + precision @ (x[free] - mean)
+        gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, prior.mean))
         before, step = step, np.linalg.solve(curvature, gradient)
         pace *= 0.5 if before @ curvature @ step < 0.0 else 1.0  # points at corners change sides, and it swings
         step = pace * step
@@ -131,7 +130,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         if soft == 0.0 and step @ curvature @ step < CLOSE:
             break
     information = fitness.information[np.ix_(free, free)] + precision
-    return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[len(first) :, len(first) :]
+    return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[1:, 1:]
 
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
