@@ -282,11 +282,16 @@ def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettin
     here = problem.solve(x, COMPARED)
     settings, most_likelier = problem.settings, 0.0
     for what, wrong, log_prior in _mistakes(problem, here):
-        if "clock" in what and settings.lever_sigma_m > problem.settings.lever_sigma_m:
+        if "clock" in what and settings is not problem.settings:
             continue  # positions of another place along the vehicle look much like it
         wider = problem.expecting(wrong)
         there = wider.solve(here.x, COMPARED)
-        likelier = log_prior + _likelier_by(problem, here, wider, there)
+        likelier = log_prior + wider.log_room_of(there) - problem.log_room_of(here)
+        if what == set(OPTICS):
+            likelier += _likelier_by(problem, here, wider, there)
+        else:  # the way to a place far along the vehicle ends beside it, and by the same points would lose to a clock
+            likelier += sum(each.log_likelihood for each in there.fitness)
+            likelier -= sum(each.log_likelihood for each in here.fitness)
         if likelier > most_likelier and wider.tells(there, what):
             most_likelier, x, settings = likelier, there.x, wrong
     return x, settings
@@ -321,12 +326,12 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[tuple[set[str], JointS
 
 
 def _likelier_by(one: _Problem, solved: _Solved, other: _Problem, its: _Solved) -> float:
-    """Return by how much likelier another solution is than one, as a logarithm.
+    """Return by how much likelier the points are by another solution than by one, as a logarithm.
 
     Which points meet an upright outline is not the same for both: those are compared that both place, of what one of
     them registers and of what the other does, on average.
     """
-    gains = [2.0 * (other.log_room_of(its) - one.log_room_of(solved))]
+    gains = []
     for chosen in (solved.chosen, its.chosen):
         here, there = one.rows_at(solved.x, chosen), other.rows_at(its.x, chosen)
         for i, (before, after) in enumerate(zip(here, there, strict=True)):
