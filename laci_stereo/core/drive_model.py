@@ -40,7 +40,8 @@ AHEAD = np.array([1.0, 0.0])
 _NORMAL = slice(1, 3)
 """The derivatives by x and y: where the normal points on the map."""
 
-_OPTICS = slice(FOCAL, BASELINE + 1)
+BY_OPTICS = slice(FOCAL, BASELINE + 1)
+"""The derivatives by both, and where they are among the parameters."""
 
 _CLOCK, _HEADING, _LEVER, _BEGIN, _GLOSS, _GROWTH, _KNOTS = (
     FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GLOSS, GROWTH, KNOTS)
@@ -495,7 +496,7 @@ class DriveModel:
         # Of what optics do along the line of sight, noise has its share: they scale what was measured.
         sight, ahead_m = self.sight[points], drive.points[points, 0]
         longer = np.column_stack([sight[:, 0] * ahead_m, dot_xy(sight, drive.points[points, :2])])
-        rows.jacobian[:, _OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
+        rows.jacobian[:, BY_OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
         # What is seen within half a window of a border may be the border's: beside the outline all of it, and on a side
         # that is narrower than that, for it is grazed.
@@ -544,7 +545,7 @@ class DriveModel:
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
         jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, met.yaw, hits.normal)
         jacobian[:, _SHAPE] = hits.by_shape
-        jacobian[:, _OPTICS] = _by_optics(x, jacobian[:, _NORMAL], arm)
+        jacobian[:, BY_OPTICS] = _by_optics(x, jacobian[:, _NORMAL], arm)
         return Rows(
             distance=hits.distance,
             variance=hits.variance,

@@ -11,9 +11,8 @@ from scipy.linalg import block_diag
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import (
-    BASELINE,
+    BY_OPTICS,
     FIRST_OWN,
-    FOCAL,
     SWEEP,
     Chosen,
     DriveModel,
@@ -81,8 +80,6 @@ drive or one of several."""
 WRONG_OPTICS = 0.03
 """By such a share a focal length is off that was read from another matrix, such as the raw image's, or a baseline that
 was measured from outside."""
-
-_OPTICS = slice(FOCAL, BASELINE + 1)
 
 SURELY_OPTICS = 3.0
 """It is so only if what is found is beyond so many of its own standard deviations: by them, which grow where residuals
@@ -543,7 +540,7 @@ class _Problem:
         The room of other mistakes is in what `_mistakes` says: what they leave is far less than what was expected.
         """
         self.loosen(solved.x)
-        after = np.linalg.slogdet(solved.covariance[_OPTICS, _OPTICS])[1] / 2
+        after = np.linalg.slogdet(solved.covariance[BY_OPTICS, BY_OPTICS])[1] / 2
         return self._log_prior(solved.x) + float(after - 2.0 * np.log(self.settings.optics_sigma))
 
     def tells(self, solved: _Solved, what: Set[str]) -> bool:
@@ -555,7 +552,7 @@ class _Problem:
         if "clock" in what and not self.only(solved, what):
             return False
         if what == set(OPTICS):
-            found, covariance = solved.x[_OPTICS], solved.covariance[_OPTICS, _OPTICS]
+            found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
             return float(found @ np.linalg.solve(covariance, found)) > SURELY_OPTICS**2
         return any(
             each.what in what and abs(each.value) > SURELY * each.after
@@ -782,7 +779,7 @@ def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
 def _optics(solved: _Solved) -> tuple[Correction, ...]:
     """Return by how much depths and breadths had to be corrected."""
     by = np.array([[1.0, 1.0], [0.0, 1.0]])  # depths by focal length and baseline, breadths by the latter
-    values, after = by @ solved.x[_OPTICS], np.sqrt(np.diag(by @ solved.covariance[_OPTICS, _OPTICS] @ by.T))
+    values, after = by @ solved.x[BY_OPTICS], np.sqrt(np.diag(by @ solved.covariance[BY_OPTICS, BY_OPTICS] @ by.T))
     return tuple(
         Correction(what, float(value), WRONG_OPTICS, float(left))
         for what, value, left in zip(OPTICS, values, after, strict=True)

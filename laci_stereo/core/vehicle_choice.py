@@ -52,8 +52,7 @@ def choose_vehicle(
             raise MatchError(why) from error
         if why := clocks_apart(tracks, vehicles, settings.match, by_any_clock, None):
             raise MatchError(f"{error}; {why}") from error
-        fits_none = isinstance(error, MatchError)
-        if fits_none and (why := optics_off(tracks, vehicles, settings.match, likeness)):
+        if isinstance(error, MatchError) and (why := optics_off(tracks, vehicles, settings.match, likeness)):
             raise MatchError(f"{error}; {why}") from error
         raise
     if why := mirrored(tracks, vehicles, settings.match, likeness, choice):

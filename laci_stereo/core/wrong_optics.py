@@ -74,7 +74,7 @@ def optics_off(
     as_seen, most = best.choice, round(np.log(MOST) / STEP / LADDER) * LADDER
     ladder = np.exp(STEP * np.arange(-most, most + 1, LADDER))
     for what in (FOCAL, BASELINE):
-        best = _better(best, (stretched(what, float(by)) for by in ladder))
+        best = _better(best, (stretched(what, float(by)) for by in ladder if by != 1.0))
     best = _better(best, [stretched(best.what, best.by * float(np.exp(step))) for step in (-STEP, STEP)])
     searched = np.log(2 * len(ladder))  # one of so many fits so well by chance more often than a single one
     if best.by == 1.0 or log_odds_between(best.choice, as_seen) < settings.least_log_odds + searched:
