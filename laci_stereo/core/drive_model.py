@@ -415,7 +415,8 @@ class DriveModel:
         met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
         z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
         blur_m = self.drive.blur_m[met.points]
-        matched, behind_m = self.drive.window_rad > 0.0, self.size[0] / 2 - met.xy[:, 0]
+        ahead_m = outline.about_middle(x[_SHAPE])[0][0]
+        matched, behind_m = self.drive.window_rad > 0.0, self.size[0] / 2 + ahead_m - met.xy[:, 0]
         highest_m = outline.highest_of(self.size[1], met.hits.face, behind_m, matched=matched)
         return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, blur_m, highest_m)]
 

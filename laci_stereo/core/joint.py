@@ -83,7 +83,7 @@ was measured from outside."""
 
 SURELY_OPTICS = 3.0
 """It is so only if what is found is beyond so many of its own standard deviations: by them, which grow where residuals
-scatter more than the model has it, of a hundred calibrations that are right one is (two degrees of freedom)."""
+scatter more than the model has it, of two hundred calibrations that are right one is."""
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, its headings as far off
@@ -271,6 +271,31 @@ def fit_jointly(
     )
 
 
+@dataclass(frozen=True)
+class _Mistake:
+    """Something that may be wrong by far.
+
+    Attributes
+    ----------
+    what : frozenset of str
+        The corrections that it shows by.
+    settings : JointSettings
+        What is to be expected then.
+    log_wider : float
+        By how much more room there is for these corrections then, as a logarithm.
+    surely : float
+        Beyond so many of its own standard deviations one of these corrections must be.
+    alone : bool
+        It is only if it leaves nothing else that the messages do not allow for.
+    """
+
+    what: frozenset[str]
+    settings: JointSettings
+    log_wider: float = 0.0
+    surely: float = SURELY
+    alone: bool = False
+
+
 def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettings]:
     """Return what is to be expected if something is surely mistaken, and then likeliest, and where the search goes on.
 
@@ -278,24 +303,18 @@ def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettin
     """
     here = problem.solve(x, COMPARED)
     settings, most_likelier = problem.settings, 0.0
-    for what, wrong, log_prior in _mistakes(problem, here):
-        if "clock" in what and settings is not problem.settings:
-            continue  # positions of another place along the vehicle look much like it
-        wider = problem.expecting(wrong)
+    for mistake in _mistakes(problem, here):
+        wider = problem.expecting(mistake.settings)
         there = wider.solve(here.x, COMPARED)
-        likelier = log_prior + wider.log_room_of(there) - problem.log_room_of(here)
-        if what == set(OPTICS):
-            likelier += _likelier_by(problem, here, wider, there)
-        else:  # the way to a place far along the vehicle ends beside it, and by the same points would lose to a clock
-            likelier += sum(each.log_likelihood for each in there.fitness)
-            likelier -= sum(each.log_likelihood for each in here.fitness)
-        if likelier > most_likelier and wider.tells(there, what):
-            most_likelier, x, settings = likelier, there.x, wrong
+        log_prior = float(np.log(MISTAKEN)) - mistake.log_wider + wider.log_room_of(there) - problem.log_room_of(here)
+        likelier = log_prior + _likelier_by(problem, here, wider, there)
+        if likelier > most_likelier and wider.tells(there, mistake):
+            most_likelier, x, settings = likelier, there.x, mistake.settings
     return x, settings
 
 
-def _mistakes(problem: _Problem, solved: _Solved) -> list[tuple[set[str], JointSettings, float]]:
-    """Return what may be wrong by far, what is to be expected then, and how likely that is, as a logarithm.
+def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
+    """Return what may be wrong by far.
 
     Positions are those of another place on the vehicle than was said, or headings are not the drive's; a stereo camera
     has another focal length or baseline; or a clock was not set, if some seem to be apart. To take small errors of much
@@ -303,22 +322,21 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[tuple[set[str], JointS
     """
     settings, drives = problem.settings, [model.drive for model in problem.models]
     senders = len(set(problem.recordings.stations))
-    length_m = max(drive.vehicle.length_m for drive in drives)
-    place = replace(settings, lever_sigma_m=length_m / 2)
     heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
-    found = (
-        ({"ahead", "left"}, place, 2 * np.log(settings.lever_sigma_m / place.lever_sigma_m)),
-        ({"heading"}, heading, np.log(settings.heading_sigma_deg / heading.heading_sigma_deg)),
-    )
-    likely = [(what, each, float(np.log(MISTAKEN) + senders * wider)) for what, each, wider in found]
+    wider = heading.heading_sigma_deg / settings.heading_sigma_deg
+    likely = [_Mistake(frozenset({"heading"}), heading, senders * np.log(wider))]
+    if any(_turned_rad(drive) > TURNED_RAD for drive in drives):
+        place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
+        wider = place.lever_sigma_m / settings.lever_sigma_m
+        likely.append(_Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
     if any(drive.window_rad for drive in drives):
         optics = replace(settings, optics_sigma=WRONG_OPTICS)
-        likely.append((set(OPTICS), optics, float(np.log(MISTAKEN))))
+        likely.append(_Mistake(frozenset(OPTICS), optics, surely=SURELY_OPTICS))
     apart_s = float(np.abs(solved.x[problem.clocks]).max())
     if not problem.turn.possible and apart_s > LATE * settings.clock_sigma_s:
-        wider = len(drives) * np.log(settings.clock_sigma_s / UNKNOWN_CLOCK_S)
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
-        likely.append(({"clock"}, unset, float(np.log(MISTAKEN) + wider)))
+        wider = unset.clock_sigma_s / settings.clock_sigma_s
+        likely.append(_Mistake(frozenset({"clock"}), unset, len(drives) * np.log(wider), alone=True))
     return likely
 
 
@@ -543,22 +561,19 @@ class _Problem:
         after = np.linalg.slogdet(solved.covariance[BY_OPTICS, BY_OPTICS])[1] / 2
         return self._log_prior(solved.x) + float(after - 2.0 * np.log(self.settings.optics_sigma))
 
-    def tells(self, solved: _Solved, what: Set[str]) -> bool:
-        """Tell whether some correction of a drive is not only possible, but surely there.
-
-        A clock that was not set looks much like positions of another place along the vehicle: it is one only if nothing
-        else is left that the messages do not allow for.
-        """
-        if "clock" in what and not self.only(solved, what):
+    def tells(self, solved: _Solved, mistake: _Mistake) -> bool:
+        """Tell whether some correction is not only possible, but surely there."""
+        if mistake.alone and not self.only(solved, mistake.what):
             return False
-        if what == set(OPTICS):
-            found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
-            return float(found @ np.linalg.solve(covariance, found)) > SURELY_OPTICS**2
-        return any(
-            each.what in what and abs(each.value) > SURELY * each.after
+        found = [
+            each
             for model, its in self.corrections(solved)
-            if "ahead" not in what or _turned_rad(model.drive) > TURNED_RAD
+            if "ahead" not in mistake.what or _turned_rad(model.drive) > TURNED_RAD
             for each in its
+        ]
+        return any(
+            each.what in mistake.what and abs(each.value) > mistake.surely * each.after
+            for each in (*found, *_optics(solved))
         )
 
     def only(self, solved: _Solved, what: Set[str]) -> bool:

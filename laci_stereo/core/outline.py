@@ -168,7 +168,8 @@ def meet(
         Height of the points above the ground.
     """
     half = np.array([size[0] / 2, size[1] / 2])
-    rays = _rays(xy, origin, shape)
+    middle, shape = about_middle(shape)
+    rays = _rays(xy - middle, origin - middle)
     sides = _meet_sides(rays, half, shape, z)
     corners = _meet_corners(rays, sides, half, shape)
     round_, passes, normal, enter = corners.round_, corners.passes, corners.normal, corners.enter
@@ -198,12 +199,23 @@ class _Rays:
     left: BoolArray
 
 
-def _rays(xy: FloatArray, origin: FloatArray, shape: FloatArray) -> _Rays:
+def about_middle(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where the outline's middle is in the vehicle frame, shape (2,), and the shape about it.
+
+    Where positions are of another place on the vehicle than was said, the middle is half a length ahead or behind.
+    """
+    front, rear = shape[:2].tolist()
+    about = shape.copy()
+    about[:2], about[_LEVER_Y] = (front + rear) / 2, 0.0
+    return np.array([(front - rear) / 2, shape[_LEVER_Y]]), about
+
+
+def _rays(xy: FloatArray, origin: FloatArray) -> _Rays:
     ray = xy - origin
     far = np.hypot(ray[:, 0], ray[:, 1])
     u = ray / far[:, None]
     u = np.where(np.abs(u) < 1e-9, 1e-9, u)
-    return _Rays(origin, u, far, origin[:, 0] > 0.0, origin[:, 1] > shape[_LEVER_Y])
+    return _Rays(origin, u, far, origin[:, 0] > 0.0, origin[:, 1] > 0.0)
 
 
 @dataclass(frozen=True)
@@ -237,29 +249,29 @@ class _Sides:
 
 
 def _meet_sides(rays: _Rays, half: FloatArray, shape: FloatArray, z: FloatArray) -> _Sides:
-    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, sill, *_ = shape
+    longer, _, side, _, front_bow, rear_bow, taper, cab, sill, *_ = shape
     origin, u = rays.origin, rays.u
     sign_x, sign_y = np.where(rays.ahead, 1.0, -1.0), np.where(rays.left, 1.0, -1.0)
-    end_x = sign_x * (half[0] + np.where(rays.ahead, front, rear))
+    end_x = sign_x * (half[0] + longer)
     side_y = sign_y * (half[1] + side)
     bow = np.where(rays.ahead, front_bow, rear_bow)
-    o_y = origin[:, 1] - lever_y
     low = np.clip((WAIST_M - z) / (WAIST_M - LOWEST_M), 0.0, 1.0)
 
     t_end = (end_x - origin[:, 0]) / u[:, 0]
-    t_side = (side_y - o_y) / u[:, 1]
+    t_side = (side_y - origin[:, 1]) / u[:, 1]
     for _ in range(2):  # ends bow as the square, sides taper: by centimetres, so this converges at once
-        eta = np.clip((o_y + t_end * u[:, 1]) / half[1], -1.0, 1.0)
+        eta = np.clip((origin[:, 1] + t_end * u[:, 1]) / half[1], -1.0, 1.0)
         t_end = (end_x - sign_x * bow * eta**2 - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
         beside_cab = half[0] * (1.0 - xi) < CAB_M
         drawn = low * (1.0 - _wheels(half[0] * xi, 2.0 * half[0]))
-        t_side = (side_y - sign_y * (taper * _tapered(xi)[0] + cab * beside_cab + sill * drawn) - o_y) / u[:, 1]
+        drawn_in = taper * _tapered(xi)[0] + cab * beside_cab + sill * drawn
+        t_side = (side_y - sign_y * drawn_in - origin[:, 1]) / u[:, 1]
     t_end = np.where(np.abs(origin[:, 0]) > np.abs(end_x), t_end, -np.inf)
-    t_side = np.where(np.abs(o_y) > np.abs(side_y), t_side, -np.inf)
+    t_side = np.where(np.abs(origin[:, 1]) > np.abs(side_y), t_side, -np.inf)
     at_end = t_end >= t_side
     enter = np.maximum(t_end, t_side)
-    hit = (enter > 0.0) & (enter < _leave(origin[:, 0], o_y, u, half + np.array([max(front, rear), side])))
+    hit = (enter > 0.0) & (enter < _leave(origin, u, half + np.array([longer, side])))
     eta, xi = np.where(at_end, eta, 0.0), np.where(at_end, 0.0, xi)
     tapered, slope = _tapered(xi)
     lean_end, lean_side = 2.0 * bow * eta / half[1], taper * slope / half[0]
@@ -305,7 +317,7 @@ def _meet_corners(rays: _Rays, sides: _Sides, half: FloatArray, shape: FloatArra
     away = np.stack([np.maximum(np.abs(met[:, 0] - x), np.abs(met[:, 1] - y)) for x, y in corner[:, :2]])
     which = np.where(hit, away, np.abs(aside)).argmin(axis=0)
     at, radius = corner[which, :2], corner[which, 2]
-    outward = np.sign(at - np.array([0.0, shape[_LEVER_Y]]))
+    outward = np.sign(at)
     centre = at - outward * radius[:, None]
     beyond = (met - centre) * outward > 0.0
     round_ = ~hit | (beyond[:, 0] & beyond[:, 1])
@@ -367,9 +379,10 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
         own ``variance``, and with ``reach`` the distance from the sensor to where it is nearest to that corner, over
         the distance to the point.
     """
-    lever_y, *radii = shape[[_LEVER_Y, -2, -1]]
+    middle, shape = about_middle(shape)
+    xy, origin, (of_front, of_rear) = xy - middle, origin - middle, shape[-2:]
     corner = _corners(np.array(size) / 2, shape)
-    outward = np.sign(corner[:, :2] - np.array([0.0, lever_y]))
+    outward = np.sign(corner[:, :2])
     centres = corner[:, :2] - outward * corner[:, 2:]
     far = np.hypot(*(xy - origin).T)
     ray = (xy - origin) / far[:, None]
@@ -377,7 +390,7 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
     beyond = normal @ centres.T - dot_xy(normal, origin)[:, None] + corner[:, 2]
     which = beyond.argmax(axis=1)
     (out_x, out_y), front = np.abs(normal).T, outward[which, 0] > 0.0
-    by_radius = (out_x + out_y - 1.0) / (1.0 + np.exp(-np.where(front, *radii) / SHARP_M))
+    by_radius = (out_x + out_y - 1.0) / (1.0 + np.exp(-np.where(front, of_front, of_rear) / SHARP_M))
     ends = np.column_stack([front, ~front])
     by_end, no_sill = out_x[:, None] * ends, np.zeros(len(far))  # the waist is in view as well, and stands out
     return Hits(
@@ -412,23 +425,19 @@ def _wheels(x: FloatArray, length_m: float) -> FloatArray:
     return wheels
 
 
-def _leave(o_x: FloatArray, o_y: FloatArray, u: FloatArray, half: FloatArray) -> FloatArray:
+def _leave(origin: FloatArray, u: FloatArray, half: FloatArray) -> FloatArray:
     """Return how far along each ray the rectangle is left."""
-    t_x = (np.sign(u[:, 0]) * half[0] - o_x) / u[:, 0]
-    t_y = (np.sign(u[:, 1]) * half[1] - o_y) / u[:, 1]
-    nearer: FloatArray = np.minimum(t_x, t_y)
+    nearer: FloatArray = ((np.sign(u) * half - origin) / u).min(axis=1)
     return nearer
 
 
 def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
     """Return where the four corners would be without their arcs, and their radii, shape (4, 3)."""
-    front, rear, side, lever_y, front_bow, rear_bow, taper, cab, _, *radii = shape
-    x = np.array([half[0] + front - front_bow, -half[0] - rear + rear_bow])
+    longer, _, side, _, front_bow, rear_bow, taper, cab, _, *radii = shape
+    x = np.array([half[0] + longer - front_bow, -half[0] - longer + rear_bow])
     y = half[1] + side - taper - np.array([cab, 0.0])
     radius = np.clip(SHARP_M * np.logaddexp(0.0, np.divide(radii, SHARP_M)), 1e-3, 0.9 * y)
-    return np.array(
-        [[x[end], lever_y + way * y[end], radius[end]] for end, way in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))]
-    )
+    return np.array([[x[end], way * y[end], radius[end]] for end, way in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))])
 
 
 def expected_shape(width_m: float) -> tuple[FloatArray, FloatArray]:

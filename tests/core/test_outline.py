@@ -126,6 +126,30 @@ def test_the_derivatives_by_the_shape_are_those_of_the_range(place: tuple[float,
         assert np.mean(np.abs(off) < 0.05) > 0.9
 
 
+@given(places, st.floats(-5.0, 5.0), st.floats(-1.5, 1.5))
+def test_an_outline_that_is_elsewhere_on_the_vehicle_is_met_as_one_in_its_middle(
+    place: tuple[float, float, int], ahead_m: float, left_m: float
+) -> None:
+    rng = np.random.default_rng(place[2])
+    origin = sensor(place[0], place[1])
+    xy = rectangle_points(origin, 40, rng) + rng.normal(0.0, 0.1, (40, 2))
+    shape = SHAPE_MEAN + rng.normal(0.0, 0.01, len(SHAPE))
+    moved = shape.copy()
+    moved[[SHAPE.index(name) for name in ("front", "rear", "lever_y")]] += ahead_m, -ahead_m, left_m
+    by = np.array([ahead_m, left_m])
+    to_left = rng.random(len(xy)) < 0.5
+    origins = np.tile(origin, (len(xy), 1))
+    for here, there in (
+        (met(xy, origin, shape), met(xy + by, origin + by, moved)),
+        (touch(xy, origins, to_left, SIZE, shape), touch(xy + by, origins + by, to_left, SIZE, moved)),
+    ):
+        assert (there.face == here.face).mean() > 0.95  # rounding puts a ray on the other side of an edge
+        same = there.face == here.face
+        for name in ("distance", "variance", "normal", "by_shape", "reach", "cos", "within"):
+            off = np.abs(getattr(there, name) - getattr(here, name))[same]
+            assert np.quantile(off, 0.9) < 1e-6, name
+
+
 def lead_m(ray: FloatArray) -> float:
     """Return by how much one corner of the rectangle lies farther to either side of a line of sight than all others."""
     reached = np.sort(CORNERS @ np.array([-ray[1], ray[0]])) / np.linalg.norm(ray)
