@@ -19,6 +19,13 @@ SHRINK = 2
 CHANGE_SIGMAS = 5.0
 """A grey value has changed when it is this many standard deviations off: one false pixel in 10^6."""
 
+SETTLED = 0.75
+"""What looks the same in so many of the frames is the scene; in fewer, it may be what dwells in front of it, such as a
+queue or a vehicle that shunts, and the scene what is seen in the others."""
+
+CENTRAL_THIRD = 0.861
+"""A third of what is normally distributed lies within so many standard deviations."""
+
 MIN_NOISE = 0.5
 """Standard deviation of a grey value at least: rounding alone is 0.3, and both images are rounded."""
 
@@ -49,10 +56,14 @@ class Look:
         Median over the recording.
     noise : ndarray of float32, shape (height, width)
         Standard deviation per pixel over the recording: foliage moves, walls do not.
+    settled : ndarray of bool, shape (height, width)
+        It looks so most of the time. Elsewhere everything passes for a change, so that it is matched, and what stands
+        there is told by where it is and not by how it looks.
     """
 
     image: Raster
     noise: Raster
+    settled: BoolArray
 
     def changed(self, shrunken: Raster) -> BoolArray:
         """Return where an image differs from the scene at rest, at the shrunken size, holes filled.
@@ -63,7 +74,7 @@ class Look:
         gain = _gain(shrunken, self.image)
         brighter = shrunken.astype(np.float32) - np.minimum(gain * self.image, WHITE)
         limit = CHANGE_SIGMAS * max(gain, 1.0) * self.noise
-        apart = (brighter < -limit) | ((brighter > limit) & (self.image < WHITE))
+        apart = (brighter < -limit) | ((brighter > limit) & (self.image < WHITE)) | ~self.settled
         mask = cv2.morphologyEx(apart.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
         reach = 2 * (BLEED_PX // SHRINK) + 1
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
@@ -88,7 +99,26 @@ def learn_look(shrunken: list[Raster]) -> Look:
     deviation = NORMAL * np.median(np.abs(stack - median), axis=0)
     # Where fewer than half of the frames deviate, the median deviation may be zero: no pixel is better than most.
     typical = max(float(np.median(deviation)), MIN_NOISE)
-    return Look(median, np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical))
+    noise = np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical)
+    settled = (np.abs(stack - median) < CHANGE_SIGMAS * typical).mean(axis=0) >= SETTLED
+    settled[~settled] = _settled(stack[:, ~settled], typical)
+    return Look(median, noise, settled)
+
+
+def _settled(grey: Raster, typical: float) -> BoolArray:
+    """Tell which pixels, of the grey values (frames, n), mostly look alike, if not as exactly as others do.
+
+    The narrowest interval that holds a third of a pixel's values tells its noise even if all others are of something
+    else: of leaves that sway it is wide, and most values are like these.
+    """
+    third = -(-len(grey) // 3)
+    ordered = np.sort(grey, axis=0)
+    widths = ordered[third - 1 :] - ordered[: len(ordered) - third + 1]
+    first = widths.argmin(axis=0)[None]
+    low, width = (np.take_along_axis(each, first, axis=0)[0] for each in (ordered, widths))
+    reach = CHANGE_SIGMAS * np.maximum(width / CENTRAL_THIRD, typical)
+    alike: BoolArray = (np.abs(grey - (low + width / 2)) <= reach).mean(axis=0) >= SETTLED
+    return alike
 
 
 def _brightness(image: Raster) -> float:

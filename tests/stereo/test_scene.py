@@ -96,12 +96,31 @@ def test_what_moves_in_few_frames_leaves_no_trace() -> None:
     assert look.changed(frame(frames[0], rng))[21:39, 31:59].all()
 
 
+@pytest.mark.parametrize("seen_in", [0.35, 0.5, 0.65])
+@pytest.mark.parametrize("alike", [True, False])
+def test_what_dwells_in_front_of_the_scene_is_never_taken_for_it(seen_in: float, alike: bool) -> None:
+    """Whether it is one that looks the same in each frame, or a queue in which each is another."""
+    rng = np.random.default_rng(1)
+    frames = [rest() for _ in range(31)]
+    for grey in frames[: round(seen_in * len(frames))]:
+        grey[20:40, 30:60] = 10.0 if alike else rest(seed=int(rng.integers(1, 999)))[20:40, 30:60]
+    rng.shuffle(frames)
+    look = learn_look([frame(grey, rng) for grey in frames])
+    assert look.settled[21:39, 31:59].mean() < 0.05  # some of another look are alike by chance
+    for grey in frames[:4]:
+        changed = look.changed(frame(grey, rng))
+        assert changed[22:38, 32:58].all()
+        changed[18:42, 28:62] = False
+        assert not changed.any()
+
+
 def test_a_pixel_that_is_restless_needs_more() -> None:
     rng = np.random.default_rng(1)
     restless = np.zeros(SHAPE)
     restless[:, :30] = 10.0
     look = learn_look([frame(rest() + restless * rng.normal(size=SHAPE), rng) for _ in range(31)])
     assert np.median(look.noise[:, :25]) > 4 * np.median(look.noise[:, 35:])
+    assert look.settled.mean() > 0.995
     assert not look.changed(frame(rest() + restless * rng.normal(size=SHAPE), rng)).any()
 
 
