@@ -477,11 +477,12 @@ def scene(
     seed: int = 0,
     height_m: float = 6.0,
     down_deg: float = 14.0,
+    size: tuple[float, float] = (4.4, 1.8),
 ) -> Scene:
     """A sensor above the origin that looks along x and down; in the end all is turned by yaw."""
     sensor = sensor or lidar()
     T_world_sensor = mounted(sensor, (0.0, 0.0), height_m, 0.0, down_deg, 1.5)
     times = np.arange(0.0, last_s, 1.0 / frames_hz)
-    recording = Recording(sensor, T_world_sensor, tuple(static), (car(drive), *others), times, seed)
+    recording = Recording(sensor, T_world_sensor, tuple(static), (car(drive, *size), *others), times, seed)
     recording = recording.turned(float(np.radians(yaw_deg)))
     return Scene(place, recording, cam_log(place, recording.movers[0], last_s, rate_hz))

@@ -128,28 +128,8 @@ def choose_track(
     if not hypotheses:
         raise MatchError(no_fit(scene, seeds) + folding(vehicles) + lingering(scene) + towing(scene))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
-    weighed = _weighed(scene, _of_moving(scene, hypotheses), likeness)
+    weighed = _weighed(scene, _of_moving(scene, hypotheses), vehicles, likeness)
     return _decide(scene, _of_moving(scene, weighed), far)
-
-
-def chosen(
-    tracks: Sequence[Track],
-    vehicles: Mapping[int, VehicleTrack],
-    settings: MatchSettings,
-    likeness: Likeness = no_likeness,
-) -> Choice | None:
-    """Return what `choose_track` does, whose parameters these are; None where it raises."""
-    try:
-        return choose_track(tracks, vehicles, settings, likeness)
-    except (TrackError, MatchError):
-        return None
-
-
-def log_odds_between(one: Choice | None, other: Choice | None) -> float:
-    """Return the log odds of one choice against another; what does not fit at all is infinitely unlikely."""
-    if one is None:
-        return -math.inf
-    return math.inf if other is None else one.log_likelihood - other.log_likelihood
 
 
 def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
@@ -166,7 +146,9 @@ def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothe
     return moving
 
 
-def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness) -> list[_Hypothesis]:
+def _weighed(
+    scene: Scene, hypotheses: Sequence[_Hypothesis], vehicles: Mapping[int, VehicleTrack], likeness: Likeness
+) -> list[_Hypothesis]:
     """Add what outlines tell to the hypotheses that it could decide between: of the way more exactly than boxes."""
     ordered = sorted(hypotheses, key=lambda one: -one.value)
     weighed = []
@@ -174,7 +156,7 @@ def _weighed(scene: Scene, hypotheses: Sequence[_Hypothesis], likeness: Likeness
         if rank < MOST_OUTLINES and one.value > ordered[0].value - OUTLINE_REACH:
             fit = PlanarMatch(float(one.motion.yaw_rad), one.motion.shift)
             track = _on_vehicle(scene, one, one.account)
-            alike = likeness(track, one.account.station, fit, float(one.motion.offset_s))
+            alike = likeness(track, vehicles[one.account.station], fit, float(one.motion.offset_s))
             log.debug("station %d: %.1f by boxes, by outlines %s (log odds)", one.account.station, one.value, alike)
             way = one.way if alike.way is None else min(alike.way, _of_pieces(scene, one.account, track, alike.way))
             value = one.value + alike.body + way - one.way

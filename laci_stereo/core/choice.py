@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.tracking import Times, Track
 
@@ -100,10 +101,10 @@ class Resemblance:
     fit: PlanarMatch | None = None
 
 
-Likeness = Callable[[Track, int, PlanarMatch, float], Resemblance]
-"""Whether a track is a station's vehicle, given the motion into the world and the clock offset."""
+Likeness = Callable[[Track, VehicleTrack, PlanarMatch, float], Resemblance]
+"""Whether a track is a sender's vehicle, given the motion into the world and the clock offset."""
 
 
-def no_likeness(_track: Track, _station: int, _fit: PlanarMatch, _time_offset_s: float) -> Resemblance:
+def no_likeness(_track: Track, _vehicle: VehicleTrack, _fit: PlanarMatch, _time_offset_s: float) -> Resemblance:
     """Know nothing of outlines."""
     return Resemblance()

@@ -2,78 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import BOXES_S, chosen, log_odds_between
-from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.choice import Choice, Likeness
-from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings, with_turn
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.association import BOXES_S
+from laci_stereo.core.case import Case, Instead, log_odds_between
+from laci_stereo.core.choice import Choice, Likeness, no_likeness
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S, with_turn
 
 SURELY = 4.0
 """By so many standard deviations clocks never differ that are as was said."""
 
 
-def clocks_apart(
-    tracks: Sequence[Track],
-    vehicles: Mapping[int, VehicleTrack],
-    settings: MatchSettings,
-    likeness: Likeness,
-    choice: Choice | None,
-) -> str:
-    """Say that clocks which are farther apart than was said explain clearly more; empty where they do not.
+def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> Instead | None:
+    """Say that clocks which are farther apart than was said explain clearly more; None where they do not.
 
     With a turn, or with vehicles that drive in several directions, a clock that is off fits no position. The one sender
     that is seen on a straight road fits all the same, in a wrong place: then it is the others that do not.
 
     Parameters
     ----------
-    tracks : sequence of Track
-    vehicles : mapping of int to VehicleTrack
-        By station.
-    settings : MatchSettings
-    likeness : callable
-        See `choose_track`, by clocks of which nothing is known; asked where nothing was surely chosen.
+    case : Case
     choice : Choice or None
         What was chosen by the clocks that were asked for, if anything fits.
+    by_any_clock : callable
+        The likeness where nothing is known of the clocks; asked where nothing was surely chosen.
     """
-    loose = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
-    if settings.clock_sigma_s >= loose.clock_sigma_s:
-        return ""
+    known_s, least_log_odds = case.settings.clock_sigma_s, case.settings.least_log_odds
+    if known_s >= UNKNOWN_CLOCK_S:
+        return None
+    loose = replace(case, settings=replace(case.settings, clock_sigma_s=UNKNOWN_CLOCK_S), likeness=by_any_clock)
     if choice is None or choice.doubt:
-        other = chosen(tracks, vehicles, loose, likeness)
-        clearly = other is not None and not other.doubt and log_odds_between(other, choice) > settings.least_log_odds
-    elif len(_together(choice)) == len(vehicles):
-        return ""
+        other = loose.chosen()
+        clearly = other is not None and not other.doubt and log_odds_between(other, choice) > least_log_odds
+    elif len(_together(choice)) == len(case.vehicles):
+        return None
     else:
-        other = chosen(tracks, vehicles, loose)
-        clearly = other is not None and _explains_more(other, choice, tracks, vehicles, settings)
-    turn_s = max((track.turn_s for track in tracks), default=0.0)
-    least_s = max(BOXES_S, SURELY * with_turn(settings.clock_sigma_s, turn_s))
+        other = replace(loose, likeness=no_likeness).chosen()
+        clearly = other is not None and _explains_more(other, choice, case)
+    turn_s = max((track.turn_s for track in case.tracks), default=0.0)
+    least_s = max(BOXES_S, SURELY * with_turn(known_s, turn_s))
     if other is None or not clearly or abs(other.time_offset_s) < least_s:
-        return ""
+        return None
     seen = _together(other)
     stations = " and ".join(str(each) for each in seen)
     who, whose = (f"station {stations}", "its") if len(seen) == 1 else (f"stations {stations}", "their")
-    return (
+    return Instead(
+        other,
         f"were the clocks {abs(other.time_offset_s):.2f} s apart, {who} would be seen where {whose} messages say: "
-        "--clock unknown"
+        "--clock unknown",
     )
 
 
-def _explains_more(
-    other: Choice,
-    choice: Choice,
-    tracks: Sequence[Track],
-    vehicles: Mapping[int, VehicleTrack],
-    settings: MatchSettings,
-) -> bool:
+def _explains_more(other: Choice, choice: Choice, case: Case) -> bool:
     """Tell whether more senders are seen by another clock, and that is clearly likelier, by boxes."""
     if len(_together(other)) <= len(_together(choice)):
         return False
-    by_boxes = chosen(tracks, vehicles, settings.any_fit)
-    return by_boxes is not None and log_odds_between(other, by_boxes) > settings.least_log_odds
+    by_boxes = case.by_boxes.chosen()
+    return by_boxes is not None and log_odds_between(other, by_boxes) > case.settings.least_log_odds
 
 
 def _together(choice: Choice) -> list[int]:

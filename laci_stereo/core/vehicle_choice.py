@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association import choose_track, chosen
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.case import Case
 from laci_stereo.core.choice import Choice, Likeness, Resemblance
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import FloatArray
@@ -18,6 +18,7 @@ from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, Settings
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.unset_clock import clocks_apart
 from laci_stereo.core.wrong_optics import optics_off
+from laci_stereo.core.wrong_place import place_off
 
 
 def choose_vehicle(
@@ -41,50 +42,47 @@ def choose_vehicle(
         If no sender moves while it is recorded, or no track is long enough.
     MatchError
         If none fits, two fit equally well, or all fit better in a mirrored frame; where they would by another clock,
-        or with another stereo calibration, that is said.
+        with positions of another place on the vehicle, or with another stereo calibration, that is said.
     """
-    likeness = _likeness_by(settings.joint, vehicles, height_m)
-    by_any_clock = _likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S), vehicles, height_m)
+    case = Case(tracks, vehicles, settings.match, _likeness_by(settings.joint, height_m))
+    by_any_clock = _likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S), height_m)
     try:
-        choice = _that_drives_ahead(tracks, vehicles, settings, likeness)
+        choice = _that_drives_ahead(case)
     except CalibrationError as error:
-        if why := mirrored(tracks, vehicles, settings.match, likeness, None):
-            raise MatchError(why) from error
-        if why := clocks_apart(tracks, vehicles, settings.match, by_any_clock, None):
-            raise MatchError(f"{error}; {why}") from error
-        if isinstance(error, MatchError) and (why := optics_off(tracks, vehicles, settings.match, likeness)):
-            raise MatchError(f"{error}; {why}") from error
-        raise
-    if why := mirrored(tracks, vehicles, settings.match, likeness, choice):
-        raise MatchError(why)
-    alone = [
-        other for other in choice.others if not _companion(choice, other.station, other.track, tracks, vehicles).frames
-    ]
-    clocks = clocks_apart(tracks, vehicles, settings.match, by_any_clock, choice)
-    return replace(choice, others=tuple(alone), clocks=clocks)
+        asked = [mirrored(case, None), clocks_apart(case, None, by_any_clock)]
+        if isinstance(error, MatchError):
+            asked += [place_off(case), optics_off(case)]
+        fits = [each for each in asked if each is not None]
+        if not fits:
+            raise
+        likeliest = max(fits, key=lambda each: each.choice.log_likelihood)
+        raise MatchError(f"{error}; {likeliest.words}") from error
+    if instead := mirrored(case, choice):
+        raise MatchError(instead.words)
+    alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]
+    unset = clocks_apart(case, choice, by_any_clock)
+    return replace(choice, others=tuple(alone), clocks=unset.words if unset else "")
 
 
-def _likeness_by(settings: JointSettings, vehicles: Mapping[int, VehicleTrack], height_m: float) -> Likeness:
-    def likeness(track: Track, station: int, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
-        return resemblance(track, vehicles[station], fit, time_offset_s, height_m, settings)
+def _likeness_by(settings: JointSettings, height_m: float) -> Likeness:
+    def likeness(track: Track, vehicle: VehicleTrack, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
+        return resemblance(track, vehicle, fit, time_offset_s, height_m, settings)
 
     return likeness
 
 
-def _that_drives_ahead(
-    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: Settings, likeness: Likeness
-) -> Choice:
+def _that_drives_ahead(case: Case) -> Choice:
     """Return which track is which sender's; of two that move as one it is the one ahead, for what is towed follows."""
-    choice = choose_track(tracks, vehicles, settings.match, likeness)
-    beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
-    others = list(tracks)
+    choice = case.choose()
+    beside = _companion(case, choice, choice.station, choice.track)
+    left = case
     while beside.ahead_m > 0.0:
-        others = [track for track in others if not choice.track.shares(track)]
-        ahead = chosen(others, vehicles, settings.match, likeness)
+        left = replace(left, tracks=[track for track in left.tracks if not choice.track.shares(track)])
+        ahead = left.chosen()
         if ahead is None or not any(each.shares(beside.track) for each in _tracks_of(ahead)):
             break  # what is ahead does not fit: it will be said that it is there
         choice = ahead
-        beside = _companion(choice, choice.station, choice.track, tracks, vehicles)
+        beside = _companion(case, choice, choice.station, choice.track)
     return replace(choice, beside=beside.frames)
 
 
@@ -93,12 +91,10 @@ def _tracks_of(choice: Choice) -> list[Track]:
     return [choice.track, *(other.track for other in choice.others)]
 
 
-def _companion(
-    choice: Choice, station: int, track: Track, tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack]
-) -> Companion:
+def _companion(case: Case, choice: Choice, station: int, track: Track) -> Companion:
     """Return what `companion` does of the track of a station, given what was chosen."""
 
     def yaw_at(stamps_s: FloatArray) -> FloatArray:
-        return vehicles[station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
+        return case.vehicles[station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad
 
-    return companion(track, tracks, yaw_at)
+    return companion(track, case.tracks, yaw_at)

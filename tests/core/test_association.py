@@ -364,9 +364,9 @@ def test_the_second_best_is_said_in_words() -> None:
     assert math.isfinite(choice.log_likelihood_margin)
 
 
-def better_for(station: int) -> Likeness:
-    def likeness(_track: Track, of: int, *_: object) -> Resemblance:
-        return Resemblance(0.0, 8.0 if of == station else 2.0)
+def better_for(vehicle: VehicleTrack) -> Likeness:
+    def likeness(_track: Track, of: VehicleTrack, *_: object) -> Resemblance:
+        return Resemblance(0.0, 8.0 if of is vehicle else 2.0)
 
     return likeness
 
@@ -410,7 +410,7 @@ def test_what_stands_where_a_vehicle_came_from_and_where_it_went_is_not_the_vehi
     )
     tracks = [before.joined(after), seen(STEADY, STAMPS[:30], seed=1)]
     other = {42: bus, 7: vehicle(STEADY)}
-    assert choose_track(tracks, other, permissive, likeness=better_for(42)).station == 7
+    assert choose_track(tracks, other, permissive, likeness=better_for(bus)).station == 7
 
 
 def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:

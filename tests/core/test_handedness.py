@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.choice import no_likeness
+from laci_stereo.core.case import Case
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.handedness import mirrored
@@ -56,9 +56,11 @@ def test_one_vehicle_on_a_straight_road_does_not_tell() -> None:
 def test_what_a_matcher_saw_is_never_mirrored() -> None:
     by_laser = mirrored_track(seen())
     by_images = Track(tuple(replace(one, window_rad=0.01) for one in by_laser.sightings))
-    senders, settings = {42: vehicle()}, MatchSettings()
-    assert re.search(IN_WORDS, mirrored([by_laser], senders, settings, no_likeness, None))
-    assert mirrored([by_images], senders, settings, no_likeness, None) == ""
+    case = Case([by_laser], {42: vehicle()}, MatchSettings())
+    told = mirrored(case, None)
+    assert told is not None
+    assert re.search(IN_WORDS, told.words)
+    assert mirrored(replace(case, tracks=[by_images]), None) is None
 
 
 def test_a_mirrored_track() -> None:

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
-from laci_stereo.core.association import chosen
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.case import Case
 from laci_stereo.core.choice import Resemblance, no_likeness
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings
 from laci_stereo.core.unset_clock import clocks_apart
@@ -32,7 +32,9 @@ def sent(**late_s: float) -> dict[int, VehicleTrack]:
 
 def said(vehicles: Mapping[int, VehicleTrack], settings: MatchSettings = SYNCHRONISED) -> str:
     tracks = [seen(), seen(STRAIGHT_ON, seed=1)]
-    return clocks_apart(tracks, vehicles, settings, no_likeness, chosen(tracks, vehicles, settings))
+    case = Case(tracks, vehicles, settings)
+    told = clocks_apart(case, case.chosen(), no_likeness)
+    return told.words if told else ""
 
 
 def exactly(*_: object) -> Resemblance:
@@ -69,19 +71,22 @@ def test_what_was_asked_for_is_not_asked_for_again(sigma_s: float) -> None:
 def test_one_sender_that_turns_tells_it_where_nothing_fits_otherwise() -> None:
     late = {42: replace(vehicle(), stamps_s=vehicle().stamps_s + 1.2)}
     tracks = [seen()]
-    found = clocks_apart(tracks, late, SYNCHRONISED, exactly, None)
-    assert re.match(r"were the clocks 1\.[12]\d s apart, station 42 would be seen where its messages say: ", found)
+    found = clocks_apart(Case(tracks, late, SYNCHRONISED), None, exactly)
+    assert found is not None
+    assert re.match(
+        r"were the clocks 1\.[12]\d s apart, station 42 would be seen where its messages say: ", found.words
+    )
     # By boxes alone it may be by chance, and by clocks that are set there is nothing to be said.
-    assert clocks_apart(tracks, late, SYNCHRONISED, no_likeness, None) == ""
-    assert clocks_apart(tracks, {42: vehicle()}, SYNCHRONISED, exactly, None) == ""
+    assert clocks_apart(Case(tracks, late, SYNCHRONISED), None, no_likeness) is None
+    assert clocks_apart(Case(tracks, {42: vehicle()}, SYNCHRONISED), None, exactly) is None
 
 
 def test_one_sender_on_a_straight_road_tells_nothing() -> None:
     """It fits by any clock, and so by the one that was asked for."""
     late = {43: replace(vehicle(STRAIGHT_ON), stamps_s=vehicle(STRAIGHT_ON).stamps_s + 1.2)}
     tracks = [seen(STRAIGHT_ON)]
-    assert chosen(tracks, late, SYNCHRONISED, exactly) is not None
-    assert clocks_apart(tracks, late, SYNCHRONISED, exactly, None) == ""
+    assert Case(tracks, late, SYNCHRONISED, exactly).chosen() is not None
+    assert clocks_apart(Case(tracks, late, SYNCHRONISED), None, exactly) is None
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -89,11 +94,11 @@ def test_noise_is_no_other_clock(seed: int) -> None:
     """Even where the choice is in doubt, and the other one is not."""
     slow = replace(DRIVE, speeds=((0.0, 3.0),))
     tracks, sends = [seen(slow, noise_m=0.3, seed=seed)], {42: vehicle(slow)}
-    choice = chosen(tracks, sends, replace(SYNCHRONISED, clear_log_odds=math.inf), exactly)
+    choice = Case(tracks, sends, replace(SYNCHRONISED, clear_log_odds=math.inf), exactly).chosen()
     assert choice is not None
     assert choice.doubt
-    assert clocks_apart(tracks, sends, SYNCHRONISED, exactly, choice) == ""
+    assert clocks_apart(Case(tracks, sends, SYNCHRONISED), choice, exactly) is None
 
 
 def test_without_tracks_nothing_is_said() -> None:
-    assert clocks_apart([], sent(), SYNCHRONISED, exactly, None) == ""
+    assert clocks_apart(Case([], sent(), SYNCHRONISED), None, exactly) is None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.choice import no_likeness
+from laci_stereo.core.case import Case
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.laying import stretched_track
@@ -30,7 +30,8 @@ def by_a_matcher(track: Track) -> Track:
 
 
 def said(track: Track) -> str:
-    return optics_off([track], {42: vehicle()}, MatchSettings(), no_likeness)
+    told = optics_off(Case([track], {42: vehicle()}, MatchSettings()))
+    return told.words if told else ""
 
 
 @pytest.mark.parametrize("by", [0.55, 0.8, 0.9, 1.1, 1.3, 1.9])
