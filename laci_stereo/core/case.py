@@ -47,16 +47,24 @@ class Case:
 
 @dataclass(frozen=True)
 class Instead:
-    """What would fit if something were not as it was said, and how likely that is.
+    """What would fit if something were not as it was said.
 
     Attributes
     ----------
     choice : Choice
     words : str
+    log_searched : float
+        Of how many it is the best, as a logarithm: one of so many fits so well by chance.
     """
 
     choice: Choice
     words: str
+    log_searched: float = 0.0
+
+    @property
+    def log_odds(self) -> float:
+        """Against everything being where it is by chance."""
+        return self.choice.log_likelihood - self.log_searched
 
 
 def log_odds_between(one: Choice | None, other: Choice | None) -> float:

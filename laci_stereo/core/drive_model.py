@@ -570,9 +570,8 @@ class DriveModel:
         arm = (self.drive.middles[frame] - self.centre) * _scale(x)
         late_s = self.drive.frames_late_s[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
-        shape = x[_SHAPE]
-        middle = np.array([(shape[0] - shape[1]) / 2, shape[3]])
-        nearer = np.sign(origin) * self.drive.lacking_m[frame] / 2
+        middle, _ = outline.about_middle(x[_SHAPE])
+        nearer = np.sign(origin - middle) * self.drive.lacking_m[frame] / 2
         distances = (xy - middle - x[_PARTIAL] * nearer).T
         worth = self.error_worth[frame]
         variances, lasting = course_of(distances, self.drive.way_m[frame], worth)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.case import Case
+from laci_stereo.core.case import Case, Instead
 from laci_stereo.core.choice import Choice, Likeness, Resemblance
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import FloatArray
@@ -14,7 +14,7 @@ from laci_stereo.core.handedness import mirrored
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.pieces import Companion, companion
 from laci_stereo.core.resemblance import resemblance
-from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, Settings
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, MatchSettings, Settings
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.unset_clock import clocks_apart
 from laci_stereo.core.wrong_optics import optics_off
@@ -52,16 +52,22 @@ def choose_vehicle(
         asked = [mirrored(case, None), clocks_apart(case, None, by_any_clock)]
         if isinstance(error, MatchError):
             asked += [place_off(case), optics_off(case)]
-        fits = [each for each in asked if each is not None]
-        if not fits:
+        words = told([each for each in asked if each is not None], settings.match)
+        if not words:
             raise
-        likeliest = max(fits, key=lambda each: each.choice.log_likelihood)
-        raise MatchError(f"{error}; {likeliest.words}") from error
+        raise MatchError(f"{error}; {words}") from error
     if instead := mirrored(case, choice):
         raise MatchError(instead.words)
     alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]
     unset = clocks_apart(case, choice, by_any_clock)
     return replace(choice, others=tuple(alone), clocks=unset.words if unset else "")
+
+
+def told(instead: Sequence[Instead], settings: MatchSettings) -> str:
+    """Return in words what else would fit: the likeliest, and what is nearly as likely; empty if nothing would."""
+    best = max((each.log_odds for each in instead), default=0.0)
+    likely = sorted(instead, key=lambda each: -each.log_odds)
+    return "; or ".join(each.words for each in likely if each.log_odds > best - settings.least_log_odds)
 
 
 def _likeness_by(settings: JointSettings, height_m: float) -> Likeness:

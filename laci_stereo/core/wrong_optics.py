@@ -59,13 +59,13 @@ def optics_off(case: Case) -> Instead | None:
     for what in (FOCAL, BASELINE):
         best = _better(best, (_stretched(boxes, what, float(by)) for by in ladder if by != 1.0))
     best = _better(best, [_stretched(boxes, best.what, best.by * float(np.exp(step))) for step in (-STEP, STEP)])
-    searched = np.log(2 * len(ladder))  # one of so many fits so well by chance more often than a single one
-    if best.by == 1.0 or log_odds_between(best.choice, as_seen) < case.settings.least_log_odds + searched:
+    log_searched = float(np.log(2 * len(ladder)))
+    if best.by == 1.0 or log_odds_between(best.choice, as_seen) < case.settings.least_log_odds + log_searched:
         return None
     exact = _Stretched(best.what, 1.0, None)
     around = best.by * np.exp(STEP / 2 * np.arange(-AROUND, AROUND + 1))
     exact = _better(exact, (_stretched(moving, best.what, float(by)) for by in around))
-    if exact.choice is None:
+    if exact.choice is None or exact.choice.doubt:
         return None
     way = "longer" if exact.by > 1.0 else "shorter"
     return Instead(
@@ -73,6 +73,7 @@ def optics_off(case: Case) -> Instead | None:
         f"were the stereo camera's {exact.what} {100.0 * abs(exact.by - 1.0):.0f} % {way} than its calibration says, "
         f"station {exact.choice.station} would be seen where its messages say: is that the calibration of these "
         "images?",
+        log_searched,
     )
 
 

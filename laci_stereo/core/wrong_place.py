@@ -7,48 +7,58 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint, VehicleTrack
+from laci_stereo.core.cam_repair import REAR_AXLE_SHARE
 from laci_stereo.core.case import Case, Instead, log_odds_between
 from laci_stereo.core.frames import rotate_xy
-
-PLACES = {"front": 0.5, "centre": 0.0, "rear": -0.5}
-"""Where positions may be, in lengths ahead of the centre of the box. Receivers are mounted anywhere: what is left is
-told by the outline."""
-
-TOLD = 0.25
-"""Nearer to where it was said to be, in lengths, is no other place."""
+from laci_stereo.core.resemblance import FREE_LEVER_M
 
 
 def place_off(case: Case) -> Instead | None:
     """Say from where on the vehicle positions would surely fit what moves; None if from nowhere, or as they are.
 
-    Asked where nothing fits as it was said; straight on everything would. Outlines are asked at once: the box of what
-    is seen of a lorry may be half a length off.
+    Asked where nothing fits as it was said; straight on everything would. Positions of all senders are of one place, as
+    the option says it. Outlines are asked at once: the box of what is seen of a lorry may be half a length off.
     """
     as_told = replace(case, settings=case.settings.any_fit).chosen()
-    searched = math.log(len(PLACES) - 1)  # one of two fits so well by chance more often than a single one
-    clearly, found = case.settings.least_log_odds + searched, []
-    for name, share in PLACES.items():
-        moved = {station: _moved(vehicle, share) for station, vehicle in case.vehicles.items()}
-        if all(moved[station] is vehicle for station, vehicle in case.vehicles.items()):
-            continue
+    places = _places(case)
+    log_searched = math.log(max(len(places), 1))
+    found = []
+    for option, place in places.items():
+        moved = {station: _moved(vehicle, place) for station, vehicle in case.vehicles.items()}
         choice = replace(case, vehicles=moved).chosen()
-        if choice is not None and not choice.doubt and log_odds_between(choice, as_told) > clearly:
-            rear = f"{moved[choice.station].reference[0]:.2f},0"
-            option = {"front": "front", "centre": "center", "rear": rear}[name]
+        if choice is None or choice.doubt or moved[choice.station] is case.vehicles[choice.station]:
+            continue
+        if log_odds_between(choice, as_told) > case.settings.least_log_odds + log_searched:
             words = (
-                f"were the messages' positions those of the vehicle's {name}, station {choice.station} would be seen "
-                f"where they say: --cam-reference {option}"
+                f"were the messages' positions those of another place on the vehicle, station {choice.station} would "
+                f"be seen where they say: --cam-reference {option}"
             )
-            found.append(Instead(choice, words))
-    return max(found, key=lambda each: each.choice.log_likelihood, default=None)
+            found.append(Instead(choice, words, log_searched))
+    return max(found, key=lambda each: each.log_odds, default=None)
 
 
-def _moved(vehicle: VehicleTrack, share: float) -> VehicleTrack:
-    """Return where a vehicle is if positions are so many lengths ahead of its centre; itself if that was said."""
-    place = np.array([share * vehicle.length_m, 0.0])
-    by = np.asarray(vehicle.reference) - place
-    if abs(by[0]) < TOLD * vehicle.length_m:
+def _places(case: Case) -> dict[str, ReferencePoint]:
+    """Return the places where receivers mostly are, but for that which was said, by the options that say so."""
+    places = {"front": FRONT, "center": CENTRE}
+    for vehicle in case.vehicles.values():
+        behind_m = -REAR_AXLE_SHARE * vehicle.length_m
+        places[f"rear-axle:{behind_m:.1f}"] = ReferencePoint(-round(behind_m, 1))
+    return {
+        option: place
+        for option, place in places.items()
+        if any(_moved(vehicle, place) is not vehicle for vehicle in case.vehicles.values())
+    }
+
+
+def _moved(vehicle: VehicleTrack, place: ReferencePoint) -> VehicleTrack:
+    """Return where a vehicle is if positions are of a place; itself if that is so near that its outline tells as well.
+
+    An offset to the left that was said is of an antenna that is not at this place.
+    """
+    there = place.offset(vehicle.length_m)
+    by = np.asarray(vehicle.reference) - there
+    if abs(by[0]) < FREE_LEVER_M:
         return vehicle
     xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(by, (len(vehicle.yaw_rad), 1)))
-    return replace(vehicle, xy=xy, reference=(float(place[0]), 0.0))
+    return replace(vehicle, xy=xy, reference=(float(there[0]), float(there[1])))

@@ -32,7 +32,7 @@ from laci_stereo.stereo.settings import StereoSettings
 log = logging.getLogger(__name__)
 
 LOOK_FRAMES = 31
-"""Frames whose median is the scene at rest: a vehicle in fewer than half of them leaves no trace."""
+"""Frames that tell the scene at rest (`learn_look`)."""
 
 QUIET_FRAMES, FURTHER_FRAMES = 6, 4
 """Whole frames that are matched for the ground and the background: those in which least moves show most of both;

@@ -19,12 +19,16 @@ SHRINK = 2
 CHANGE_SIGMAS = 5.0
 """A grey value has changed when it is this many standard deviations off: one false pixel in 10^6."""
 
-SETTLED = 0.75
-"""What looks the same in so many of the frames is the scene; in fewer, it may be what dwells in front of it, such as a
-queue or a vehicle that shunts, and the scene what is seen in the others."""
+MOSTLY, AT_TIMES = 0.25, 0.1
+"""In so many of the frames a pixel has the look that it has most. It may be that of what dwells in front of the scene,
+such as a vehicle that waits or shunts, if there is another look in a tenth of the frames: in so many a place must be
+seen empty for what stands there not to be background. What passes looks otherwise in each frame."""
 
-CENTRAL_THIRD = 0.861
-"""A third of what is normally distributed lies within so many standard deviations."""
+FEWEST = 31
+"""A tenth of fewer frames are three at most, which are alike by chance where leaves sway: then the median is taken."""
+
+CENTRAL_QUARTER = 0.637
+"""The interval about the mean with a quarter of what is normally distributed is so many standard deviations wide."""
 
 MIN_NOISE = 0.5
 """Standard deviation of a grey value at least: rounding alone is 0.3, and both images are rounded."""
@@ -38,6 +42,9 @@ MIN_GAIN = 1e-3
 
 BLEED_PX = 12
 """Around a change by so much (full size) the matcher's and the refinement's windows still touch what moved."""
+
+EDGE = np.ones((BLEED_PX // SHRINK + 1,) * 2, dtype=np.uint8)
+"""What is narrower is no vehicle: an edge in the picture, on whose either side a pixel is as the mast sways."""
 
 TALLEST_VEHICLE_M = 4.0
 """Road vehicles are at most so tall (EU directive 96/53/EC)."""
@@ -53,11 +60,11 @@ class Look:
     Attributes
     ----------
     image : ndarray of float32, shape (height, width)
-        Median over the recording.
+        Median over the recording, without what is seen in front of it.
     noise : ndarray of float32, shape (height, width)
         Standard deviation per pixel over the recording: foliage moves, walls do not.
     settled : ndarray of bool, shape (height, width)
-        It looks so most of the time. Elsewhere everything passes for a change, so that it is matched, and what stands
+        It looks so and no other way. Elsewhere everything passes for a change, so that it is matched, and what stands
         there is told by where it is and not by how it looks.
     """
 
@@ -99,26 +106,53 @@ def learn_look(shrunken: list[Raster]) -> Look:
     deviation = NORMAL * np.median(np.abs(stack - median), axis=0)
     # Where fewer than half of the frames deviate, the median deviation may be zero: no pixel is better than most.
     typical = max(float(np.median(deviation)), MIN_NOISE)
-    noise = np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical)
-    settled = (np.abs(stack - median) < CHANGE_SIGMAS * typical).mean(axis=0) >= SETTLED
-    settled[~settled] = _settled(stack[:, ~settled], typical)
-    return Look(median, noise, settled)
+    settled = np.ones(median.shape, dtype=np.uint8)
+    if len(stack) >= FEWEST:
+        unlike = (np.abs(stack - median) >= CHANGE_SIGMAS * typical).mean(axis=0) >= AT_TIMES
+        look, its_deviation, alone = _densest_look(stack[:, unlike], typical)
+        median[unlike], deviation[unlike] = np.where(alone, (look, its_deviation), (median[unlike], deviation[unlike]))
+        settled[unlike] = alone
+        settled = cv2.morphologyEx(settled, cv2.MORPH_OPEN, np.ones((3, 3)))  # a few pixels are alike by chance
+        settled = cv2.morphologyEx(settled, cv2.MORPH_CLOSE, EDGE)
+    return Look(median, np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical), settled > 0)
 
 
-def _settled(grey: Raster, typical: float) -> BoolArray:
-    """Tell which pixels, of the grey values (frames, n), mostly look alike, if not as exactly as others do.
+def _densest_look(grey: Raster, typical: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return how some pixels look when they do so most alike, how that deviates, and whether they have no other look.
 
-    The narrowest interval that holds a third of a pixel's values tells its noise even if all others are of something
-    else: of leaves that sway it is wide, and most values are like these.
+    Of leaves that sway the narrowest interval with a quarter of the values is so wide that all others are like these.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (frames, n)
+    typical : float
+        Standard deviation of most pixels.
     """
-    third = -(-len(grey) // 3)
+    mostly, at_times = (int(np.ceil(share * len(grey))) for share in (MOSTLY, AT_TIMES))
+    low, width = _narrowest(grey, mostly)
+    reach = CHANGE_SIGMAS * np.maximum(width / CENTRAL_QUARTER, typical)
+    alike = np.abs(grey - (low + width / 2)) <= reach
+    another = _narrowest(np.where(alike, np.inf, grey), at_times)[1]
+    look = np.where(alike, grey, np.nan)
+    median = np.nanmedian(look, axis=0)
+    return median, NORMAL * np.nanmedian(np.abs(look - median), axis=0), another > reach
+
+
+def _narrowest(grey: Raster, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return where the narrowest interval with so many of each pixel's values begins, and its width; infinite if none.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (frames, n)
+        Infinite where there is no value.
+    count : int
+    """
     ordered = np.sort(grey, axis=0)
-    widths = ordered[third - 1 :] - ordered[: len(ordered) - third + 1]
-    first = widths.argmin(axis=0)[None]
-    low, width = (np.take_along_axis(each, first, axis=0)[0] for each in (ordered, widths))
-    reach = CHANGE_SIGMAS * np.maximum(width / CENTRAL_THIRD, typical)
-    alike: BoolArray = (np.abs(grey - (low + width / 2)) <= reach).mean(axis=0) >= SETTLED
-    return alike
+    first, last = ordered[: len(grey) - count + 1], ordered[count - 1 :]
+    widths = np.subtract(last, first, out=np.full_like(first, np.inf), where=np.isfinite(last))
+    at = widths.argmin(axis=0)[None]
+    low, width = (np.take_along_axis(each, at, axis=0)[0] for each in (first, widths))
+    return low, width
 
 
 def _brightness(image: Raster) -> float:

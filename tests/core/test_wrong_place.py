@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from laci_stereo.asked import parse_reference
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import ReferencePoint, VehicleTrack
-from laci_stereo.core.case import Case
-from laci_stereo.core.choice import Resemblance
+from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint, VehicleTrack
+from laci_stereo.core.case import Case, Instead
+from laci_stereo.core.choice import Choice, Resemblance
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.frames import rotate_xy
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
-from laci_stereo.core.wrong_place import PLACES, place_off
+from laci_stereo.core.vehicle_choice import told
+from laci_stereo.core.wrong_place import place_off
 from tests.core.tracks import DRIVE, seen, vehicle
 from tests.simulated import LEFT_TURN, RIGHT_TURN, Drive, lidar, scene
 
-LORRY = (12.0, 2.5)
+LORRY, CAR = (12.0, 2.5), (4.4, 1.8)
 STRAIGHT_ON = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
+AXLE = ReferencePoint(-3.6)
 
 
 def by_outline(track: Track, sent: VehicleTrack, fit: PlanarMatch, time_offset_s: float) -> Resemblance:
@@ -30,46 +35,87 @@ def by_outline(track: Track, sent: VehicleTrack, fit: PlanarMatch, time_offset_s
     return Resemblance(0.0, 8.0 if np.sqrt((off_m**2).sum(axis=1).mean()) < 0.3 else -8.0)
 
 
-def taken_for(true: str, told: str, drive: Drive = DRIVE) -> VehicleTrack:
-    """What a lorry sends of one place on it, if that is taken for another."""
-    sent = vehicle(drive, size=LORRY)
-    is_at, said_at = (np.array([PLACES[name] * LORRY[0], 0.0]) for name in (true, told))
+def taken_for(
+    true: ReferencePoint, said: ReferencePoint, drive: Drive = DRIVE, size: tuple[float, float] = LORRY
+) -> VehicleTrack:
+    """What a vehicle sends of one place on it, if that is taken for another."""
+    sent = vehicle(drive, size=size)
+    is_at, said_at = (place.offset(size[0]) for place in (true, said))
     by = rotate_xy(sent.yaw_rad, np.tile(is_at - said_at, (len(sent.yaw_rad), 1)))
-    return replace(sent, xy=sent.xy + by, reference=(float(said_at[0]), 0.0))
+    return replace(sent, xy=sent.xy + by, reference=(float(said_at[0]), float(said_at[1])))
 
 
-def said(sent: VehicleTrack, drive: Drive = DRIVE) -> str:
-    told = place_off(Case([seen(drive, size=LORRY)], {42: sent}, MatchSettings(), by_outline))
-    return told.words if told else ""
+def words(
+    sent: Mapping[int, VehicleTrack], *drives: tuple[Drive, tuple[float, float]], settings: MatchSettings | None = None
+) -> str:
+    tracks = [seen(drive, size=size, seed=seed) for seed, (drive, size) in enumerate(drives or ((DRIVE, LORRY),))]
+    instead = place_off(Case(tracks, sent, settings or MatchSettings(), by_outline))
+    return instead.words if instead else ""
 
 
 @pytest.mark.parametrize(
-    ("true", "told", "option"),
-    [("centre", "front", "center"), ("front", "centre", "front"), ("rear", "front", "-6.00,0")],
+    ("true", "said", "option"),
+    [(CENTRE, FRONT, "center"), (FRONT, CENTRE, "front"), (AXLE, FRONT, "rear-axle:3.6"), (FRONT, AXLE, "front")],
 )
-def test_the_place_is_told(true: str, told: str, option: str) -> None:
-    assert said(taken_for(true, told)) == (
-        f"were the messages' positions those of the vehicle's {true}, station 42 would be seen where they say: "
+def test_the_place_is_told(true: ReferencePoint, said: ReferencePoint, option: str) -> None:
+    assert words({42: taken_for(true, said)}) == (
+        "were the messages' positions those of another place on the vehicle, station 42 would be seen where they say: "
         f"--cam-reference {option}"
     )
+    assert parse_reference(option) == true
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_of_what_fits_as_it_was_said_nothing_is_told(place: str) -> None:
-    assert said(taken_for(place, place)) == ""
+@pytest.mark.parametrize("place", [FRONT, CENTRE, AXLE, ReferencePoint(2.0, 0.5)])
+def test_of_what_fits_as_it_was_said_nothing_is_told(place: ReferencePoint) -> None:
+    assert words({42: taken_for(place, place)}) == ""
+
+
+def test_an_offset_to_the_left_that_was_said_goes_with_its_place() -> None:
+    told_aside = taken_for(FRONT, ReferencePoint(-3.6, 0.8))
+    assert words({42: told_aside}).endswith("--cam-reference front")
+
+
+def test_the_option_is_of_all_senders() -> None:
+    """A car and a lorry that tell their centres: one option is right for both, whatever they are long."""
+    drives = (DRIVE, LORRY), (STRAIGHT_ON, CAR)
+    centres = {7: taken_for(CENTRE, FRONT), 42: taken_for(CENTRE, FRONT, STRAIGHT_ON, CAR)}
+    assert words(centres, *drives).endswith("--cam-reference center")
+    # No option has the lorry's positions at its rear axle and leaves the car's at its front.
+    assert words({7: taken_for(AXLE, FRONT), 42: taken_for(FRONT, FRONT, STRAIGHT_ON, CAR)}, *drives) == ""
+
+
+def test_what_may_be_by_chance_is_not_told() -> None:
+    never = MatchSettings(clear_log_odds=math.inf)
+    assert words({42: taken_for(CENTRE, FRONT)}, settings=never) == ""
+
+
+def test_straight_on_any_place_fits() -> None:
+    assert words({42: taken_for(AXLE, FRONT, STRAIGHT_ON)}, (STRAIGHT_ON, LORRY)) == ""
+
+
+def instead(text: str, log_likelihood: float, log_searched: float = 0.0) -> Instead:
+    choice = Choice(42, seen(), 1.0, 0.0, PlanarMatch(0.0, np.zeros(2)), 0.0, log_likelihood, math.inf, "nothing else")
+    return Instead(choice, text, log_searched)
+
+
+def test_of_what_would_fit_the_likeliest_is_told_and_what_is_nearly_as_likely() -> None:
+    settings = MatchSettings()
+    assert told([], settings) == ""
+    assert told([instead("clocks", 5.0), instead("place", 9.0)], settings) == "place"
+    assert told([instead("clocks", 8.5), instead("place", 9.0)], settings) == "place; or clocks"
+    assert told([instead("optics", 12.0, 4.0), instead("place", 11.0)], settings) == "place"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("drive", "size", "ahead_m"), [(LEFT_TURN, (4.4, 1.8), -2.2), (RIGHT_TURN, (8.0, 2.4), 0.0)], ids=["car", "van"]
+    ("drive", "size", "said"),
+    [(LEFT_TURN, CAR, ReferencePoint(-2.2)), (RIGHT_TURN, (8.0, 2.4), CENTRE)],
+    ids=["car", "van"],
 )
 def test_the_refusal_of_a_wrong_place_names_the_right_one(
-    drive: Drive, size: tuple[float, float], ahead_m: float
+    drive: Drive, size: tuple[float, float], said: ReferencePoint
 ) -> None:
     made = scene(drive, lidar(), size=size)
-    with pytest.raises(MatchError, match=r"were .* those of the vehicle's front, .*: --cam-reference front"):
-        calibrate(made.recording, made.messages, reference=ReferencePoint(ahead_m))
-
-
-def test_straight_on_any_place_fits() -> None:
-    assert said(taken_for("rear", "front", STRAIGHT_ON), STRAIGHT_ON) == ""
+    with pytest.raises(MatchError, match=r"were .* another place on the vehicle, .*: --cam-reference front"):
+        calibrate(made.recording, made.messages, reference=said)
+    assert calibrate(made.recording, made.messages, reference=FRONT).quality.verdict == "pass"
