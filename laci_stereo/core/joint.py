@@ -83,7 +83,7 @@ was measured from outside."""
 
 SURELY_OPTICS = 3.0
 """It is so only if what is found is beyond so many of its own standard deviations: by them, which grow where residuals
-scatter more than the model has it, of two hundred calibrations that are right one is."""
+scatter more than the model has it, of a hundred calibrations that are right one is (two degrees of freedom)."""
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, its headings as far off
@@ -284,7 +284,7 @@ class _Mistake:
     log_wider : float
         By how much more room there is for these corrections then, as a logarithm.
     surely : float
-        Beyond so many of its own standard deviations one of these corrections must be.
+        Beyond so many of its own standard deviations one of these corrections must be, or both of the optics together.
     alone : bool
         It is only if it leaves nothing else that the messages do not allow for.
     """
@@ -565,15 +565,14 @@ class _Problem:
         """Tell whether some correction is not only possible, but surely there."""
         if mistake.alone and not self.only(solved, mistake.what):
             return False
-        found = [
-            each
+        if mistake.what.issuperset(OPTICS):  # both together: a wrong baseline shows in both
+            found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
+            return float(found @ np.linalg.solve(covariance, found)) > mistake.surely**2
+        return any(
+            each.what in mistake.what and abs(each.value) > mistake.surely * each.after
             for model, its in self.corrections(solved)
             if "ahead" not in mistake.what or _turned_rad(model.drive) > TURNED_RAD
             for each in its
-        ]
-        return any(
-            each.what in mistake.what and abs(each.value) > mistake.surely * each.after
-            for each in (*found, *_optics(solved))
         )
 
     def only(self, solved: _Solved, what: Set[str]) -> bool:
