@@ -306,9 +306,11 @@ def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettin
     for mistake in _mistakes(problem, here):
         wider = problem.expecting(mistake.settings)
         there = wider.solve(here.x, COMPARED)
+        if not wider.tells(there, mistake):
+            continue
         log_prior = float(np.log(MISTAKEN)) - mistake.log_wider + wider.log_room_of(there) - problem.log_room_of(here)
         likelier = log_prior + _likelier_by(problem, here, wider, there)
-        if likelier > most_likelier and wider.tells(there, mistake):
+        if likelier > most_likelier:
             most_likelier, x, settings = likelier, there.x, mistake.settings
     return x, settings
 
