@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +22,10 @@ def place_off(case: Case) -> Instead | None:
     the option says it. Outlines are asked at once: the box of what is seen of a lorry may be half a length off.
     """
     as_told = replace(case, settings=case.settings.any_fit).chosen()
-    places = _places(case)
-    log_searched = math.log(max(len(places), 1))
+    elsewhere = _elsewhere(case.vehicles)
+    log_searched = math.log(max(len(elsewhere), 1))
     found = []
-    for option, place in places.items():
-        moved = {station: _moved(vehicle, place) for station, vehicle in case.vehicles.items()}
+    for option, moved in elsewhere.items():
         choice = replace(case, vehicles=moved).chosen()
         if choice is None or choice.doubt or moved[choice.station] is case.vehicles[choice.station]:
             continue
@@ -38,17 +38,21 @@ def place_off(case: Case) -> Instead | None:
     return max(found, key=lambda each: each.log_odds, default=None)
 
 
-def _places(case: Case) -> dict[str, ReferencePoint]:
-    """Return the places where receivers mostly are, but for that which was said, by the options that say so."""
+def _elsewhere(vehicles: Mapping[int, VehicleTrack]) -> dict[str, dict[int, VehicleTrack]]:
+    """Return where vehicles are if positions are of where receivers mostly are, by the options that say so.
+
+    That which was said is left out: by it all are where they are.
+    """
     places = {"front": FRONT, "center": CENTRE}
-    for vehicle in case.vehicles.values():
+    for vehicle in vehicles.values():
         behind_m = -REAR_AXLE_SHARE * vehicle.length_m
         places[f"rear-axle:{behind_m:.1f}"] = ReferencePoint(-round(behind_m, 1))
-    return {
-        option: place
-        for option, place in places.items()
-        if any(_moved(vehicle, place) is not vehicle for vehicle in case.vehicles.values())
-    }
+    found = {}
+    for option, place in places.items():
+        moved = {station: _moved(vehicle, place) for station, vehicle in vehicles.items()}
+        if any(moved[station] is not vehicle for station, vehicle in vehicles.items()):
+            found[option] = moved
+    return found
 
 
 def _moved(vehicle: VehicleTrack, place: ReferencePoint) -> VehicleTrack:

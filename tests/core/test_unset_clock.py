@@ -14,10 +14,8 @@ from laci_stereo.core.case import Case
 from laci_stereo.core.choice import Resemblance, no_likeness
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings
 from laci_stereo.core.unset_clock import clocks_apart
-from tests.core.tracks import DRIVE, seen, vehicle
-from tests.simulated import Drive
+from tests.core.tracks import DRIVE, STRAIGHT_ON, seen, vehicle
 
-STRAIGHT_ON = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
 SYNCHRONISED = MatchSettings()
 
 

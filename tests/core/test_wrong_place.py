@@ -21,11 +21,10 @@ from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.vehicle_choice import told
 from laci_stereo.core.wrong_place import place_off
-from tests.core.tracks import DRIVE, seen, vehicle
+from tests.core.tracks import DRIVE, STRAIGHT_ON, seen, vehicle
 from tests.simulated import LEFT_TURN, RIGHT_TURN, Drive, lidar, scene
 
 LORRY, CAR = (12.0, 2.5), (4.4, 1.8)
-STRAIGHT_ON = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
 AXLE = ReferencePoint(-3.6)
 
 

@@ -20,6 +20,8 @@ from tests.simulated import Drive
 DRIVE = Drive((10.0, -20.0), 80.0, ((15.0, 0.0), (16.0, 90.0)), ((0.0, 8.0),))
 """Straight on, then a left turn."""
 
+STRAIGHT_ON = Drive((20.0, 22.0), -90.0, speeds=((0.0, 8.0),))
+
 
 def sighting(
     stamp_s: float,
