@@ -379,5 +379,5 @@ def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:
 def _with_context(view: View, image: Raster, region: Region) -> Raster:
     """Rectify a region with the columns on its left that the matcher needs; beyond the image its border is repeated."""
     start = region.x0 - region.reach
-    part = view.look_up(image, slice(region.y0, region.y1), slice(max(start, 0), region.x1))
+    part = view.look_up(image, slice(region.y0, region.y1), slice(max(start, 0), region.x1), to_match=True)
     return cv2.copyMakeBorder(part, 0, 0, max(-start, 0), 0, cv2.BORDER_REPLICATE)

@@ -35,11 +35,18 @@ class View:
     valid: BoolArray
     inner: BoolArray
 
-    def look_up(self, image: Raster, rows: slice = slice(None), columns: slice = slice(None)) -> Raster:
-        """Return a part of the rectified image."""
+    def look_up(
+        self, image: Raster, rows: slice = slice(None), columns: slice = slice(None), *, to_match: bool = False
+    ) -> Raster:
+        """Return a part of the rectified image.
+
+        To be matched it is interpolated by Lanczos' kernel of four lobes, which takes eight times as long: linearly,
+        fine texture moves to where the nearer pixel is, by up to 0.05 px between two images.
+        """
         if self.maps is None:
             return image[rows, columns]
-        return cv2.remap(image, self.maps[0][rows, columns], self.maps[1][rows, columns], cv2.INTER_LINEAR)
+        how = cv2.INTER_LANCZOS4 if to_match else cv2.INTER_LINEAR
+        return cv2.remap(image, self.maps[0][rows, columns], self.maps[1][rows, columns], how)
 
 
 @dataclass(frozen=True)

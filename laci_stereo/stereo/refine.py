@@ -22,6 +22,14 @@ FINER = 4
 DERIVATIVE = np.array([[-1, 9, -45, 0, 45, -9, 1]], np.float32) / 60
 """Central difference of the sixth order: a shorter one is too flat for fine texture, and the shift too large."""
 
+SMOOTHING = np.array([1, 2, 1], np.float32) / 4
+"""Takes away what alternates from pixel to pixel, along rows and columns, and half of what has four pixels to a wave.
+
+A mosaic of colours lays such a pattern over both images: it stays where the sensor's pixels are, whatever these show,
+and draws shifts towards whole pairs of pixels, by 0.07 px on grey asphalt. And of what has two columns to a wave it
+cannot be told how far it is shifted.
+"""
+
 LEAST_INFORMATION = 1e-3
 
 EXPOSURE_WINDOWS = 4
@@ -38,6 +46,9 @@ shows a point no smaller, and what a glossy side mirrors is as smooth.
 White noise of variance s^2 makes a sum over n of them vary by n s^2, noise in common by n^2 s^2; over n, the first is
 s^2 whatever n is, the second what it adds to the variance of a least-squares shift of texture that is as smooth.
 """
+
+LEFT_OF_NOISE = 0.75**2
+"""Of the variance of white noise's sums over such a square what `SMOOTHING` leaves."""
 
 ROUNDING = 1 / 6
 """Variance of the difference of two grey values from their rounding alone."""
@@ -64,6 +75,8 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     least. Without such a line a pixel at a jump belongs to no surface and is dropped; one inside of something thinner
     than a window keeps the window of its own.
 
+    What alternates from pixel to pixel is a colour mosaic's and not the scene's, and is taken away first.
+
     The cameras may be exposed differently, and their lenses lose different amounts of light to the borders: the left
     image is first brought to the gain and the offset of the right one, both from a larger window.
 
@@ -83,6 +96,7 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     side : int
         Of the window, pixels, odd.
     """
+    own, other = (cv2.sepFilter2D(image, cv2.CV_32F, SMOOTHING, SMOOTHING) for image in (left, right))
     weight = found.astype(np.float32)
     count = _sums(weight, side)
     known = coarse * weight
@@ -90,27 +104,27 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     straddles = _dilated(jump.astype(np.uint8), side) > 0
     start = np.where(straddles & found, coarse, _sums(known, side) / np.maximum(count, 1.0))
 
-    fine = _upsampled(right.astype(np.float32))
+    fine = _upsampled(other)
     u = FINER * np.arange(reach, reach + left.shape[1], dtype=np.float32)
     v = np.repeat(np.arange(len(left), dtype=np.float32)[:, None], left.shape[1], axis=1)
     shifted = _shifted(fine, u - FINER * start, v)
-    grey = _exposed_alike(left.astype(np.float32), shifted, weight, side)
+    grey = _exposed_alike(own, shifted, weight, side)
     gradient = cv2.filter2D(grey, cv2.CV_32F, DERIVATIVE) * weight
     shift = held = np.zeros_like(start)
     for step in range(STEPS):
         if step:
             shifted = _shifted(fine, u - FINER * (start + held), v)
         apart = (shifted - grey) * weight
-        other = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
-        mean = (gradient + other) / 2
+        gradient_there = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
+        mean = (gradient + gradient_there) / 2
         # The product of both images' gradients, since the square of one would count its noise as texture.
-        texture = gradient * other
+        texture = gradient * gradient_there
         information = np.maximum(_sums(texture, side), LEAST_INFORMATION)
         # A pixel's difference holds its own shift already; what is wanted is the shift of the whole window.
         shift = _sums(mean * apart + texture * held, side) / information
         held = np.where(straddles, 0, shift)
     common = _sums(apart, SMEAR)
-    noise = np.maximum(_sums(common * common, side) / np.maximum(SMEAR**2 * count, 1.0), ROUNDING)
+    noise = np.maximum(_sums(common * common, side) / np.maximum(LEFT_OF_NOISE * SMEAR**2 * count, 1.0), ROUNDING)
     variance = noise * np.maximum(_sums(mean * mean, side), information) / information**2
     return _continued(Refined(start + shift, variance), coarse, found, straddles, jump, side)
 

@@ -11,9 +11,12 @@ import pytest
 
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster
 from laci_stereo.stereo.disparity import Disparity, Region, match
+from laci_stereo.stereo.reader import EightBit
+from laci_stereo.stereo.rectify import rectify
 from laci_stereo.stereo.refine import Refined, refine
 from laci_stereo.stereo.settings import StereoSettings
 from tests.stereo.render import ROAD, View, expose
+from tests.stereo.rigs import lens, rig
 from tests.stereo.support import FAR, STATIC, truth, views
 
 WALL, CAR = 1, 3
@@ -129,12 +132,11 @@ def test_an_exposure_that_changes_within_the_image_is_followed() -> None:
     assert np.mean(np.abs(values - 10.3) > 0.1) < 0.01
 
 
-def layer(seed: int, shift_px: float, strength: float) -> tuple[FloatArray, FloatArray]:
+def layer(seed: int, shift_px: float, strength: float, blur_px: float = 1.5) -> tuple[FloatArray, FloatArray]:
     """Return random texture of two images without noise; a point at u in the left one is at u - shift in the right."""
     finer = 10
-    fine = cv2.GaussianBlur(
-        np.random.default_rng(seed).normal(size=(120, 260 * finer)), (0, 0), 1.5 * finer, sigmaY=1.5
-    )
+    fine = np.random.default_rng(seed).normal(size=(120, 260 * finer))
+    fine = cv2.GaussianBlur(fine, (0, 0), blur_px * finer, sigmaY=blur_px)
     fine *= strength / fine.std()
     first = round(shift_px * finer)
     return fine[:, : 240 * finer : finer], fine[:, first : first + 240 * finer : finer]
@@ -159,6 +161,47 @@ def test_the_variance_holds_noise_that_is_interpolated_and_noise_that_is_not(ker
         for side in layer(5, 10.3, 20.0)
     )
     assert 0.8 < spread_over_sigma(left, right, 10.3)[0] < 1.2
+
+
+def through_mosaic(grey: FloatArray, light: tuple[float, float, float], rng: np.random.Generator) -> Raster:
+    """Return what a sensor with a mosaic of red, green, green and blue pixels makes of something grey in some light."""
+    red, green, blue = (part * (110 + grey) for part in light)
+    mosaic = green.copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = red[::2, ::2], blue[1::2, 1::2]
+    raw = np.clip(np.rint(mosaic + 0.7 * rng.normal(size=mosaic.shape)), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(raw, cv2.COLOR_BayerRGGB2BGR))
+
+
+@pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (1.0, 0.95, 0.87), (0.7, 1.0, 0.8)], ids=["white", "sun", "raw"])
+@pytest.mark.parametrize("shift_px", [9.5, 9.7, 10.3, 10.5, 10.7, 11.0, 11.3, 11.5])
+def test_a_mosaic_of_colours_draws_no_shift(light: tuple[float, float, float], shift_px: float) -> None:
+    rng = np.random.default_rng(3)
+    # Texture as fine as a sharp lens leaves it: a smoother one shows less of the mosaic.
+    sides = layer(8, shift_px, 12.0, blur_px=0.6)
+    left, right = (EightBit().grey(through_mosaic(side, light, rng)) for side in sides)
+    values = refined(left, right, coarse_px=round(shift_px)).values[20:-20, 40:-20]
+    assert abs(np.median(values) - shift_px) < 0.02
+
+
+@pytest.mark.parametrize("blur_px", [0.6, 1.0])
+@pytest.mark.parametrize("aside_px", [(0.25, -0.25), (-0.25, 0.25), (0.5, 0.0)])
+def test_what_is_rectified_by_parts_of_a_pixel_is_shifted_by_those(
+    aside_px: tuple[float, float], blur_px: float
+) -> None:
+    rng = np.random.default_rng(4)
+    sides = layer(8, 10.0, 12.0, blur_px)
+    height, width = sides[0].shape
+    first, second = (lens(shift=(aside, 0.0), size=(width, height)) for aside in aside_px)
+    plane = rectify(rig(first, second))
+    left, right = (
+        view.look_up(
+            np.clip(np.rint(110 + side + 0.7 * rng.normal(size=side.shape)), 0, 255).astype(np.uint8), to_match=True
+        )
+        for view, side in zip((plane.left, plane.right), sides, strict=True)
+    )
+    true_px = 10.0 - (aside_px[0] - aside_px[1])
+    values = refined(left, right, coarse_px=10.0).values[20:-20, 40:-20]
+    assert abs(np.median(values) - true_px) < 0.01
 
 
 @pytest.mark.parametrize("away_px", [-10.0, -8.0, -6.0])

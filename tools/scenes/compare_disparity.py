@@ -305,7 +305,7 @@ def matched_frames(
         raw = reader.read(left[index]), reader.read(right[index])
         assert raw[0] is not None, left[index]
         assert raw[1] is not None, right[index]
-        images = plane.left.look_up(raw[0]), plane.right.look_up(raw[1])
+        images = plane.left.look_up(raw[0], to_match=True), plane.right.look_up(raw[1], to_match=True)
         wide = [cv2.copyMakeBorder(image, 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
         found = match(wide[0], wide[1], region, StereoSettings())
         yield index, plane, images[0], found.values, found.sigma
