@@ -180,7 +180,8 @@ def test_a_mosaic_of_colours_draws_no_shift(light: tuple[float, float, float], s
     sides = layer(8, shift_px, 12.0, blur_px=0.6)
     left, right = (EightBit().grey(through_mosaic(side, light, rng)) for side in sides)
     values = refined(left, right, coarse_px=round(shift_px)).values[20:-20, 40:-20]
-    assert abs(np.median(values) - shift_px) < 0.02
+    # A third of the floor; by the usual weights for grey, and unsmoothed, it is 0.1 px.
+    assert abs(np.median(values) - shift_px) < 0.035
 
 
 @pytest.mark.parametrize("blur_px", [0.6, 1.0])
