@@ -163,13 +163,17 @@ def test_the_variance_holds_noise_that_is_interpolated_and_noise_that_is_not(ker
     assert 0.8 < spread_over_sigma(left, right, 10.3)[0] < 1.2
 
 
+def noisy(light: FloatArray, rng: np.random.Generator) -> Raster:
+    """Return what a sensor with little noise makes of light."""
+    return np.clip(np.rint(light + 0.7 * rng.normal(size=light.shape)), 0, 255).astype(np.uint8)
+
+
 def through_mosaic(grey: FloatArray, light: tuple[float, float, float], rng: np.random.Generator) -> Raster:
     """Return what a sensor with a mosaic of red, green, green and blue pixels makes of something grey in some light."""
     red, green, blue = (part * (110 + grey) for part in light)
     mosaic = green.copy()
     mosaic[::2, ::2], mosaic[1::2, 1::2] = red[::2, ::2], blue[1::2, 1::2]
-    raw = np.clip(np.rint(mosaic + 0.7 * rng.normal(size=mosaic.shape)), 0, 255).astype(np.uint8)
-    return np.asarray(cv2.cvtColor(raw, cv2.COLOR_BayerRGGB2BGR))
+    return np.asarray(cv2.cvtColor(noisy(mosaic, rng), cv2.COLOR_BayerRGGB2BGR))
 
 
 @pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (1.0, 0.95, 0.87), (0.7, 1.0, 0.8)], ids=["white", "sun", "raw"])
@@ -194,12 +198,8 @@ def test_what_is_rectified_by_parts_of_a_pixel_is_shifted_by_those(
     height, width = sides[0].shape
     first, second = (lens(shift=(aside, 0.0), size=(width, height)) for aside in aside_px)
     plane = rectify(rig(first, second))
-    left, right = (
-        view.look_up(
-            np.clip(np.rint(110 + side + 0.7 * rng.normal(size=side.shape)), 0, 255).astype(np.uint8), to_match=True
-        )
-        for view, side in zip((plane.left, plane.right), sides, strict=True)
-    )
+    views = zip((plane.left, plane.right), sides, strict=True)
+    left, right = (view.look_up(noisy(110 + side, rng), to_match=True) for view, side in views)
     true_px = 10.0 - (aside_px[0] - aside_px[1])
     values = refined(left, right, coarse_px=10.0).values[20:-20, 40:-20]
     assert abs(np.median(values) - true_px) < 0.01
