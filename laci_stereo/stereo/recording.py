@@ -314,8 +314,8 @@ class StereoRecording:
         parts = []
         for region in found:
             disparity = match(
-                _with_context(self.rectification.left, left, region),
-                _with_context(self.rectification.right, right, region),
+                with_context(self.rectification.left, left, region),
+                with_context(self.rectification.right, right, region),
                 region,
                 self.settings,
             )
@@ -376,7 +376,7 @@ def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:
     return [ranked[index] for index in ordered if index in taken]
 
 
-def _with_context(view: View, image: Raster, region: Region) -> Raster:
+def with_context(view: View, image: Raster, region: Region) -> Raster:
     """Rectify a region with the columns on its left that the matcher needs; beyond the image its border is repeated."""
     start = region.x0 - region.reach
     part = view.look_up(image, slice(region.y0, region.y1), slice(max(start, 0), region.x1), to_match=True)

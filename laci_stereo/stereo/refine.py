@@ -48,7 +48,8 @@ s^2 whatever n is, the second what it adds to the variance of a least-squares sh
 """
 
 LEFT_OF_NOISE = 0.826
-"""Of the variance of white noise's sums over such a square what `SMOOTHING` leaves."""
+"""Of the variance of white noise's sums over such a square what `SMOOTHING` leaves: the squares of its own sums over
+three taps, added up, over three."""
 
 ROUNDING = 1 / 6
 """Variance of the difference of two grey values from their rounding alone."""
@@ -96,7 +97,7 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     side : int
         Of the window, pixels, odd.
     """
-    own, other = (cv2.filter2D(image, cv2.CV_32F, SMOOTHING) for image in (left, right))
+    left, right = (cv2.filter2D(image, cv2.CV_32F, SMOOTHING) for image in (left, right))
     weight = found.astype(np.float32)
     count = _sums(weight, side)
     known = coarse * weight
@@ -104,21 +105,21 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
     straddles = _dilated(jump.astype(np.uint8), side) > 0
     start = np.where(straddles & found, coarse, _sums(known, side) / np.maximum(count, 1.0))
 
-    fine = _upsampled(other)
+    fine = _upsampled(right)
     u = FINER * np.arange(reach, reach + left.shape[1], dtype=np.float32)
     v = np.repeat(np.arange(len(left), dtype=np.float32)[:, None], left.shape[1], axis=1)
     shifted = _shifted(fine, u - FINER * start, v)
-    grey = _exposed_alike(own, shifted, weight, side)
+    grey = _exposed_alike(left, shifted, weight, side)
     gradient = cv2.filter2D(grey, cv2.CV_32F, DERIVATIVE) * weight
     shift = held = np.zeros_like(start)
     for step in range(STEPS):
         if step:
             shifted = _shifted(fine, u - FINER * (start + held), v)
         apart = (shifted - grey) * weight
-        gradient_there = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
-        mean = (gradient + gradient_there) / 2
+        other = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
+        mean = (gradient + other) / 2
         # The product of both images' gradients, since the square of one would count its noise as texture.
-        texture = gradient * gradient_there
+        texture = gradient * other
         information = np.maximum(_sums(texture, side), LEAST_INFORMATION)
         # A pixel's difference holds its own shift already; what is wanted is the shift of the whole window.
         shift = _sums(mean * apart + texture * held, side) / information

@@ -22,6 +22,7 @@ from laci_stereo.io.images import ImageFolder
 from laci_stereo.io.stereo_calibration import read_stereo_calibration
 from laci_stereo.stereo.disparity import Region, match
 from laci_stereo.stereo.reader import GreyReader
+from laci_stereo.stereo.recording import with_context
 from laci_stereo.stereo.rectify import Rectification, rectify
 from laci_stereo.stereo.settings import StereoSettings
 from tools.scenes.disparity import STEREOS, Mounted, StereoCamera, StereoName, match_frame
@@ -305,10 +306,9 @@ def matched_frames(
         raw = reader.read(left[index]), reader.read(right[index])
         assert raw[0] is not None, left[index]
         assert raw[1] is not None, right[index]
-        images = plane.left.look_up(raw[0], to_match=True), plane.right.look_up(raw[1], to_match=True)
-        wide = [cv2.copyMakeBorder(image, 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
-        found = match(wide[0], wide[1], region, StereoSettings())
-        yield index, plane, images[0], found.values, found.sigma
+        wide = with_context(plane.left, raw[0], region), with_context(plane.right, raw[1], region)
+        found = match(*wide, region, StereoSettings())
+        yield index, plane, wide[0][:, region.reach :], found.values, found.sigma
 
 
 def of_scene(scene: Scene, look: Look, frames: int) -> tuple[Figures, Figures]:
