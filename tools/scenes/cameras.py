@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -97,17 +98,34 @@ def random_mount(rng: np.random.Generator, target: FloatArray, distance_m: float
 
 
 def random_rig(rng: np.random.Generator) -> StereoRig:
-    """Draw a stereo camera: two lenses of the same kind, mounted about as well as two screws allow."""
+    """Draw a stereo camera."""
     size = SIZES[rng.integers(len(SIZES))]
     baseline = float(rng.choice(BASELINES_M))
     # From 45 to 80 degrees across: narrower lenses see no crossing, wider ones no car at 40 m.
     focal = size[0] / 2 / np.tan(np.radians(rng.uniform(45.0, 80.0)) / 2)
+    return raw_rig(rng, size, focal, baseline)
+
+
+def raw_rig(rng: np.random.Generator, size: tuple[int, int], focal_px: float, baseline_m: float) -> StereoRig:
+    """Draw two lenses of the same kind, mounted about as well as two screws allow."""
     strength = rng.choice([0.0, 0.3, 1.0])
-    left = _lens(rng, size, focal, strength)
-    right = _lens(rng, size, focal * rng.uniform(0.98, 1.02), strength)
+    left = _lens(rng, size, focal_px, strength)
+    right = _lens(rng, size, focal_px * rng.uniform(0.98, 1.02), strength)
     R = Rotation.from_rotvec(np.radians(rng.normal(0.0, 0.5, 3))).as_matrix()
-    centre = baseline * np.array([1.0, *rng.normal(0.0, 0.01, 2)])
+    centre = baseline_m * np.array([1.0, *rng.normal(0.0, 0.01, 2)])
     return StereoRig(left, right, R, -R @ centre)
+
+
+def mistold(rig: StereoRig, focal_error: float, baseline_error: float) -> StereoRig:
+    """Return a rig as a calibration tells it that has focal lengths and baseline too long by these shares."""
+    scale = np.diag([1.0 + focal_error, 1.0 + focal_error, 1.0])
+
+    def told(lens: Lens) -> Lens:
+        return replace(lens, K=lens.K @ scale)
+
+    return replace(
+        rig, left=told(rig.left), right=told(rig.right), t_right_left_m=rig.t_right_left_m * (1.0 + baseline_error)
+    )
 
 
 def _lens(rng: np.random.Generator, size: tuple[int, int], focal_px: float, strength: float) -> Lens:

@@ -18,8 +18,10 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.world import World
 from laci_stereo.io.images import ImageFolder, pair_images
+from laci_stereo.io.stereo_calibration import StereoRig
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
+from tools.scenes.cameras import mistold, raw_rig
 from tools.scenes.detector import detect
 from tools.scenes.disparity import StereoCamera
 from tools.scenes.render import random_look, write_stereo
@@ -82,19 +84,29 @@ def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> tupl
 
 
 def rendered(scene: Scene, folder: Path, step: int = RENDERED_STEP) -> StereoRecording:
-    """Render a stereo camera's images of every ``step``-th frame into a folder, and open them as a user's."""
-    camera = scene.sensor
-    assert isinstance(camera, StereoCamera), scene.sensor_kind
+    """Render a stereo camera's raw images of every ``step``-th frame into a folder, and open them as a user's."""
     look = random_look(np.random.default_rng(scene.seed))
     stamps = scene.stamps_ns[::step].tolist()
     write_stereo(
-        scene.bodies, camera.rig, scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed
+        scene.bodies, rig_of(scene), scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed
     )
     return reopened(scene, folder)
 
 
 def reopened(scene: Scene, folder: Path) -> StereoRecording:
     """Open images of a stereo camera that were rendered before."""
-    assert isinstance(scene.sensor, StereoCamera), scene.sensor_kind
+    camera = _stereo(scene)
+    told = mistold(rig_of(scene), camera.focal_error, camera.baseline_error)
     pairs = pair_images(ImageFolder.open(folder / "left"), ImageFolder.open(folder / "right"))
-    return StereoRecording(pairs.pairs, scene.sensor.as_told.rig, StereoSettings(workers=1))
+    return StereoRecording(pairs.pairs, told, StereoSettings(workers=1))
+
+
+def rig_of(scene: Scene) -> StereoRig:
+    """Return the lenses that a scene's stereo camera has, and how they stand to each other."""
+    camera = _stereo(scene)
+    return raw_rig(np.random.default_rng([scene.seed, 8]), camera.size_px, camera.focal_px, camera.baseline_m)
+
+
+def _stereo(scene: Scene) -> StereoCamera:
+    assert isinstance(scene.sensor, StereoCamera), scene.sensor_kind
+    return scene.sensor
