@@ -43,10 +43,11 @@ _NORMAL = slice(1, 3)
 BY_OPTICS = slice(FOCAL, BASELINE + 1)
 """The derivatives by both, and where they are among the parameters."""
 
-_CLOCK, _HEADING, _LEVER, _BEGIN, _GLOSS, _GROWTH, _KNOTS = (
-    FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GLOSS, GROWTH, KNOTS)
+_CLOCK, _HEADING, _LEVER, _BEGIN, _GROWTH, _KNOTS = (
+    FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GROWTH, KNOTS)
 )
 _SHAPE = slice(FIRST_OWN + SHAPE.start, FIRST_OWN + SHAPE.stop)
+_GLOSS = slice(FIRST_OWN + GLOSS.start, FIRST_OWN + GLOSS.stop)
 _PARTIAL = FIRST_OWN + PARTIAL
 
 GRAZING = 0.3
@@ -506,10 +507,9 @@ class DriveModel:
         rows = replace(rows, variance=rows.variance + (1.0 - met.hits.cos**2) * aside_m**2)
         if drive.window_rad == 0.0:
             return rows
-        rows.jacobian[:, _GLOSS] = (
-            gloss.mirrored(met.hits.cos * np.cos(drive.above_rad[points])) * rows.jacobian[:, BIAS]
-        )
-        return replace(rows, distance=rows.distance + x[_GLOSS] * rows.jacobian[:, _GLOSS])
+        mirrored = gloss.mirrored(met.hits.cos * np.cos(drive.above_rad[points]))
+        rows.jacobian[:, _GLOSS] = mirrored * rows.jacobian[:, [BIAS]]
+        return replace(rows, distance=rows.distance + rows.jacobian[:, _GLOSS] @ x[_GLOSS])
 
     def _window_m(self, range_m: FloatArray) -> FloatArray:
         """Return how wide a matcher's window is at ranges on the ground plan, shape (n,)."""

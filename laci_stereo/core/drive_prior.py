@@ -14,13 +14,15 @@ from laci_stereo.core.settings import JointSettings
 
 CLOCK, HEADING, LEVER, BEGIN = range(4)
 SHAPE = slice(4, 4 + len(outline.SHAPE))
-PARTIAL, GLOSS, GROWTH = range(SHAPE.stop, SHAPE.stop + 3)
+PARTIAL = SHAPE.stop
+GLOSS = slice(PARTIAL + 1, PARTIAL + 1 + len(gloss.EXPECTED))
+GROWTH = GLOSS.stop
 KNOTS = GROWTH + 2
 """A drive's own parameters: clock offset, heading error, heading lever, how the body stood when the messages began, the
-shape, how partial a detector's boxes are, how glossy the body is, by how much each of two borders grows, and the knots
-of the positions' errors, of all x and then of all y."""
+shape, how partial a detector's boxes are, how glossy the body is with any paint and with its own, by how much each of
+two borders grows, and the knots of the positions' errors, of all x and then of all y."""
 
-LASTING = (HEADING, LEVER, *range(SHAPE.start, SHAPE.stop), GLOSS)
+LASTING = (HEADING, LEVER, *range(SHAPE.start, SHAPE.stop), *range(GLOSS.start, GLOSS.stop))
 """Of these, what is the sender's and its vehicle's in all drives that they make."""
 
 HEADING_LEVER = 0.4
@@ -104,7 +106,7 @@ class DrivePrior:
         self.mean = np.zeros(KNOTS + 2 * len(drift))
         self.mean[LEVER] = HEADING_LEVER * length_m
         self.mean[SHAPE], shape_sigma = outline.expected_shape(width_m)
-        self.mean[PARTIAL], self.mean[GLOSS] = PARTIAL_MEAN, gloss.SHIFT
+        self.mean[PARTIAL], self.mean[GLOSS] = PARTIAL_MEAN, gloss.EXPECTED
         self._told_sigmas = np.array(
             [
                 clock_sigma_s,
@@ -126,7 +128,7 @@ class DrivePrior:
         self._otherwise[BEGIN, BEGIN] = BEGIN_SIGMA**2
         self._otherwise[SHAPE, SHAPE] = np.diag(shape_sigma**2)
         self._otherwise[PARTIAL, PARTIAL] = PARTIAL_SIGMA**2
-        self._otherwise[GLOSS, GLOSS] = gloss.SHIFT**2
+        self._otherwise[GLOSS, GLOSS] = np.diag(np.square(gloss.SIGMA))
         growth = range(GROWTH, KNOTS)
         self._otherwise[growth, growth] = BORDER_SIGMA**2
         middle = KNOTS + len(drift)

@@ -10,7 +10,7 @@ pytest.importorskip("embreex")
 from laci_stereo.core.settings import Settings
 from tools.bench_scenes import METHODS, Job, jobs_of, missing, run
 from tools.scenes.runs import Run, beyond, read_runs, recorded, table
-from tools.scenes.scene import draw_scene
+from tools.scenes.scene import draw_scene, errors_of
 from tools.scenes.seeing import rendered, see
 
 DONE = Run("lidar_16", "joint", 1, good=True, verdict="pass", track_xy_cm=3.0, rotation_deg=0.1)
@@ -103,8 +103,9 @@ def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
     scene = replace(scene, sensor=small)
     images = rendered(scene, tmp_path, step=60)
     assert [pair.stamp_ns for pair in images.pairs] == scene.stamps_ns[::60].tolist()
-    assert images.rectification.baseline_m == pytest.approx(small.baseline_m)
-    assert images.rectification.focal_px == pytest.approx(small.focal_px)
+    assert images.rig.left.size == small.size_px
+    assert images.rectification.baseline_m == pytest.approx(small.baseline_m, rel=0.01)
+    assert images.rectification.focal_px == pytest.approx(small.focal_px, rel=0.2)
     first, later = (cv2.imread(str(pair.left), cv2.IMREAD_GRAYSCALE).astype(np.float64) for pair in images.pairs[:2])
     assert first.shape == (64, 96)
     assert np.abs(first - later).max() > 10.0  # something has moved
@@ -177,3 +178,11 @@ def test_a_stereo_calibration_that_is_wrong_is_a_warning(error: dict[str, float]
     quality = see(scene, "simulated").locate(Settings()).quality
     assert quality.verdict == ("warn" if told else "pass")
     assert re.search(told, "; ".join(quality.reasons))
+
+
+@pytest.mark.slow
+def test_a_black_glossy_car_is_no_wrong_calibration() -> None:
+    scene = draw_scene(300016, "stereo_02")
+    found = see(scene, "simulated").locate(Settings())
+    assert "calibration" not in "; ".join(found.quality.reasons)
+    assert errors_of(found, scene).sigma_ratio < 3.0
