@@ -108,6 +108,7 @@ def test_world_in_which_a_result_is_given_does_not_matter(tmp_path: Path) -> Non
         assert (other.value, other.sigma) == pytest.approx((one.value, one.sigma), rel=1e-5, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_chi_square_is_that_of_six_where_both_are_as_good_as_they_claim(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     covariance = np.array(original()["covariance"])

@@ -58,6 +58,7 @@ def test_nothing_to_export_says_what_is_needed(result: Path) -> None:
     assert "needed are a CALIBRATION and --to FORMAT, or --list" in str(invoke("export", result).exception)
 
 
+@pytest.mark.slow
 def test_imported_result_is_compared_but_not_judged(result: Path, tmp_path: Path) -> None:
     matrix = tmp_path / "T.txt"
     invoke("export", result, "--to", "matrix", "--out", matrix)
@@ -142,6 +143,7 @@ def map_csv(osm: Path, path: Path) -> None:
     path.write_text("\n".join(rows) + "\n")
 
 
+@pytest.mark.slow
 def test_a_map_in_metres_serves_as_well(calibrated: Calibrated) -> None:
     assert "the map's coordinates are WGS 84 / UTM zone 32N, as --map-crs says" in calibrated.said
     document = json.loads((calibrated.site.out / "calibration.json").read_text())

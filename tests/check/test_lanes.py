@@ -72,6 +72,7 @@ def test_wide_claim_excuses_no_such_shift() -> None:
     assert crossing().check(shift(0.33, 0.0), covariance=unsure).judgement.outcome == "fail"
 
 
+@pytest.mark.slow
 def test_turned_world_gives_the_turned_answer() -> None:
     yaw, error = 1.1, shift(0.2, -0.1)
     turned_lines = tuple(replace(each, xy=rotate_xy(yaw, each.xy)) for each in CROSSING)

@@ -80,6 +80,7 @@ def test_the_senders_track_is_found_among_others() -> None:
     assert choice.second < 0.8 * choice.explained
 
 
+@pytest.mark.slow
 @given(motions, st.integers(0, 100))
 @settings(max_examples=20, deadline=None)
 def test_the_choice_does_not_depend_on_where_the_sensor_stands(motion: PlanarMatch, seed: int) -> None:

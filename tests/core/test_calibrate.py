@@ -114,7 +114,7 @@ def solved(name: str, method: Method = "joint") -> Calibration:
     return solved_by(method, name)
 
 
-@pytest.mark.parametrize("method", ["joint", "paper"])
+@pytest.mark.parametrize("method", ["joint", pytest.param("paper", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", NAMES)
 def test_the_truth_is_found(name: str, method: Method) -> None:
     made, _ = SCENES[name]

@@ -57,6 +57,7 @@ def test_one_drive_gives_what_it_gave() -> None:
         assert found.quality.frames_seen == alone.quality.frames_seen
 
 
+@pytest.mark.slow
 def test_a_drive_that_was_estimated_by_the_papers_method_is_sought_in_a_car_s_width_around() -> None:
     for passage, (_, alone) in zip(passages(), recorded(), strict=True):
         rough = replace(passage.match, shift=passage.match.shift + np.array([0.8, -0.6]))
@@ -242,6 +243,7 @@ def test_a_recording_s_clock_is_known_no_better_by_two_cars_that_follow_each_oth
     assert apart.track_xy_sigma_m < 0.8 * one.quality.track_xy_sigma_m
 
 
+@pytest.mark.slow
 def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
     one, other = passages()[:2]
     tight = combine([one, other], Settings(joint=JointSettings(clock_sigma_s=1.0)))

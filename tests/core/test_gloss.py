@@ -114,6 +114,7 @@ def test_what_is_as_glossy_as_it_is_taken_for_lies_where_it_is() -> None:
     assert np.median(matt - mirroring) > 0.01
 
 
+@pytest.mark.slow
 def test_the_less_is_known_of_gloss_the_less_a_grazed_side_tells(monkeypatch: pytest.MonkeyPatch) -> None:
     shift, sigma = np.array(gloss.EXPECTED), np.array(gloss.SIGMA)
     doubts = []

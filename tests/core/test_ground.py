@@ -99,6 +99,7 @@ def test_required_accuracy_on_many_scenes(kind: str) -> None:
     check_required(kind, [*range(200), *range(1010, 1020)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_scenes_are_as_hard_as_they_claim(kind: str) -> None:
     above, below = [], []
@@ -113,6 +114,7 @@ def test_scenes_are_as_hard_as_they_claim(kind: str) -> None:
     assert 0.0005 < min(below) <= max(below) < 0.03
 
 
+@pytest.mark.slow
 def test_principal_axes_from_all_points_go_astray_where_the_fit_does_not() -> None:
     for seed in range(4):
         scene = ground_scene(seed, "stereo", tilt_deg=25.0, height_m=6.0)

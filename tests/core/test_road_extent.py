@@ -134,9 +134,8 @@ def test_roads_that_cross_are_level_where_both_fall_from_their_crowns(askew_deg:
     assert np.mean(squares) < 3.5
 
 
-@pytest.mark.parametrize(
-    "turned_rad", [0.0, *(pytest.param(part * np.pi / 16, marks=pytest.mark.slow) for part in (1, 2, 3))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("turned_rad", [part * np.pi / 16 for part in range(4)])
 def test_a_verge_of_a_road_that_the_way_turns_into_does_not_tilt_it(turned_rad: float) -> None:
     """It is straight, and the way is not; which direction that is in the sensor's frame does not matter."""
     turn = np.array([[np.cos(turned_rad), -np.sin(turned_rad)], [np.sin(turned_rad), np.cos(turned_rad)]])
@@ -354,7 +353,8 @@ def test_road_that_is_seen_only_before_and_behind_where_the_vehicle_was_is_found
     assert np.degrees(np.linalg.norm(off)) < 0.1
 
 
-@pytest.mark.parametrize("half_m", [3.25, pytest.param(5.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("half_m", [3.25, 5.0])
 def test_a_road_of_which_both_kerbs_are_seen_has_no_other_side(half_m: float) -> None:
     """Nothing of the land is seen: a level strip may be one side of a crowned road then, unless kerbs bound it."""
     xy = plan(0.25)

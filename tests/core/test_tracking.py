@@ -94,6 +94,7 @@ def test_however_seldom_frames_come_one_that_is_missing_is_bridged(period_s: flo
     assert same(found, seen)
 
 
+@pytest.mark.slow
 def test_strays_that_nothing_links_cost_little_memory() -> None:
     """Foliage that is seen for a moment here and there, for an hour: what may follow what is looked at by places."""
     rng = np.random.default_rng(3)

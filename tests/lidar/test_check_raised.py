@@ -149,7 +149,8 @@ def test_turn_of_half_a_degree_fails_by_kerbs() -> None:
         assert check(crossing(), KERBS, T_error).judgement.outcome == "fail"
 
 
-@pytest.mark.parametrize("kerb_m", [pytest.param(0.04, marks=pytest.mark.slow), 0.2])
+@pytest.mark.slow
+@pytest.mark.parametrize("kerb_m", [0.04, 0.2])
 def test_kerbs_may_be_low_or_high(kerb_m: float) -> None:
     found = check(crossing(kerb_m), KERBS)
     assert found.judgement.outcome == "pass", found.judgement
@@ -210,6 +211,7 @@ def test_wall_is_seen_above_ground_that_rises() -> None:
     assert check(scanned(*[[land, *walls(3.0)]] * SCANS), WALLS).lines_found == len(WALLS)
 
 
+@pytest.mark.slow
 def test_heights_do_not_depend_on_where_the_world_begins() -> None:
     """Turned with its map, the world gives the turned answer."""
     T = turn_about(np.array([3.0, -2.0]), 50.0)

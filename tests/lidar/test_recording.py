@@ -331,13 +331,8 @@ def seen_on_map(recording: LidarRecording) -> FloatArray:
     return transform(found.T_utm_sensor, transform(invert(MADE.recording.T_world_sensor), way))
 
 
-@pytest.mark.parametrize(
-    "form",
-    [
-        "mcap",
-        *(pytest.param(form, marks=pytest.mark.slow) for form in (*FILE_FORMATS, "ros 1 bag", "ros 2 bag")),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("form", [*FILE_FORMATS, "ros 1 bag", "ros 2 bag", "mcap"])
 def test_every_format_gives_the_same_place_to_a_millimetre(
     form: str, columns: list[dict[str, Array]], from_memory: FloatArray, tmp_path: Path
 ):

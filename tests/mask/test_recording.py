@@ -95,6 +95,7 @@ def only_on(one: Box, other: Box, cloud: PointCloud) -> int:
     return int(((off_surfaces(points, [one]) < 3) & (off_surfaces(points, [other]) > 3)).sum())
 
 
+@pytest.mark.slow
 def test_the_survey_is_the_same_as_without(tmp_path: Path) -> None:
     pairs = frames("ideal", tmp_path)
     masked = StereoRecording(pairs, RIGS["ideal"], mask=VehicleMask(TrueBoxes("ideal", pairs), "truth"))

@@ -67,6 +67,7 @@ def test_half_written_lines_are_cut(whole: Monitor, tmp_path: Path, junk: bytes)
     assert contents(out) == contents(whole.out)
 
 
+@pytest.mark.slow
 def test_run_that_is_done_stays_done(whole: Monitor, tmp_path: Path) -> None:
     gone_through(SOURCE, plan(SOURCE), tmp_path)
     assert gone_through(SOURCE, plan(SOURCE), tmp_path).resumed

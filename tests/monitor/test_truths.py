@@ -76,6 +76,7 @@ def test_positions_of_objects_are_the_truth(tmp_path: Path) -> None:
     assert float(rows[0]["speed"]) == pytest.approx(8.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_wrong_way_is_counted_as_such(tmp_path: Path) -> None:
     found = driven(tmp_path, one_by_one(drive(), drive(against=True), drive())).state.tally.strips["1"]
     assert (found.along, found.against) == (2, 1)
