@@ -121,6 +121,7 @@ def test_chi_square_is_that_of_six_where_both_are_as_good_as_they_claim(tmp_path
     assert np.mean(np.array(found) > chi2.isf(0.01, 6)) < 0.05
 
 
+@pytest.mark.slow
 def test_every_sigma_is_the_scatter_of_its_difference(tmp_path: Path) -> None:
     """Objects away from the centre, and the sensor itself, are moved by turns too, and their sigmas know."""
     rng = np.random.default_rng(8)

@@ -83,6 +83,7 @@ def matched(folder: Path, made: Traffic, options: MatchOptions | None = None, tr
 # ------------------------------------------------------------------------------------- how well it does
 
 
+@pytest.mark.slow
 def test_boxes_whose_y_points_to_the_right(tmp_path: Path) -> None:
     site = lay(tmp_path, traffic(TURNS))
     rows, log = detection_rows(site.made), site.made.detections

@@ -94,7 +94,7 @@ LATE = 2.0
 
 SURELY, TURNED_RAD = 4.0, np.radians(30.0)
 """It is so only if what is found is beyond so many of its own standard deviations, of both of the optics together: four
-of some forty calibrations that were right were found to be wrong by three. And where on the vehicle positions are, only
+of some fifty calibrations that were right were found to be wrong by three. And where on the vehicle positions are, only
 a turn tells, in which half of a length is off by half of that. Straight on the noise of headings looks so."""
 
 

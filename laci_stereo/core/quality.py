@@ -193,7 +193,7 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
         ("tilt", tilt_deg, "deg", 2.0 * settings.max_sigma_deg),
     ]
     reasons = tuple(
-        f"{what} is known to {value:.3g} {unit}; the limit is {limit:.3g} {unit}"
+        f"{what} is known to {_beyond(value, limit)} {unit}; the limit is {limit:.3g} {unit}"
         for what, value, unit, limit in checks
         if value > limit
     )
@@ -216,3 +216,8 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
         frames_seen=frames_seen,
         left_out=placement.left_out,
     )
+
+
+def _beyond(value: float, limit: float) -> str:
+    """Return a number that is beyond a limit with so many digits that it reads so."""
+    return next(told for digits in range(3, 18) if (told := f"{value:.{digits}g}") != f"{limit:.{digits}g}")

@@ -89,7 +89,8 @@ def test_a_drive_whose_messages_are_a_metre_off_is_named_and_left_out(wrong: int
     assert misplaced(found.calibration)[0] < 0.05
 
 
-@pytest.mark.parametrize("alike", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("alike", [True, False])
 def test_positions_of_another_place_on_the_vehicle_are_told_whether_drives_agree_or_not(alike: bool) -> None:
     """What both drives err by alike puts the sensor at one wrong place; by one drive alone it contradicts the other."""
     one, other = passages()[:2]
@@ -155,7 +156,8 @@ def test_drives_of_different_zones_or_axes_are_refused() -> None:
         combine([one, replace(other, axes=Axes((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))])
 
 
-@pytest.mark.parametrize("late_s", [-0.2, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("late_s", [-0.2, 0.2])
 def test_each_drive_has_its_own_clock(late_s: float) -> None:
     one, other = (replace(passage, clock_sigma_s=1.0) for passage in passages()[:2])
     late = replace(other, vehicle=replace(other.vehicle, stamps_s=other.vehicle.stamps_s + late_s))

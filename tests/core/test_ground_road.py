@@ -152,7 +152,8 @@ def test_the_side_of_the_crown_that_is_seen_is_not_taken_for_the_road(crown: flo
     assert tilt_sigma_deg(ground) > HALF_FALL_DEG
 
 
-@pytest.mark.parametrize("crown", [pytest.param(0.01, marks=pytest.mark.slow), 0.025])
+@pytest.mark.slow
+@pytest.mark.parametrize("crown", [0.01, 0.025])
 def test_both_sides_of_the_crown_tell_the_road(crown: float) -> None:
     # Most of what is seen is on the near side.
     lane = places(Track(tuple(sighting(0.1 * i, np.array([i - 20.0, ROAD_Y_M - 1.75])) for i in range(50))))

@@ -194,9 +194,10 @@ def test_a_doubtful_tilt_is_named() -> None:
     assert quality.height_sigma_m == pytest.approx(0.02)
 
 
-def test_a_reason_shows_that_the_limit_is_exceeded() -> None:
-    (reason,) = verdict(of(0.0, float(np.radians(0.503)), 0.0)).reasons
-    assert reason == "yaw is known to 0.503 deg; the limit is 0.5 deg"
+@pytest.mark.parametrize(("yaw_deg", "told"), [(0.503, "0.503"), (0.500031, "0.50003")])
+def test_a_reason_shows_that_the_limit_is_exceeded(yaw_deg: float, told: str) -> None:
+    (reason,) = verdict(of(0.0, float(np.radians(yaw_deg)), 0.0)).reasons
+    assert reason == f"yaw is known to {told} deg; the limit is 0.5 deg"
 
 
 def test_the_weakest_direction_is_that_of_the_least_known_axis() -> None:

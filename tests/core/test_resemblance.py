@@ -91,6 +91,7 @@ def test_the_start_need_not_be_exact() -> None:
     assert found.fit(DRIVE.middles) == pytest.approx(TRUTH(DRIVE.middles), abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_clock_that_contradicts_speaks_against_it() -> None:
     # The turn tells time: a third of a second is beyond what clocks that agree to 10 ms can be.
     # As much as that a sender is mistaken about its reference point, which is the other explanation of the bend.

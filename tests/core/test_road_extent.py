@@ -63,11 +63,9 @@ def test_a_low_kerb_with_a_pavement_behind_it_ends_a_road_with_a_crown() -> None
     assert np.degrees(abs(value[2])) < 0.2
 
 
-@pytest.mark.parametrize(
-    ("fall", "sigma_m"),
-    [(0.04, 0.02), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.06, 0.05), (0.05, 0.1)))],
-)
-@pytest.mark.parametrize("half_m", [4.0, pytest.param(4.25, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("fall", "sigma_m"), [(0.04, 0.02), (0.06, 0.05), (0.05, 0.1)])
+@pytest.mark.parametrize("half_m", [4.0, 4.25])
 def test_a_verge_with_level_land_behind_it_is_no_other_side_of_a_crown(
     half_m: float, fall: float, sigma_m: float
 ) -> None:

@@ -195,6 +195,7 @@ def wait_for(path: Path) -> None:
     raise AssertionError(f"{path} was not written in a minute")
 
 
+@pytest.mark.slow
 def test_interrupted_before_a_checkpoint_it_leaves_nothing(calibrated: Calibrated, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with running(calibrated.arguments(out), calibrated.site.root) as process:

@@ -37,7 +37,8 @@ def driven(tmp_path: Path, source: Traffic, *strips: Strip) -> Monitor:
     return gone_through(source, plan(source, *strips), tmp_path / "out")
 
 
-@pytest.mark.parametrize(("kind", "left_m"), [("lidar", 0.4), pytest.param("stereo", -0.4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "left_m"), [("lidar", 0.4), ("stereo", -0.4)])
 def test_offset_from_the_middle_of_a_lane_is_found_within_its_error(tmp_path: Path, kind: str, left_m: float) -> None:
     habits = np.array([-0.2, 0.0, 0.05, 0.15])
     source = one_by_one(*(drive(left_m + habit) for habit in habits), sensor=SENSORS[kind])
