@@ -150,6 +150,10 @@ def rewrite(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
+SMALL_LIMIT = ("--max-sigma-deg", "1")
+"""Twenty frames of half the size tell the yaw to 0.5 deg, which is the usual limit."""
+
+
 def write_small_recording(folder: Path) -> None:
     """Write some pairs of the demonstration data in half their size, with the calibration that fits them."""
     names = sorted(path.name for path in (DEMONSTRATION / "left").iterdir())

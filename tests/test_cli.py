@@ -22,6 +22,7 @@ from jsonschema import Draft202012Validator
 import laci_stereo
 from tests.cli_support import (
     DEMONSTRATION,
+    SMALL_LIMIT,
     Finished,
     Site,
     link_recording,
@@ -116,7 +117,7 @@ def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bo
     """By their times: the images are of one moment."""
     for path in images(site.right):
         path.rename(path.with_name(f"{int(path.stem) + round(later_ms * 1e6)}.jpg"))
-    ran = site.run()
+    ran = site.run(*SMALL_LIMIT)
     assert ran.code == 0, ran
     words = f"left and right images are {later_ms:.1f} ms apart by their times (median; {later_ms:.1f} ms at most)"
     document = json.loads((site.out / "calibration.json").read_text())

@@ -15,7 +15,17 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from laci_stereo.io.calibration_file import schema
-from tests.cli_support import Ran, Site, link_recording, refusal, run, run_installed, snapshot, write_small_recording
+from tests.cli_support import (
+    SMALL_LIMIT,
+    Ran,
+    Site,
+    link_recording,
+    refusal,
+    run,
+    run_installed,
+    snapshot,
+    write_small_recording,
+)
 
 
 @dataclass(frozen=True)
@@ -35,16 +45,12 @@ class Calibrated:
         return run(["check", *map(str, (calibration, self.site.left, *options))], self.site.root)
 
 
-LIMIT = ("--max-sigma-deg", "1")
-"""Twenty frames of half the size tell the yaw to 0.5 deg, which is the usual limit."""
-
-
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     root = tmp_path_factory.mktemp("recording")
     write_small_recording(root)
     site = Site(root)
-    ran = site.run(*LIMIT)
+    ran = site.run(*SMALL_LIMIT)
     assert ran.code == 0, ran
     return Calibrated(site, site.out, ran.out)
 
@@ -219,7 +225,7 @@ def test_map_that_contradicts_a_result_lowers_its_verdict(calibrated: Calibrated
     moved = tmp_path / "map.osm"
     moved.write_text(re.sub(r'lat="([0-9.]+)"', lambda found: f'lat="{float(found[1]) + 4e-6:.9f}"', text))
     out = tmp_path / "result"
-    ran = calibrated.site.run("--map", moved, *LIMIT, out=out)
+    ran = calibrated.site.run("--map", moved, *SMALL_LIMIT, out=out)
     assert ran.code == 0, ran
     document = json.loads((out / "calibration.json").read_text())
     assert document["lane_check"]["verdict"] == "fail"
