@@ -58,7 +58,6 @@ def test_nothing_to_export_says_what_is_needed(result: Path) -> None:
     assert "needed are a CALIBRATION and --to FORMAT, or --list" in str(invoke("export", result).exception)
 
 
-@pytest.mark.slow
 def test_imported_result_is_compared_but_not_judged(result: Path, tmp_path: Path) -> None:
     matrix = tmp_path / "T.txt"
     invoke("export", result, "--to", "matrix", "--out", matrix)
@@ -159,7 +158,8 @@ def exported(calibrated: Calibrated, tmp_path_factory: pytest.TempPathFactory) -
     return folder / "T.txt"
 
 
-@pytest.mark.parametrize(("off_m", "code"), [pytest.param(0.0, 0, marks=pytest.mark.slow), (0.5, 1)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("off_m", "code"), [(0.0, 0), (0.5, 1)])
 def test_imported_result_is_held_against_the_map(
     calibrated: Calibrated, exported: Path, tmp_path: Path, off_m: float, code: int
 ) -> None:
@@ -176,6 +176,7 @@ def test_imported_result_is_held_against_the_map(
     assert "was imported and does not say how good it is; taken are 0.3 m and 0.5 deg in the plane" in checked.err
 
 
+@pytest.mark.slow
 def test_a_check_takes_the_baseline_that_the_result_was_made_with(calibrated: Calibrated, tmp_path: Path) -> None:
     """Of a rig whose lengths are in centimetres, as nothing in its file says."""
     site = calibrated.site

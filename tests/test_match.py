@@ -149,6 +149,7 @@ def levelled(made: Traffic, height_m: float) -> Traffic:
     return replace(made, T_world_sensor=level, detections=replace(made.detections, points_sensor=points))
 
 
+@pytest.mark.slow
 def test_another_yaw_of_the_sensor_is_another_yaw_of_the_result(tmp_path: Path) -> None:
     made = levelled(traffic(3, 8), 6.0)
     turned_rad = 0.7

@@ -459,6 +459,7 @@ def test_what_is_taken_with_a_doubt_is_rather_the_vehicle_than_a_stranger() -> N
     assert min(odds) >= 1.0
 
 
+@pytest.mark.slow
 def test_outlines_decide_between_many_that_boxes_do_not() -> None:
     tracks = [
         seen(DRIVE, STAMPS[:20], noise_m=0.2, seed=seed, sensor=PlanarMatch(seed, TRUTH.shift)) for seed in range(7)

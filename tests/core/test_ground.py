@@ -122,6 +122,7 @@ def test_principal_axes_from_all_points_go_astray_where_the_fit_does_not() -> No
         assert angle_deg(fitted(scene).normal, scene.normal) < MOST_DEG
 
 
+@pytest.mark.slow
 def test_most_points_are_sometimes_on_a_wall_where_the_fit_is_not() -> None:
     scenes = [ground_scene(seed, "lidar", tilt_deg=10.0, height_m=6.0) for seed in range(8)]
     on_wall = [s for s in scenes if angle_deg(plain_ransac(s.points, 0), s.normal) > 45.0]
@@ -237,6 +238,7 @@ def road(noise_m: float = 0.02, height_m: float = 5.0, n: int = 8000) -> tuple[F
     return points, np.full(n, noise_m), 1e-4 * ranges[:, 0]
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(
     axis=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda a: np.linalg.norm(a) > 0.1),

@@ -173,6 +173,7 @@ def test_what_all_points_err_by_alike_does_not_hide_the_road() -> None:
     assert surface.cells.left_m.max() - surface.cells.left_m.min() > REACH_M
 
 
+@pytest.mark.slow
 def test_what_stands_on_the_way_is_no_road() -> None:
     xy = plan(0.2)
     on_way = (np.abs(xy[:, 1] - WAY_Y_M) < HALF_VEHICLE_M) & (xy[:, 0] > 2.0)

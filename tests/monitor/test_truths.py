@@ -158,6 +158,7 @@ def test_scene_is_learnt_from_the_stretch_before(tmp_path: Path) -> None:
     assert monitor.state.tally.strips["1"].along == 1
 
 
+@pytest.mark.slow
 def test_stretch_that_shows_nothing_is_seen_against_the_one_before(tmp_path: Path) -> None:
     class Fog(Traffic):
         def learn(self, frames: range) -> Seen:
