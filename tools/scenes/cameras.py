@@ -118,14 +118,9 @@ def raw_rig(rng: np.random.Generator, size: tuple[int, int], focal_px: float, ba
 
 def mistold(rig: StereoRig, focal_error: float, baseline_error: float) -> StereoRig:
     """Return a rig as a calibration tells it that has focal lengths and baseline too long by these shares."""
-    scale = np.diag([1.0 + focal_error, 1.0 + focal_error, 1.0])
-
-    def told(lens: Lens) -> Lens:
-        return replace(lens, K=lens.K @ scale)
-
-    return replace(
-        rig, left=told(rig.left), right=told(rig.right), t_right_left_m=rig.t_right_left_m * (1.0 + baseline_error)
-    )
+    longer = np.diag([1.0 + focal_error, 1.0 + focal_error, 1.0])
+    left, right = (replace(lens, K=lens.K @ longer) for lens in (rig.left, rig.right))
+    return replace(rig, left=left, right=right, t_right_left_m=rig.t_right_left_m * (1.0 + baseline_error))
 
 
 def _lens(rng: np.random.Generator, size: tuple[int, int], focal_px: float, strength: float) -> Lens:

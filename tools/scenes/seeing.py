@@ -18,7 +18,7 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.world import World
 from laci_stereo.io.images import ImageFolder, pair_images
-from laci_stereo.io.stereo_calibration import StereoRig
+from laci_stereo.io.stereo_calibration import read_stereo_calibration
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
 from tools.scenes.cameras import mistold, raw_rig
@@ -85,26 +85,19 @@ def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> tupl
 
 def rendered(scene: Scene, folder: Path, step: int = RENDERED_STEP) -> StereoRecording:
     """Render a stereo camera's raw images of every ``step``-th frame into a folder, and open them as a user's."""
-    look = random_look(np.random.default_rng(scene.seed))
+    camera, look = _stereo(scene), random_look(np.random.default_rng(scene.seed))
+    rig = raw_rig(np.random.default_rng([scene.seed, 8]), camera.size_px, camera.focal_px, camera.baseline_m)
     stamps = scene.stamps_ns[::step].tolist()
-    write_stereo(
-        scene.bodies, rig_of(scene), scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed
-    )
+    write_stereo(scene.bodies, rig, scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed)
     return reopened(scene, folder)
 
 
 def reopened(scene: Scene, folder: Path) -> StereoRecording:
-    """Open images of a stereo camera that were rendered before."""
-    camera = _stereo(scene)
-    told = mistold(rig_of(scene), camera.focal_error, camera.baseline_error)
+    """Open images of a stereo camera that were rendered before, with the rig that is written beside them."""
+    camera, rig = _stereo(scene), read_stereo_calibration(folder / "stereo.yaml")
+    told = mistold(rig, camera.focal_error, camera.baseline_error)
     pairs = pair_images(ImageFolder.open(folder / "left"), ImageFolder.open(folder / "right"))
     return StereoRecording(pairs.pairs, told, StereoSettings(workers=1))
-
-
-def rig_of(scene: Scene) -> StereoRig:
-    """Return the lenses that a scene's stereo camera has, and how they stand to each other."""
-    camera = _stereo(scene)
-    return raw_rig(np.random.default_rng([scene.seed, 8]), camera.size_px, camera.focal_px, camera.baseline_m)
 
 
 def _stereo(scene: Scene) -> StereoCamera:
