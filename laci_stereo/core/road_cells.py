@@ -32,7 +32,8 @@ class Cells(Columns):
     z, variance : ndarray, shape (n,)
         Height, and its variance through noise that no other cell has.
     sigma_m : ndarray, shape (n,)
-        Standard deviation of one point's height through its noise.
+        Standard deviation of one point's height through noise of the kind that points have in common: a scanner's own,
+        and an offset of a camera's disparities.
     left_m : ndarray, shape (n,)
         How far to the left of the way.
     piece : ndarray of int, shape (n,)
@@ -69,7 +70,7 @@ class Patches:
     z, variance : ndarray, shape (m,)
         Height, and its variance through noise that no other patch has.
     sigma_m : ndarray, shape (m,)
-        Standard deviation of one point's height through its noise.
+        As of the cells.
     sight : ndarray, shape (m, 2)
     lasers : ndarray, shape (m, k)
         How much of each laser there is: of a patch between two elevations, half of the variance of both.
@@ -110,6 +111,32 @@ class Patches:
         square_m2 = ((self.xy[:, None] - self.xy) ** 2).sum(axis=2) + self.size_m2[:, None] + self.size_m2
         apart_m: FloatArray = np.sqrt(square_m2)
         return apart_m
+
+    def best_plane(self, origin: FloatArray, least_m: float) -> tuple[FloatArray, FloatArray]:
+        """Return what makes the plane that fits best: its height at an origin, and its slopes along x and y.
+
+        A road is no narrower than a lane. What is seen is blurred by one, with the slopes that the road has about it:
+        least squares over a line, such as a scanner's ring, tell no slope across it.
+
+        Parameters
+        ----------
+        origin : ndarray, shape (2,)
+        least_m : float
+            Width of a lane.
+
+        Returns
+        -------
+        by_heights : ndarray, shape (3, m)
+            Of the height of each patch.
+        by_slopes : ndarray, shape (3, 2)
+            Of the slopes that the road has about it.
+        """
+        count = np.diff(self.share.indptr)
+        flat = np.column_stack([np.ones(len(count)), self.xy - origin])
+        wide = count.sum() * least_m**2 / 12.0 * np.eye(3)[:, 1:]
+        square = (flat.T * count) @ flat
+        square[:, 1:] += wide
+        return np.linalg.solve(square, flat.T * count), np.linalg.solve(square, wide)
 
     def noise(self, shared_noise_share: float) -> FloatArray:
         """Return the covariance, shape (m, m), of the heights through noise.

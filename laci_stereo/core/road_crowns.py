@@ -131,6 +131,47 @@ class Crowns:
         likely = np.append(self.likely * 2.0, likely[best] * share) / 3.0
         return replace(self, crossing=crossing[best], pairs_m=pairs_m, likely=likely)
 
+    def other_sides(self, tilts: FloatArray, off: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return what of the tilts there is only since more was seen of one side of a crown than of the other.
+
+        The road that the way is on has its crown in the middle: what is missing of one side is there. A crown that the
+        way crosses is another road's, or is where roads meet, and may have no other side; see `_likely`.
+
+        Parameters
+        ----------
+        tilts : ndarray, shape (2, crowns)
+            Slopes of what is seen if roads fall by 1 from each crown.
+        off : ndarray, shape (n, 2)
+            What is seen, from the origin.
+
+        Returns
+        -------
+        list of pairs of ndarray, shape (2, crowns) and (crowns,)
+            Across the first of the roads that cross, or the only one, and across the second: such slopes, and how
+            likely the other side is there.
+        """
+        at_m = off @ self.towards
+        low_m, high_m = at_m.min(axis=0), at_m.max(axis=0)
+        along, straight, pairs = np.split(tilts, [len(_ALONG_M), len(_ALONG_M) + self.at_m.size], axis=1)
+
+        def across(way: IntArray, place_m: FloatArray, tilt: FloatArray) -> tuple[FloatArray, FloatArray]:
+            direction = self.towards[:, way]
+            return direction * (direction * tilt).sum(axis=0), _likely(place_m, low_m[way], high_m[way])
+
+        every, left = np.tile(np.arange(len(low_m)), len(self.at_m)), np.full_like(self.crossing, _LEFT)
+        one, one_likely = across(every, self.at_m.ravel(), straight)
+        one_likely[every == _LEFT] = 1.0
+        first, first_likely = across(self.crossing, self.pairs_m[:, 0], pairs)
+        second, likely = across(left, self.pairs_m[:, 1], pairs)
+        lone = along.shape[1] + straight.shape[1]
+        return [
+            (
+                np.concatenate([along, one, first], axis=1),
+                np.concatenate([np.ones(along.shape[1]), one_likely, first_likely]),
+            ),
+            (np.pad(second, ((0, 0), (lone, 0))), np.pad(likely, (lone, 0))),
+        ]
+
     def raised(self, off: FloatArray, left_m: FloatArray) -> FloatArray:
         """Return how high each makes places if roads fall by 1, shape (n, crowns).
 
@@ -145,6 +186,20 @@ class Crowns:
         straight = (at_m[:, None] - self.at_m).reshape(len(off), -1)
         one = np.abs(np.column_stack([left_m[:, None] - _ALONG_M, straight]))
         return -np.concatenate([one, _nearer_m(at_m, self.crossing, self.pairs_m)], axis=1)
+
+
+def _likely(at_m: FloatArray, low_m: FloatArray, high_m: FloatArray) -> FloatArray:
+    """Return how likely both sides of a crown are as wide as the wider one of what is seen, from low to high.
+
+    Each lane that the road had to be wider for that than it was seen, and than two lanes, makes it half as likely. The
+    less of a lane is seen of the other side, the less may that be all of it.
+    """
+    one_m, other_m = at_m - low_m, high_m - at_m
+    wide_m = 2.0 * np.maximum(one_m, other_m)
+    as_wide = 0.5 ** ((wide_m - np.maximum(high_m - low_m, LANES_M)).clip(0.0) / _LANE_M)
+    all_seen = (np.minimum(one_m, other_m) / _LANE_M).clip(0.0, 1.0)
+    likely: FloatArray = 1.0 - all_seen * (1.0 - as_wide)
+    return likely
 
 
 def _nearer_m(at_m: FloatArray, crossing: IntArray, pairs_m: FloatArray) -> FloatArray:

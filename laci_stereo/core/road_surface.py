@@ -1,9 +1,13 @@
 """The surface of a road along a way: a plane that is bent a little, falls to both sides of a crown, and is uneven.
 
 A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
-Here the crown is a part of the model: where both of its sides are seen, it is told from the plane; where only one is,
-how far the road falls stays as open as it was. An edge of the road is another part of it: what is behind one is no
-longer the road. Heights are those above a plane that was found before.
+Here the crown is a part of the model: where only one of its sides is seen, how far the road falls stays as open as it
+was. An edge of the road is another part of it: what is behind one is no longer the road. Heights are those above a
+plane that was found before.
+
+What is asked for is the plane that fits best, by least squares, to all of the road that is seen, with its bends and
+waves, and to the other side of its crown. That is what heights above the road are to be told from. The plane of the
+model, which is bent, is another one where what is seen is no rectangle, or where the crown is not what was thought.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.ground_uneven import CLASS_B_M, N0_PER_M, REACH_M
 from laci_stereo.core.road_cells import Cells, Patches
 from laci_stereo.core.road_crowns import Crowns
-from laci_stereo.core.road_edges import EDGES, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
+from laci_stereo.core.road_edges import EDGES, LANES_M, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
 
 FALL = 0.025 / np.sqrt(3.0)
 """How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation."""
@@ -45,8 +49,9 @@ SMOOTH_M = UNEVEN_M * float(np.sqrt(2.0 / np.pi * np.hypot(1.0, 2.0 * np.pi * N0
 """The same of a road that is smooth, but has long waves: its spectrum is ISO 8608's at the wave number 0.1 / m."""
 
 _PRIOR = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
-_PLANE = len(_PRIOR)
-"""A plane and how it is bent: roads that cross are so in both directions."""
+_BENDS, _BEST, _CROWNS = slice(3, 6), slice(6, 9), slice(9, None)
+"""What is told of a road: a plane, how it is bent, as roads that cross are so in both directions, the plane that fits
+the surface best but for its crown, and the fall from each crown."""
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
@@ -114,14 +119,15 @@ class Surface:
             told = partial(_evidence, cho_factor(noise + uneven[0], lower=True), z)
             self._crowns = self._crowns.and_crossings(patches.xy - self.middle, told)
             uneven.append(smooth(apart_m))
-        in_cells = self._shapes(cells)
-        self._in_middle = in_cells.mean(axis=0)
-        shapes = patches.share @ in_cells
+        crowns = patches.share @ self._crowns.raised(off, cells.left_m)
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
+        best, by_slopes = patches.best_plane(self.middle, LANES_M / 2)
+        best_own = best @ own
+        best_own[:, 1:3] += by_slopes
+        self._by_crowns = best @ crowns
         given = [
-            _given(noise + 4.0**iso_class * each, z, shapes, self._crowns.likely, behind, kinds)
-            for each in uneven
-            for iso_class in _CLASSES
+            _given(noise + waves, z, _Asked.of(own, waves, best, best_own), crowns, self._crowns.likely, behind, kinds)
+            for waves in (4.0**iso_class * each for each in uneven for iso_class in _CLASSES)
         ]
         log_likely = np.array([each.log_likely for each in given]) - 0.5 * np.tile(_CLASSES, len(uneven)) ** 2
         likely = np.exp(log_likely - np.logaddexp.reduce(log_likely))
@@ -129,7 +135,7 @@ class Surface:
         products = np.tensordot(likely, [each.products for each in given], 1)
         self._between = products - np.outer(self._mean, self._mean)
         self._covariance = self._between.copy()
-        self._covariance[:_PLANE, :_PLANE] += np.tensordot(likely, [each.within for each in given], 1)
+        self._covariance[: _BEST.stop, : _BEST.stop] += np.tensordot(likely, [each.within for each in given], 1)
         self.behind: FloatArray = (raised != 0.0).any(axis=2) @ (likely @ np.array([each.of_edge for each in given]))
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
@@ -139,10 +145,10 @@ class Surface:
         return height_of(self.before, cells.xy) + shapes @ self._mean, np.maximum(variance, 0.0)
 
     def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the plane that the road is about: its height at the middle, and its slopes along x and y.
+        """Return the plane that fits the road best: its height at the middle, and its slopes along x and y.
 
-        The slopes are those between both sides of the crown. A bent road has them in its middle, and others where it
-        goes on, by as much as it is bent over what is seen of it.
+        It fits what is seen of the road, with its waves, and the other side of its crown. A bent road has other slopes
+        where it goes on, by as much as it is bent over what is seen of it.
 
         Returns
         -------
@@ -151,12 +157,16 @@ class Surface:
         by_crown : ndarray, shape (3, 3)
             The part of it that is due to the crown, of which nobody knows who does not see both of its sides.
         """
-        to_plane = np.eye(3, len(self._mean))
-        to_plane[0] = self._in_middle
-        by_crown = to_plane @ self._between @ to_plane.T
-        covariance = to_plane @ self._covariance @ to_plane.T
-        bends = slice(3, _PLANE)
-        bent = self._covariance[bends, bends] + np.outer(self._mean[bends], self._mean[bends])
+        to_plane = np.zeros((3, len(self._mean)))
+        to_plane[:, _BEST], to_plane[:, _CROWNS] = np.eye(3), self._by_crowns
+        square = np.diag(self._between)[_CROWNS] + self._mean[_CROWNS] ** 2
+        by_crown = np.zeros((3, 3))
+        for tilts, likely in self._crowns.other_sides(self._by_crowns[1:], self.cells.xy - self.middle):
+            to_plane[1:, _CROWNS] -= likely * tilts
+            by_crown[1:, 1:] += (tilts * (square * likely * (1.0 - likely))) @ tilts.T
+        covariance = to_plane @ self._covariance @ to_plane.T + by_crown
+        by_crown += to_plane @ self._between @ to_plane.T
+        bent = self._covariance[_BENDS, _BENDS] + np.outer(self._mean[_BENDS], self._mean[_BENDS])
         (xx, xy), (_, yy) = np.cov(self.cells.xy.T, bias=True)
         # Over (dx, dy) the slopes change by (bent_xx dx + bent_xy dy, bent_xy dx + bent_yy dy).
         covariance[1, 1] += bent[0, 0] * xx + 2.0 * bent[0, 1] * xy + bent[1, 1] * yy
@@ -168,12 +178,53 @@ class Surface:
         return offset + to_plane @ self._mean, covariance, by_crown
 
     def _shapes(self, cells: Cells) -> FloatArray:
-        """Return what a road is made of at some places, shape (n, 6 + crowns).
+        """Return what a road is made of at some places, shape (n, 9 + crowns).
 
-        That are a plane, its bends, and by how much each crown raises them if roads fall by 1.
+        That are a plane, its bends, and by how much each crown raises them if roads fall by 1. Of the plane that fits
+        best, which follows from these, there is nothing.
         """
         off = cells.xy - self.middle
-        return np.concatenate([_bent(off), self._crowns.raised(off, cells.left_m)], axis=1)
+        best = np.zeros((len(off), 3))
+        return np.concatenate([_bent(off), best, self._crowns.raised(off, cells.left_m)], axis=1)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of a road that is as uneven as some class: plane and bends, and the plane that fits it best.
+
+    Attributes
+    ----------
+    with_heights : ndarray, shape (n, 9)
+        Covariance with the heights that are seen, beforehand.
+    before : ndarray, shape (9, 9)
+        Covariance of what is asked.
+    """
+
+    with_heights: FloatArray
+    before: FloatArray
+
+    @staticmethod
+    def of(own: FloatArray, waves: FloatArray, best: FloatArray, best_own: FloatArray) -> _Asked:
+        """Return it for some waves.
+
+        Parameters
+        ----------
+        own : ndarray, shape (n, 6)
+            By how much plane and bends raise each height.
+        waves : ndarray, shape (n, n)
+            Covariance of the waves' heights.
+        best : ndarray, shape (3, n)
+            What of the heights makes the best plane.
+        best_own : ndarray, shape (3, 6)
+            What of plane and bends makes it.
+        """
+        by_own, by_waves = own * _PRIOR, best @ waves
+        corner = best_own * _PRIOR
+        of_best = corner @ best_own.T + by_waves @ best.T
+        return _Asked(
+            np.column_stack([by_own, by_own @ best_own.T + by_waves.T]),
+            np.block([[np.diag(_PRIOR), corner.T], [corner, of_best]]),
+        )
 
 
 @dataclass(frozen=True)
@@ -185,9 +236,10 @@ class _Given:
     log_likely : float
         Logarithm of the evidence.
     mean, products : ndarray, shape (k,) and (k, k)
-        Mean, and mean products, of expected plane and bends, and of the fall from each crown: none if it is another.
-    within : ndarray, shape (6, 6)
-        Covariance of plane and bends about what is expected, whatever crown and edge there is.
+        Mean, and mean products, of what is expected of what is asked, and of the fall from each crown: none if it is
+        another.
+    within : ndarray, shape (9, 9)
+        Covariance of what is asked about what is expected, whatever crown and edge there is.
     of_edge : ndarray, shape (edges,)
         Probability of each edge.
     """
@@ -202,7 +254,8 @@ class _Given:
 def _given(
     covariance: FloatArray,
     z: FloatArray,
-    shapes: FloatArray,
+    asked: _Asked,
+    crowns: FloatArray,
     crown_likely: FloatArray,
     behind: FloatArray,
     edges: Edges,
@@ -214,32 +267,35 @@ def _given(
     covariance : ndarray, shape (n, n)
         Of the heights, with neither a crown nor an edge.
     z : ndarray, shape (n,)
-    shapes : ndarray, shape (n, 6 + crowns)
+    asked : _Asked
+    crowns : ndarray, shape (n, crowns)
+        By how much each raises the heights if roads fall by 1.
     crown_likely : ndarray, shape (crowns,)
     behind : ndarray, shape (n, edges, 2)
     edges : Edges
     """
-    count, own, crowns = len(edges), shapes[:, :_PLANE], shapes[:, _PLANE:]
+    count, known = len(edges), asked.with_heights.shape[1]
+    columns = np.column_stack([asked.with_heights, crowns])
     factor, flat_behind = cho_factor(covariance, lower=True), behind.reshape(len(z), -1)
-    by_z, by_shapes, by_behind = np.split(
-        cho_solve(factor, np.column_stack([z, shapes, flat_behind])), [1, 1 + shapes.shape[1]], axis=1
+    by_z, by_columns, by_behind = np.split(
+        cho_solve(factor, np.column_stack([z, columns, flat_behind])), [1, 1 + columns.shape[1]], axis=1
     )
     # What is behind an edge adds to the covariance: its inverse becomes less by that much (Woodbury).
-    crossed = (flat_behind.T @ by_shapes).reshape(count, 2, -1)
+    crossed = (flat_behind.T @ by_columns).reshape(count, 2, -1)
     inside = np.einsum("nei,nej->eij", behind, by_behind.reshape(behind.shape))
     precision = edges.sigma[:, :, None] ** -2 * np.eye(2)
     spread = np.linalg.inv(precision + inside)
     of_z = (flat_behind.T @ by_z).reshape(count, 2)
     off = of_z - (inside @ edges.mean[:, :, None])[:, :, 0]
     raised = edges.mean + (spread @ off[:, :, None])[:, :, 0]
-    with_z = (shapes.T @ by_z)[:, 0] - (raised[:, None] @ crossed)[:, 0]
+    with_z = (columns.T @ by_z)[:, 0] - (raised[:, None] @ crossed)[:, 0]
     lessened = spread @ crossed
-    crown_square = (crowns * by_shapes[:, _PLANE:]).sum(axis=0) - (crossed * lessened)[:, :, _PLANE:].sum(axis=1)
+    crown_square = (crowns * by_columns[:, known:]).sum(axis=0) - (crossed * lessened)[:, :, known:].sum(axis=1)
 
     log_edge = np.log(edges.likely) + (edges.mean * of_z + raised * off).sum(axis=1) / 2
     log_edge += np.linalg.slogdet(spread @ precision)[1] / 2
     log_crown = np.log(crown_likely, where=crown_likely > 0.0, out=np.full_like(crown_likely, -np.inf))
-    together, with_fall = log_edge[:, None] + log_crown, with_z[:, _PLANE:]
+    together, with_fall = log_edge[:, None] + log_crown, with_z[:, known:]
     # Most pairs of an edge and a crown need no look, as the likeliest of all falls up to the steepest tells.
     likeliest = np.divide(with_fall, crown_square, out=np.zeros_like(with_fall), where=crown_square > 0.0)
     likeliest = likeliest.clip(0.0, _FALLS[-1])
@@ -254,21 +310,21 @@ def _given(
     likely, fall, square = chance.sum(axis=1), chance @ _FALLS, chance @ _FALLS**2
     of_edge = np.bincount(edge, weights=likely, minlength=count).astype(np.float64)
 
-    # Of each pair, plane and bends are expected + by_fall fall.
-    expected = _PRIOR * with_z[edge, :_PLANE]
-    edge_crown = (crossed[edge, :, :_PLANE] * lessened[edge, :, _PLANE + crown][:, :, None]).sum(axis=1)
-    by_fall = _PRIOR * (edge_crown - (own.T @ by_shapes[:, _PLANE:]).T[crown])
+    # Of each pair, what is asked is expected + by_fall fall.
+    expected = with_z[edge, :known]
+    edge_crown = (crossed[edge, :, :known] * lessened[edge, :, known + crown][:, :, None]).sum(axis=1)
+    by_fall = edge_crown - (asked.with_heights.T @ by_columns[:, known:]).T[crown]
     on_crown = csr_array((np.ones(len(crown)), (crown, np.arange(len(crown)))), (len(crown_likely), len(crown)))
     between = (expected.T * fall) @ by_fall
-    products = np.diag(np.append(np.zeros(_PLANE), on_crown @ square))
-    products[:_PLANE, :_PLANE] = (expected.T * likely) @ expected + between + between.T + (by_fall.T * square) @ by_fall
-    products[_PLANE:, :_PLANE] = on_crown @ (expected * fall[:, None] + by_fall * square[:, None])
-    products[:_PLANE, _PLANE:] = products[_PLANE:, :_PLANE].T
-    of_own = own.T @ by_shapes[:, :_PLANE]
-    of_own -= np.tensordot(crossed[:, :, :_PLANE] * of_edge[:, None, None], lessened[:, :, :_PLANE], ((0, 1), (0, 1)))
+    products = np.diag(np.append(np.zeros(known), on_crown @ square))
+    products[:known, :known] = (expected.T * likely) @ expected + between + between.T + (by_fall.T * square) @ by_fall
+    products[known:, :known] = on_crown @ (expected * fall[:, None] + by_fall * square[:, None])
+    products[:known, known:] = products[known:, :known].T
+    told = asked.with_heights.T @ by_columns[:, :known]
+    told -= np.tensordot(crossed[:, :, :known] * of_edge[:, None, None], lessened[:, :, :known], ((0, 1), (0, 1)))
     log_likely = most + np.log(total) - 0.5 * float(z @ by_z[:, 0]) - np.log(np.diag(factor[0])).sum()
     mean = np.append(likely @ expected + fall @ by_fall, on_crown @ fall)
-    return _Given(log_likely, mean, products, np.diag(_PRIOR) - _PRIOR[:, None] * of_own * _PRIOR, of_edge)
+    return _Given(log_likely, mean, products, asked.before - told, of_edge)
 
 
 def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray) -> FloatArray:

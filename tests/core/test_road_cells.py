@@ -46,3 +46,20 @@ def test_covariances_of_patches_of_all_sizes_are_positive_definite() -> None:
     patches = Patches.of(seen_at(np.unique(np.floor(np.concatenate([near, far]) / CELL_M), axis=0) * CELL_M))
     for covariance in (rough, smooth):
         assert np.linalg.eigvalsh(covariance(patches.apart_m())).min() > 0.0
+
+
+@pytest.mark.parametrize("width_m", [0.5, 3.0, 12.0])
+def test_the_best_plane_of_a_plane_is_that_plane(width_m: float) -> None:
+    patches = Patches.of(seen_at(every_cell(40.0, width_m)))
+    origin, plane = np.array([11.0, -3.0]), np.array([0.3, 0.02, -0.05])
+    height = plane[0] + (patches.xy - origin) @ plane[1:]
+    by_heights, by_slopes = patches.best_plane(origin, 3.5)
+    assert by_heights @ height + by_slopes @ plane[1:] == pytest.approx(plane)
+
+
+def test_heights_in_a_line_tell_no_slope_across_it() -> None:
+    patches = Patches.of(seen_at(every_cell(40.0, 0.5)))
+    by_heights, by_slopes = patches.best_plane(patches.xy.mean(axis=0), 3.5)
+    assert by_slopes[2, 1] == pytest.approx(1.0)
+    assert by_heights[2] == pytest.approx(0.0, abs=1e-9)
+    assert by_slopes[1, 0] < 0.01
