@@ -137,7 +137,7 @@ def _seen_from(
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
     normal, origin = T_level_ground[:3, 2], T_level_ground[:3, 3]
     before = np.append(normal @ origin, -normal[:2]) / normal[2]
-    road = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes.up, before, settings)
+    road = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes, before, settings)
     if road is None:
         return None
     surface = road.found

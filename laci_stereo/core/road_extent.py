@@ -10,7 +10,17 @@ from scipy.spatial import cKDTree
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.cluster import cells_of
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, between, dot_xy, transform, turned
+from laci_stereo.core.frames import (
+    Axes,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    along_line,
+    between,
+    dot_xy,
+    transform,
+    turned,
+)
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
 from laci_stereo.core.road_cells import CELL_M, LASER_RAD, Cells
@@ -173,7 +183,7 @@ def road_along(
     way: FloatArray,
     clouds: Sequence[PointCloud],
     T_level_sensor: FloatArray,
-    up: tuple[float, float, float],
+    axes: Axes,
     before: FloatArray,
     settings: GroundSettings,
 ) -> Road | None:
@@ -187,13 +197,13 @@ def road_along(
         Without what moves.
     T_level_sensor : ndarray, shape (4, 4)
         Into the level frame of a plane that is near the road's.
-    up : tuple of float
-        Unit vector in the sensor frame, about which a scanner turns.
+    axes : Axes
+        Of the sensor.
     before : ndarray, shape (3,)
         Height at the origin, and slopes, of the ground near which a road is beforehand; see `Surface`.
     settings : GroundSettings
     """
-    on_plane = _cells(way, clouds, T_level_sensor, up)
+    on_plane = _cells(way, clouds, T_level_sensor, axes)
     if not len(on_plane):
         return None
     cells = on_plane
@@ -283,9 +293,7 @@ def _slope(x: FloatArray, z: FloatArray) -> float:
     return float(off @ z / max(off @ off, 1e-9))
 
 
-def _cells(
-    way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray, up: tuple[float, float, float]
-) -> Cells:
+def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray, axes: Axes) -> Cells:
     """Gather what is low and near the way in squares of the ground plan."""
     sensor = T_level_sensor[:3, 3]
     levels = [transform(T_level_sensor, cloud.points) for cloud in clouds]
@@ -319,10 +327,17 @@ def _cells(
         [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
     )
     window_rad = max(cloud.window_rad for cloud in clouds)
-    elevation_rad = np.bincount(cell, np.arcsin(np.clip(ray @ up / np.linalg.norm(ray, axis=1), -1.0, 1.0))) / count
-    layer = elevation_rad / LASER_RAD if window_rad == 0.0 else np.full(len(count), np.nan)
     sight = bearing / max(NO_WINDOW_RAD, window_rad)
-    return Cells(middle, height, variance, np.sqrt(noise), left_m, piece, sight, layer)[beside & even]
+    alike_m, layer = np.sqrt(noise), np.full(len(count), np.nan)
+    if window_rad == 0.0:
+        elevation_rad = np.arcsin(np.clip(ray @ axes.up / np.linalg.norm(ray, axis=1), -1.0, 1.0))
+        layer = np.bincount(cell, elevation_rad) / count / LASER_RAD
+    else:
+        # An offset of all disparities, whatever the texture: a plane is seen as another, raised as depth is.
+        forward = T_level_sensor[:3, :3] @ axes.forward
+        depth_m = middle @ forward[:2] - sensor @ forward
+        alike_m = depth_m * np.median(alike_m / depth_m)
+    return Cells(middle, height, variance, alike_m, left_m, piece, sight, layer)[beside & even]
 
 
 def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: float) -> Cells:

@@ -175,7 +175,7 @@ def test_a_crown_that_is_seen_from_aside_does_not_tilt_the_road(seed: int) -> No
     cloud = measured(ray, np.where(np.abs(pavement * ray[:, 1] - ROAD_Y_M) > half_m, pavement, road), rng)
     lane = places(Track(tuple(sighting(0.1 * i, np.array([0.4 * i - 8.0, ROAD_Y_M - 2.0])) for i in range(40))))
     T_level_sensor = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
-    along = road_along(lane, [cloud], T_level_sensor, AXES.up, np.zeros(3), GroundSettings())
+    along = road_along(lane, [cloud], T_level_sensor, AXES, np.zeros(3), GroundSettings())
     assert along is not None
     plane, covariance, _ = along.found.plane()
     off = plane[1:]

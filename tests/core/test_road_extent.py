@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES as AXES
 from laci_stereo.core.frames import FloatArray, along_line, rigid
 from laci_stereo.core.road_extent import HALF_VEHICLE_M, REACH_M, Road, places, prolonged, road_along
 from laci_stereo.core.settings import GroundSettings
@@ -12,7 +13,6 @@ from tests.core.tracks import sighting
 
 HEIGHT_M, SIGMA_M = 6.0, 0.02
 WAY_Y_M = 15.0
-UP = (0.0, 0.0, 1.0)
 T_LEVEL_SENSOR = rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
 
 
@@ -41,7 +41,7 @@ def test_a_road_ends_at_its_kerbs(half_m: float, kerb_m: float) -> None:
     beyond = np.abs(xy[:, 1] - WAY_Y_M) - half_m
     # The pavement falls by 2.5 % towards the road.
     height = np.where(beyond > 0.0, kerb_m + 0.025 * beyond, 0.0)
-    road = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     surface = road.found
     assert half_m - 0.5 < np.abs(surface.cells.left_m).max() < half_m + 0.5
@@ -54,7 +54,7 @@ def test_a_low_kerb_with_a_pavement_behind_it_ends_a_road_with_a_crown() -> None
     beyond = -left_m - 5.4
     road = -0.018 * np.abs(left_m - 1.5)
     height = np.where(beyond > 0.0, -0.018 * 6.9 + 0.045 + 0.03 * beyond, road)
-    road = road_along(way(), [cloud(height, xy, 0.05)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(height, xy, 0.05)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     surface = road.found
     assert 4.0 < -surface.cells.left_m.min() < 5.4
@@ -71,7 +71,7 @@ def test_a_verge_with_level_land_behind_it_is_no_other_side_of_a_crown(
 ) -> None:
     xy = plan(0.25)
     height = -fall * (WAY_Y_M - half_m - xy[:, 1]).clip(0.0, 2.0)
-    road = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     surface = road.found
     assert -surface.cells.left_m.min() < half_m + 0.5
@@ -90,7 +90,7 @@ def test_verges_in_different_directions_are_both_left_out(fall: float, sigma_m: 
     beside_m = WAY_Y_M - 4.0 - xy[:, 1]
     corner_m = (xy[:, 0] + xy[:, 1] - WAY_Y_M) / np.sqrt(2.0) - 11.6
     height = -fall * np.maximum(beside_m, corner_m).clip(0.0, 2.0)
-    road = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(height, xy, sigma_m)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     surface = road.found
     x, y = surface.cells.xy.T
@@ -114,7 +114,7 @@ def crossing(rng: np.random.Generator, askew_rad: float) -> PointCloud:
 def tilt_of_crossing(seed: int, askew_deg: float) -> tuple[float, float]:
     """Return how far the road of one is tilted, degrees, and the chi-square of its slopes."""
     scan = crossing(np.random.default_rng(seed), np.radians(askew_deg))
-    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     value, covariance, _ = road.found.plane()
     doubt = covariance + road.apart()
@@ -146,7 +146,7 @@ def test_a_verge_of_a_road_that_the_way_turns_into_does_not_tilt_it(turned_rad: 
     xy = xy[(xy[:, 1] > 12.5) | (np.abs(xy[:, 0]) < 3.5)]
     verge = -0.045 * np.clip(xy[:, 1] - 18.5, 0.0, 2.0)
     turned = np.concatenate([before, turning, behind]) @ turn.T
-    road = road_along(turned, [cloud(verge, xy @ turn.T)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(turned, [cloud(verge, xy @ turn.T)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     value, covariance, _ = road.found.plane()
     assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
@@ -156,7 +156,7 @@ def test_a_verge_of_a_road_that_the_way_turns_into_does_not_tilt_it(turned_rad: 
 @pytest.mark.slow
 def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
     xy = plan(0.2, 22.0)
-    road = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(np.zeros(len(xy)), xy)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     surface = road.found
     assert surface.cells.left_m.min() < -0.9 * REACH_M
@@ -167,7 +167,7 @@ def test_an_even_square_is_road_as_far_as_it_is_looked_at() -> None:
 def test_what_all_points_err_by_alike_does_not_hide_the_road() -> None:
     # A quarter of 0.4 m is common to all heights: the road is known to 4 cm by it, but no part of it against another.
     xy = plan(0.05)
-    road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.4)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.4)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     surface = road.found
     assert surface.cells.left_m.max() - surface.cells.left_m.min() > REACH_M
@@ -178,7 +178,7 @@ def test_what_stands_on_the_way_is_no_road() -> None:
     xy = plan(0.2)
     on_way = (np.abs(xy[:, 1] - WAY_Y_M) < HALF_VEHICLE_M) & (xy[:, 0] > 2.0)
     scan = cloud(np.where(on_way, 0.5, 0.0), xy)
-    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     assert np.abs(road.found.cells.z).max() < 0.1
 
@@ -192,7 +192,7 @@ def test_rings_of_a_scan_are_not_as_steep_as_its_lines_of_sight() -> None:
     points *= 1.0 + rng.normal(0.0, 0.1, len(points))[:, None] / np.linalg.norm(points, axis=1)[:, None]
     noise = np.full(len(points), 0.1)
     scan = PointCloud(0, points, noise, 1e-3 * noise, np.zeros(len(points), dtype=bool))
-    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     value, covariance, _ = road.found.plane()
     assert abs(value[2]) < 0.05  # the rays fall by 0.4
@@ -204,7 +204,7 @@ def test_road_is_followed_from_one_ring_of_a_scanner_to_the_next() -> None:
     x, ring_m = np.meshgrid(np.arange(-20.0, 20.0, 0.05), 1.2 * np.arange(-4, 5))
     xy = np.column_stack([x.ravel(), WAY_Y_M + ring_m.ravel()])
     scan = cloud(0.02 * ring_m.ravel(), xy)
-    road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     left_m = road.found.cells.left_m
     assert left_m.max() - left_m.min() > 9.0
@@ -218,7 +218,7 @@ def test_the_lane_below_a_vehicle_is_road_however_noisy_it_is_seen() -> None:
     rng = np.random.default_rng(1)
     xy = plan(0.4, 1.2)
     xy = (xy + rng.uniform(-0.1, 0.1, xy.shape))[rng.uniform(size=len(xy)) < 0.5]
-    road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.3)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(np.zeros(len(xy)), xy, 0.3)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     assert np.ptp(road.found.cells.xy[:, 0]) > 25.0
     value, covariance, _ = road.found.plane()
@@ -240,8 +240,28 @@ def test_what_a_few_steep_places_would_make_of_all_the_land_moves_nothing_out_of
     noise = np.full(len(points), 0.03)
     scan = PointCloud(0, points, noise, 0.01 * noise, np.zeros(len(points), dtype=bool))
     low = rigid(np.eye(3), np.array([0.0, 0.0, sensor_m]))
-    road = road_along(way(), [scan], low, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [scan], low, AXES, np.zeros(3), GroundSettings())
     assert road is None or np.isfinite(road.found.plane()[0]).all()
+
+
+def test_an_offset_of_disparities_shows_a_level_road_as_a_plane_whatever_its_texture() -> None:
+    """It lifts what is seen by what goes with the depth, with much noise on one side and little on the other."""
+    rng = np.random.default_rng(5)
+    xy, per_m = plan(0.15), 0.001
+    depth_m, left_m = WAY_Y_M + 25.0 + xy[:, 0], xy[:, 1] - WAY_Y_M
+    noise = 4.0 * per_m * depth_m * np.where(left_m > 0.0, 3.0, 1.0)
+    height = per_m * depth_m + 0.1 * noise * rng.normal(size=len(xy))
+    away_m = np.hypot(depth_m, left_m)
+    points = np.column_stack([depth_m, left_m, np.full(len(xy), -HEIGHT_M)]) * (1.0 - height / HEIGHT_M)[:, None]
+    noise *= away_m / HEIGHT_M  # along the line of sight
+    scan = PointCloud(0, points, noise, 1e-3 * noise, np.zeros(len(points), dtype=bool), window_rad=0.003)
+    straight = np.column_stack([np.arange(22.0, 58.0, 0.5), np.zeros(72)])
+    road = road_along(straight, [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
+    assert road is not None
+    value, covariance, _ = road.found.plane()
+    assert value[1:] == pytest.approx([per_m, 0.0], abs=per_m / 3)
+    # Nothing tells that it is the camera's and not the road's: it is a quarter of the least noise, which is shared.
+    assert covariance[1, 1] > per_m**2
 
 
 def test_where_nothing_is_seen_there_is_no_road() -> None:
@@ -251,14 +271,14 @@ def test_where_nothing_is_seen_there_is_no_road() -> None:
             way() + np.array([0.0, 200.0]),
             [cloud(np.zeros(len(xy)), xy)],
             T_LEVEL_SENSOR,
-            UP,
+            AXES,
             np.zeros(3),
             GroundSettings(),
         )
         is None
     )
     few = cloud(np.zeros(len(xy)), xy)[np.arange(0, len(xy), 700)]
-    assert road_along(way(), [few], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings()) is None
+    assert road_along(way(), [few], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings()) is None
 
 
 def test_a_vehicle_that_waits_is_at_one_place() -> None:
@@ -304,7 +324,7 @@ def test_what_a_surface_is_torn_between_stays_in_doubt_once_an_edge_is_taken_for
     xy = plan(0.25)
     left_m = xy[:, 1] - WAY_Y_M
     height = -0.03 * (left_m - 2.0).clip(0.0, 4.0) + 0.05 * (left_m > 6.0) + 0.1 * (left_m < -2.0)
-    road = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+    road = road_along(way(), [cloud(height, xy)], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
     assert road is not None
     value, covariance, _ = road.found.plane()
     assert Road((road.found,)).apart() == pytest.approx(np.zeros((3, 3)))
@@ -343,8 +363,8 @@ def test_road_that_is_seen_only_before_and_behind_where_the_vehicle_was_is_found
     seen, xy = way()[20:40], plan(0.2, 6.0)
     xy = xy[np.abs(xy[:, 0]) > 7.0]
     scan, settings = cloud(0.01 * xy[:, 0] - 0.02 * (xy[:, 1] - WAY_Y_M), xy), GroundSettings()
-    assert road_along(seen, [scan], T_LEVEL_SENSOR, UP, np.zeros(3), settings) is None
-    road = road_along(prolonged(seen, *beyond(seen)), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), settings)
+    assert road_along(seen, [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), settings) is None
+    road = road_along(prolonged(seen, *beyond(seen)), [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), settings)
     assert road is not None
     value, covariance, _ = road.found.plane()
     off = value[1:] - [0.01, -0.02]
@@ -361,7 +381,7 @@ def test_a_road_of_which_both_kerbs_are_seen_has_no_other_side(half_m: float) ->
     doubts_deg = []
     for kept in (beyond_m < 2.0, beyond_m < 0.0):
         scan = cloud(np.where(beyond_m > 0.0, 0.1, 0.0)[kept], xy[kept])
-        road = road_along(way(), [scan], T_LEVEL_SENSOR, UP, np.zeros(3), GroundSettings())
+        road = road_along(way(), [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings())
         assert road is not None
         value, covariance, _ = road.found.plane()
         assert value[1:] @ np.linalg.solve(covariance[1:, 1:], value[1:]) < 3.0**2
