@@ -32,8 +32,8 @@ class Cells(Columns):
     z, variance : ndarray, shape (n,)
         Height, and its variance through noise that no other cell has.
     sigma_m : ndarray, shape (n,)
-        Standard deviation of one point's height through noise of the kind that points have in common: a scanner's own,
-        and an offset of a camera's disparities.
+        Standard deviation of one point's height through noise, a share of which all points have in common: with a
+        camera as an offset of all disparities would have it, in proportion to depth.
     left_m : ndarray, shape (n,)
         How far to the left of the way.
     piece : ndarray of int, shape (n,)
@@ -115,8 +115,8 @@ class Patches:
     def best_plane(self, origin: FloatArray, least_m: float) -> tuple[FloatArray, FloatArray]:
         """Return what makes the plane that fits best: its height at an origin, and its slopes along x and y.
 
-        A road is no narrower than a lane. What is seen is blurred by one, with the slopes that the road has about it:
-        least squares over a line, such as a scanner's ring, tell no slope across it.
+        A road is no narrower than a lane. What is seen is blurred by one, with the slopes of its model: least squares
+        over a line, such as a scanner's ring, tell no slope across it.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class Patches:
         by_heights : ndarray, shape (3, m)
             Of the height of each patch.
         by_slopes : ndarray, shape (3, 2)
-            Of the slopes that the road has about it.
+            Of the model's slopes.
         """
         count = np.diff(self.share.indptr)
         flat = np.column_stack([np.ones(len(count)), self.xy - origin])

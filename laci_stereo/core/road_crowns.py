@@ -134,8 +134,8 @@ class Crowns:
     def other_sides(self, tilts: FloatArray, off: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return what of the tilts there is only since more was seen of one side of a crown than of the other.
 
-        The road that the way is on has its crown in the middle: what is missing of one side is there. A crown that the
-        way crosses is another road's, or is where roads meet, and may have no other side; see `_likely`.
+        The plane of the road that the way is on is the one between both of its falls, however much is seen of each. A
+        crown that the way crosses, and both where roads cross, may have no other side; see `_likely`.
 
         Parameters
         ----------
@@ -154,22 +154,20 @@ class Crowns:
         low_m, high_m = at_m.min(axis=0), at_m.max(axis=0)
         along, straight, pairs = np.split(tilts, [len(_ALONG_M), len(_ALONG_M) + self.at_m.size], axis=1)
 
-        def across(way: IntArray, place_m: FloatArray, tilt: FloatArray) -> tuple[FloatArray, FloatArray]:
-            direction = self.towards[:, way]
-            return direction * (direction * tilt).sum(axis=0), _likely(place_m, low_m[way], high_m[way])
+        def likely(way: IntArray, place_m: FloatArray) -> FloatArray:
+            return _likely(place_m, low_m[way], high_m[way])
 
         every, left = np.tile(np.arange(len(low_m)), len(self.at_m)), np.full_like(self.crossing, _LEFT)
-        one, one_likely = across(every, self.at_m.ravel(), straight)
-        one_likely[every == _LEFT] = 1.0
-        first, first_likely = across(self.crossing, self.pairs_m[:, 0], pairs)
-        second, likely = across(left, self.pairs_m[:, 1], pairs)
+        across, across_first, across_second = (self.towards[:, way] for way in (every, self.crossing, left))
+        one = across * (across * straight).sum(axis=0)
+        of_one = np.where(every == _LEFT, 1.0, likely(every, self.at_m.ravel()))
+        # Of roads that cross askew, each has the part of the tilt that the other's direction does not make up.
+        first = across_first * _cross(pairs, across_second) / _cross(across_first, across_second)
+        of_first, of_second = likely(self.crossing, self.pairs_m[:, 0]), likely(left, self.pairs_m[:, 1])
         lone = along.shape[1] + straight.shape[1]
         return [
-            (
-                np.concatenate([along, one, first], axis=1),
-                np.concatenate([np.ones(along.shape[1]), one_likely, first_likely]),
-            ),
-            (np.pad(second, ((0, 0), (lone, 0))), np.pad(likely, (lone, 0))),
+            (np.concatenate([along, one, first], axis=1), np.concatenate([np.ones(along.shape[1]), of_one, of_first])),
+            (np.pad(pairs - first, ((0, 0), (lone, 0))), np.pad(of_second, (lone, 0))),
         ]
 
     def raised(self, off: FloatArray, left_m: FloatArray) -> FloatArray:
@@ -192,7 +190,8 @@ def _likely(at_m: FloatArray, low_m: FloatArray, high_m: FloatArray) -> FloatArr
     """Return how likely both sides of a crown are as wide as the wider one of what is seen, from low to high.
 
     Each lane that the road had to be wider for that than it was seen, and than two lanes, makes it half as likely. The
-    less of a lane is seen of the other side, the less may that be all of it.
+    less of a lane is seen of the other side, the less may that be all of it. Where nothing is seen of it, it is there:
+    how likely such a crown is, tells `_CROSSED`.
     """
     one_m, other_m = at_m - low_m, high_m - at_m
     wide_m = 2.0 * np.maximum(one_m, other_m)
@@ -200,6 +199,12 @@ def _likely(at_m: FloatArray, low_m: FloatArray, high_m: FloatArray) -> FloatArr
     all_seen = (np.minimum(one_m, other_m) / _LANE_M).clip(0.0, 1.0)
     likely: FloatArray = 1.0 - all_seen * (1.0 - as_wide)
     return likely
+
+
+def _cross(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the cross products of vectors of shape (2, n)."""
+    product: FloatArray = one[0] * other[1] - one[1] * other[0]
+    return product
 
 
 def _nearer_m(at_m: FloatArray, crossing: IntArray, pairs_m: FloatArray) -> FloatArray:

@@ -328,16 +328,16 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     )
     window_rad = max(cloud.window_rad for cloud in clouds)
     sight = bearing / max(NO_WINDOW_RAD, window_rad)
-    alike_m, layer = np.sqrt(noise), np.full(len(count), np.nan)
+    common_m, layer = np.sqrt(noise), np.full(len(count), np.nan)
     if window_rad == 0.0:
         elevation_rad = np.arcsin(np.clip(ray @ axes.up / np.linalg.norm(ray, axis=1), -1.0, 1.0))
         layer = np.bincount(cell, elevation_rad) / count / LASER_RAD
-    else:
-        # An offset of all disparities, whatever the texture: a plane is seen as another, raised as depth is.
+    elif len(count):
+        # An offset of all disparities, whatever the texture: a plane is seen as another plane, raised as depth is.
         forward = T_level_sensor[:3, :3] @ axes.forward
         depth_m = middle @ forward[:2] - sensor @ forward
-        alike_m = depth_m * np.median(alike_m / depth_m)
-    return Cells(middle, height, variance, alike_m, left_m, piece, sight, layer)[beside & even]
+        common_m = depth_m * np.median(common_m / depth_m)
+    return Cells(middle, height, variance, common_m, left_m, piece, sight, layer)[beside & even]
 
 
 def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: float) -> Cells:

@@ -6,7 +6,7 @@ was. An edge of the road is another part of it: what is behind one is no longer 
 plane that was found before.
 
 What is asked for is the plane that fits best, by least squares, to all of the road that is seen, with its bends and
-waves, and to the other side of its crown. That is what heights above the road are to be told from. The plane of the
+waves, and is between both falls of its crown. That is what heights above the road are to be told from. The plane of the
 model, which is bent, is another one where what is seen is no rectangle, or where the crown is not what was thought.
 """
 
@@ -147,8 +147,8 @@ class Surface:
     def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the plane that fits the road best: its height at the middle, and its slopes along x and y.
 
-        It fits what is seen of the road, with its waves, and the other side of its crown. A bent road has other slopes
-        where it goes on, by as much as it is bent over what is seen of it.
+        Its slopes are those of what is seen of the road, with its waves, and of the other side of its crown, its height
+        that of what is seen. A bent road has other slopes where it goes on, by as much as it is bent over what is seen.
 
         Returns
         -------
@@ -196,12 +196,12 @@ class _Asked:
     ----------
     with_heights : ndarray, shape (n, 9)
         Covariance with the heights that are seen, beforehand.
-    before : ndarray, shape (9, 9)
-        Covariance of what is asked.
+    prior : ndarray, shape (9, 9)
+        Covariance of what is asked, beforehand.
     """
 
     with_heights: FloatArray
-    before: FloatArray
+    prior: FloatArray
 
     @staticmethod
     def of(own: FloatArray, waves: FloatArray, best: FloatArray, best_own: FloatArray) -> _Asked:
@@ -324,7 +324,7 @@ def _given(
     told -= np.tensordot(crossed[:, :, :known] * of_edge[:, None, None], lessened[:, :, :known], ((0, 1), (0, 1)))
     log_likely = most + np.log(total) - 0.5 * float(z @ by_z[:, 0]) - np.log(np.diag(factor[0])).sum()
     mean = np.append(likely @ expected + fall @ by_fall, on_crown @ fall)
-    return _Given(log_likely, mean, products, asked.before - told, of_edge)
+    return _Given(log_likely, mean, products, asked.prior - told, of_edge)
 
 
 def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray) -> FloatArray:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -245,11 +247,11 @@ def test_what_a_few_steep_places_would_make_of_all_the_land_moves_nothing_out_of
 
 
 def test_an_offset_of_disparities_shows_a_level_road_as_a_plane_whatever_its_texture() -> None:
-    """It lifts what is seen by what goes with the depth, with much noise on one side and little on the other."""
+    """It lifts what is seen by what goes with the depth, with much noise in a third of it and little elsewhere."""
     rng = np.random.default_rng(5)
     xy, per_m = plan(0.15), 0.001
     depth_m, left_m = WAY_Y_M + 25.0 + xy[:, 0], xy[:, 1] - WAY_Y_M
-    noise = 4.0 * per_m * depth_m * np.where(left_m > 0.0, 3.0, 1.0)
+    noise = 4.0 * per_m * depth_m * np.where(left_m > 4.0, 3.0, 1.0)
     height = per_m * depth_m + 0.1 * noise * rng.normal(size=len(xy))
     away_m = np.hypot(depth_m, left_m)
     points = np.column_stack([depth_m, left_m, np.full(len(xy), -HEIGHT_M)]) * (1.0 - height / HEIGHT_M)[:, None]
@@ -260,24 +262,20 @@ def test_an_offset_of_disparities_shows_a_level_road_as_a_plane_whatever_its_tex
     assert road is not None
     value, covariance, _ = road.found.plane()
     assert value[1:] == pytest.approx([per_m, 0.0], abs=per_m / 3)
-    # Nothing tells that it is the camera's and not the road's: it is a quarter of the least noise, which is shared.
+    # Nothing tells that it is the camera's and not the road's: it is a quarter of the usual noise, which is shared.
     assert covariance[1, 1] > per_m**2
+    common = road.found.cells.sigma_m / road.found.cells.xy[:, 0]
+    assert common == pytest.approx(np.full(len(common), 4.0 * per_m), rel=0.05)
 
 
-def test_where_nothing_is_seen_there_is_no_road() -> None:
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("window_rad", [0.0, 0.003])
+def test_where_nothing_is_seen_there_is_no_road(window_rad: float) -> None:
     xy = plan(0.2)
-    assert (
-        road_along(
-            way() + np.array([0.0, 200.0]),
-            [cloud(np.zeros(len(xy)), xy)],
-            T_LEVEL_SENSOR,
-            AXES,
-            np.zeros(3),
-            GroundSettings(),
-        )
-        is None
-    )
-    few = cloud(np.zeros(len(xy)), xy)[np.arange(0, len(xy), 700)]
+    scan = replace(cloud(np.zeros(len(xy)), xy), window_rad=window_rad)
+    beyond = way() + np.array([0.0, 200.0])
+    assert road_along(beyond, [scan], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings()) is None
+    few = scan[np.arange(0, len(xy), 700)]
     assert road_along(way(), [few], T_LEVEL_SENSOR, AXES, np.zeros(3), GroundSettings()) is None
 
 
