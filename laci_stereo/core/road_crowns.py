@@ -189,15 +189,10 @@ class Crowns:
 def _likely(at_m: FloatArray, low_m: FloatArray, high_m: FloatArray) -> FloatArray:
     """Return how likely both sides of a crown are as wide as the wider one of what is seen, from low to high.
 
-    Each lane that the road had to be wider for that than it was seen, and than two lanes, makes it half as likely. The
-    less of a lane is seen of the other side, the less may that be all of it. Where nothing is seen of it, it is there:
-    how likely such a crown is, tells `_CROSSED`.
+    Each lane that the road had to be wider for that than it was seen, and than two lanes, makes it half as likely.
     """
-    one_m, other_m = at_m - low_m, high_m - at_m
-    wide_m = 2.0 * np.maximum(one_m, other_m)
-    as_wide = 0.5 ** ((wide_m - np.maximum(high_m - low_m, LANES_M)).clip(0.0) / _LANE_M)
-    all_seen = (np.minimum(one_m, other_m) / _LANE_M).clip(0.0, 1.0)
-    likely: FloatArray = 1.0 - all_seen * (1.0 - as_wide)
+    wide_m = 2.0 * np.maximum(at_m - low_m, high_m - at_m)
+    likely: FloatArray = 0.5 ** ((wide_m - np.maximum(high_m - low_m, LANES_M)).clip(0.0) / _LANE_M)
     return likely
 
 
