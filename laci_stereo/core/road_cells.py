@@ -112,17 +112,16 @@ class Patches:
         apart_m: FloatArray = np.sqrt(square_m2)
         return apart_m
 
-    def best_plane(self, origin: FloatArray, least_m: float) -> tuple[FloatArray, FloatArray]:
+    def best_plane(self, origin: FloatArray, blurred_m: float) -> tuple[FloatArray, FloatArray]:
         """Return what makes the plane that fits best: its height at an origin, and its slopes along x and y.
 
-        A road is no narrower than a lane. What is seen is blurred by one, with the slopes of its model: least squares
-        over a line, such as a scanner's ring, tell no slope across it.
+        What is seen is blurred, with the slopes of the road's model: least squares over a line tell no slope across it.
 
         Parameters
         ----------
         origin : ndarray, shape (2,)
-        least_m : float
-            Width of a lane.
+        blurred_m : float
+            Over so much.
 
         Returns
         -------
@@ -133,7 +132,7 @@ class Patches:
         """
         count = np.diff(self.share.indptr)
         flat = np.column_stack([np.ones(len(count)), self.xy - origin])
-        wide = count.sum() * least_m**2 / 12.0 * np.eye(3)[:, 1:]
+        wide = count.sum() * blurred_m**2 / 12.0 * np.eye(3)[:, 1:]
         square = (flat.T * count) @ flat
         square[:, 1:] += wide
         return np.linalg.solve(square, flat.T * count), np.linalg.solve(square, wide)

@@ -5,9 +5,9 @@ Here the crown is a part of the model: where only one of its sides is seen, how 
 was. An edge of the road is another part of it: what is behind one is no longer the road. Heights are those above a
 plane that was found before.
 
-What is asked for is the plane that fits best, by least squares, to all of the road that is seen, with its bends and
-waves, and is between both falls of its crown. That is what heights above the road are to be told from. The plane of the
-model, which is bent, is another one where what is seen is no rectangle, or where the crown is not what was thought.
+What is asked for is the plane that fits best, by least squares, to all of the road that a camera sees, with its bends
+and waves, and is between both falls of its crown. That is what heights above the road are to be told from. The plane of
+the model, which is bent, is another one where what is seen is no rectangle, or where the crown is not what was thought.
 """
 
 from __future__ import annotations
@@ -47,6 +47,11 @@ UNEVEN_M = CLASS_B_M * float(np.sqrt(WAVES_M / REACH_M))
 
 SMOOTH_M = UNEVEN_M * float(np.sqrt(2.0 / np.pi * np.hypot(1.0, 2.0 * np.pi * N0_PER_M * WAVES_M)))
 """The same of a road that is smooth, but has long waves: its spectrum is ISO 8608's at the wave number 0.1 / m."""
+
+AREA_M, RINGS_M = LANES_M / 2, 1e4
+"""Over so much what is seen of a road is blurred for the plane that fits it best. A camera sees an area, but no road is
+narrower than a lane. A scanner sees rings, which are where its lasers point and not where road is, and each errs by
+itself: its plane is that of the model."""
 
 _PRIOR = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
 _BENDS, _BEST, _CROWNS = slice(3, 6), slice(6, 9), slice(9, None)
@@ -121,7 +126,7 @@ class Surface:
             uneven.append(smooth(apart_m))
         crowns = patches.share @ self._crowns.raised(off, cells.left_m)
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
-        best, by_slopes = patches.best_plane(self.middle, LANES_M / 2)
+        best, by_slopes = patches.best_plane(self.middle, AREA_M if np.isnan(cells.layer).any() else RINGS_M)
         best_own = best @ own
         best_own[:, 1:3] += by_slopes
         self._by_crowns = best @ crowns
