@@ -66,7 +66,7 @@ def test_what_is_smaller_than_a_square_shows_no_crossing() -> None:
 
 
 def seen_across(wide_m: float) -> FloatArray:
-    """Return places beside a straight way along x, from its right, and three lanes of it."""
+    """Return places of a square to the left of a straight way along x."""
     x, y = np.meshgrid(np.linspace(0.0, wide_m, 31), np.linspace(0.0, wide_m, 31))
     return np.column_stack([x.ravel(), y.ravel()])
 

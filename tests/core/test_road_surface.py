@@ -342,18 +342,21 @@ def test_what_is_behind_an_edge_is_told_from_the_road() -> None:
     assert (Surface(cells(left, along, z), 0.0, LEVEL, 0.0).behind == 0.0).all()
 
 
-def exact_cells(xy: FloatArray, z: FloatArray) -> Cells:
-    return cells(xy[:, 1], xy[:, 0], z, 0.002)
+def grid(along_m: tuple[float, float], left_m: tuple[float, float]) -> FloatArray:
+    return np.stack(np.meshgrid(np.arange(*along_m, 0.5), np.arange(*left_m, 0.5)), axis=-1).reshape(-1, 2)
+
+
+def exactly_seen(xy: FloatArray, z: FloatArray) -> tuple[Surface, FloatArray]:
+    """Return the surface, and the plane that fits the heights best, least squares."""
+    surface = Surface(cells(xy[:, 1], xy[:, 0], z, 0.002), 0.0, LEVEL, 0.0)
+    return surface, np.linalg.lstsq(np.column_stack([np.ones(len(xy)), xy - surface.middle]), z, rcond=None)[0]
 
 
 def test_the_plane_of_a_bent_road_is_the_one_that_fits_best_what_is_seen_of_it() -> None:
     """That is a corner, in whose middle the road has another slope."""
-    x, y = (each.ravel() for each in np.meshgrid(np.arange(-20.0, 20.0, 0.5), np.arange(-6.0, 6.0, 0.5)))
-    corner = y < -6.0 + 0.3 * (x + 20.0)
-    xy = np.column_stack([x, y])[corner]
-    z = 0.0004 * xy[:, 0] ** 2 / 2.0
-    surface = Surface(exact_cells(xy, z), 0.0, LEVEL, 0.0)
-    best = np.linalg.lstsq(np.column_stack([np.ones(len(xy)), xy - surface.middle]), z, rcond=None)[0]
+    xy = grid((-20.0, 20.0), (-6.0, 6.0))
+    xy = xy[xy[:, 1] < -6.0 + 0.3 * (xy[:, 0] + 20.0)]
+    surface, best = exactly_seen(xy, 0.0004 * xy[:, 0] ** 2 / 2.0)
     value, covariance, _ = surface.plane()
     assert value[0] == pytest.approx(best[0], abs=5e-4)
     assert value[1] == pytest.approx(best[1], abs=1e-4)
@@ -361,20 +364,17 @@ def test_the_plane_of_a_bent_road_is_the_one_that_fits_best_what_is_seen_of_it()
 
 
 def test_waves_that_are_seen_tilt_the_plane_that_fits_best() -> None:
-    x, y = (each.ravel() for each in np.meshgrid(np.arange(-20.0, 20.0, 0.5), np.arange(-6.0, 6.0, 0.5)))
-    xy = np.column_stack([x, y])
-    z = 0.01 * np.sin(2.0 * np.pi * x / 60.0)
-    surface = Surface(exact_cells(xy, z), 0.0, LEVEL, 0.0)
-    best = np.linalg.lstsq(np.column_stack([np.ones(len(xy)), xy - surface.middle]), z, rcond=None)[0]
+    xy = grid((-20.0, 20.0), (-6.0, 6.0))
+    surface, best = exactly_seen(xy, 0.01 * np.sin(2.0 * np.pi * xy[:, 0] / 60.0))
     assert surface.plane()[0][1] == pytest.approx(best[1], abs=2e-5)
 
 
 def test_it_is_in_doubt_whether_another_road_goes_on_beyond_its_crown() -> None:
     """The way crosses the crown, which is seen well, so that the fall from it is known."""
     doubts = []
-    for short_m, long_m in ((9.0, 10.0), (4.0, 10.0)):
-        x, y = (each.ravel() for each in np.meshgrid(np.arange(-short_m, long_m, 0.5), np.arange(-3.0, 3.0, 0.5)))
-        surface = Surface(exact_cells(np.column_stack([x, y]), -0.02 * np.abs(x)), 0.0, LEVEL, 0.0)
+    for short_m in (9.0, 4.0):
+        xy = grid((-short_m, 10.0), (-3.0, 3.0))
+        surface, _ = exactly_seen(xy, -0.02 * np.abs(xy[:, 0]))
         doubts.append(np.sqrt(surface.plane()[2][1, 1]))
     assert doubts[1] > 0.02 * 0.2
     assert doubts[1] > 2.0 * doubts[0]
