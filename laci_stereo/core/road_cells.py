@@ -57,6 +57,11 @@ class Cells(Columns):
     def __len__(self) -> int:
         return len(self.z)
 
+    @property
+    def by_camera(self) -> bool:
+        """Whether a camera sees them, which has no lasers."""
+        return bool(np.isnan(self.layer).any())
+
 
 @dataclass(frozen=True)
 class Patches:
@@ -97,7 +102,7 @@ class Patches:
         number = np.arange(len(cells))
         share = csr_array((weight / np.bincount(patch, weight)[patch], (patch, number)))
         told = np.bincount(patch, weight / count[alike.reshape(-1)])
-        columns = np.column_stack([cells.xy, cells.z, cells.sigma_m, cells.sight, _lasers(cells.layer)])
+        columns = np.column_stack([cells.xy, cells.z, cells.sigma_m, cells.sight, _lasers(cells)])
         xy, z, sigma_m, sight, lasers = np.split(share @ columns, [2, 3, 4, 6], axis=1)
         size_m2 = share @ (np.linalg.norm(cells.xy - xy[patch], axis=1) ** 2) + CELL_M**2 / 6.0
         return Patches(xy, size_m2, z[:, 0], 1.0 / told, sigma_m[:, 0], sight, lasers, share)
@@ -162,12 +167,12 @@ def _patch(xy: FloatArray) -> IntArray:
         side_m *= 1.2
 
 
-def _lasers(layer: FloatArray) -> FloatArray:
+def _lasers(cells: Cells) -> FloatArray:
     """Return to which lasers cells belong, shape (n, k): between two elevations to both, half of the variance each."""
-    if np.isnan(layer).any():
-        return np.zeros((len(layer), 0))
-    low = np.floor(layer)
-    number, upper, row = (low - low.min()).astype(np.int64), layer - low, np.arange(len(layer))
-    belongs = np.zeros((len(layer), number.max() + 2))
+    if cells.by_camera:
+        return np.zeros((len(cells), 0))
+    low = np.floor(cells.layer)
+    number, upper, row = (low - low.min()).astype(np.int64), cells.layer - low, np.arange(len(cells))
+    belongs = np.zeros((len(cells), number.max() + 2))
     belongs[row, number], belongs[row, number + 1] = np.sqrt(1.0 - upper), np.sqrt(upper)
     return belongs

@@ -126,7 +126,7 @@ class Surface:
             uneven.append(smooth(apart_m))
         crowns = patches.share @ self._crowns.raised(off, cells.left_m)
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
-        best, by_slopes = patches.best_plane(self.middle, AREA_M if np.isnan(cells.layer).any() else RINGS_M)
+        best, by_slopes = patches.best_plane(self.middle, AREA_M if cells.by_camera else RINGS_M)
         best_own = best @ own
         best_own[:, 1:3] += by_slopes
         self._by_crowns = best @ crowns
