@@ -37,6 +37,9 @@ from laci_stereo.job import DriveOptions, Result, Task
 SURE_CLOCK_S, LOST_CLOCK_S = 1e-6, 60.0
 """No clocks are known better than that, and beyond it nobody knows which vehicle would be which message's."""
 
+EXACT_M, INEXACT_M = 0.001, 100.0
+"""No position on a moving vehicle is known better than that, and one that is known worse calibrates nothing."""
+
 LONGEST_M = 30.0
 """No vehicle on a road is longer (25.25 m, directive 96/53/EC), and its position refers to none farther away."""
 
@@ -51,6 +54,7 @@ class Asked:
     map_crs: str | None
     station: int | None
     cam_reference: str | None
+    cam_sigma: float | None
     crs: str | None
     height: float | None
     method: Method
@@ -76,6 +80,7 @@ class Asked:
             map_crs=self.map_crs,
             station=self.station,
             reference=None if self.cam_reference is None else parse_reference(self.cam_reference),
+            cam_sigma_m=cam_sigma(self.cam_sigma),
             crs=self.crs,
             name=self.name,
             background=background,
@@ -149,6 +154,13 @@ _ASKED = (
         help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
         "the box's centre, or X m ahead and Y m left of it [default: front; needed where a log's positions are an "
         "antenna's].",
+    ),
+    click.option(
+        "--cam-sigma",
+        type=float,
+        metavar="M",
+        help="How exact positions are where the messages do not tell it, one standard deviation along each axis, m "
+        f"[default: {JointSettings.position_sigma_m:g}, that of a receiver with carrier-phase corrections (RTK)].",
     ),
     click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
     click.option(
@@ -392,6 +404,19 @@ def clock_sigma(clock: str, sigma_s: float | None) -> float:
     if not SURE_CLOCK_S <= sigma_s <= LOST_CLOCK_S:
         raise SettingError(f"--clock-sigma is {sigma_s} s; needed is {SURE_CLOCK_S:g} to {LOST_CLOCK_S:g}")
     return sigma_s
+
+
+def cam_sigma(sigma_m: float | None) -> float | None:
+    """Check how exact positions are said to be, metres.
+
+    Raises
+    ------
+    SettingError
+        If nothing can be so exact, or of any use.
+    """
+    if sigma_m is not None and not EXACT_M <= sigma_m <= INEXACT_M:
+        raise SettingError(f"--cam-sigma is {sigma_m} m; needed is {EXACT_M:g} to {INEXACT_M:g}")
+    return sigma_m
 
 
 def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:

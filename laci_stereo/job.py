@@ -50,6 +50,9 @@ class DriveOptions:
         The sender; None takes all that are surely seen.
     reference : ReferencePoint or None
         Where on the vehicle the messages' positions are; None takes CAMs for what they are, and refuses an antenna's.
+    cam_sigma_m : float or None
+        How exact positions are of which the messages do not tell it, one standard deviation; None takes them for
+        corrected ones (`JointSettings`).
     crs : str or None
         The UTM zone; None takes the messages'.
     name : str or None
@@ -63,6 +66,7 @@ class DriveOptions:
     map_crs: str | None = None
     station: int | None = None
     reference: ReferencePoint | None = None
+    cam_sigma_m: float | None = None
     crs: str | None = None
     name: str | None = None
     background: tuple[int, int] | Path | None = None
@@ -80,6 +84,7 @@ class DriveOptions:
             "background_frames": str(background) if isinstance(background, Path) else background,
             "station": self.station,
             "reference": asdict(self.point),
+            "cam_sigma_m": self.cam_sigma_m,
             "crs": self.crs,
             "map_crs": self.map_crs,
             **asdict(self.core),
@@ -130,6 +135,8 @@ def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], optio
     if recorded.is_receiver and options.reference is None:
         raise CamError(f"{cam} is {recorded.format}, and {OF_ANTENNA}")
     messages = _of_station(recorded.log, options.station, cam)
+    if options.cam_sigma_m is not None:
+        messages = messages.exact_to(options.cam_sigma_m)
     with _naming(cam):
         check_overlap(messages, *span_ns)
         world = world_around(messages.between(*span_ns, options.core.match.clock_sigma_s), options.crs)

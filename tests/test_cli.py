@@ -230,7 +230,7 @@ def test_right_images_of_another_size_are_refused(site: Site) -> None:
 
 ASSUMED = (
     "the messages tell no accuracy of their positions: taken as 0.02 m, that of a receiver with carrier-phase "
-    "corrections"
+    "corrections; with another the result is as far off as its positions: say --cam-sigma"
 )
 """What is to be said of the demonstration's messages."""
 
@@ -392,6 +392,8 @@ def test_an_empty_road_is_not_calibrated(site: Site) -> None:
         (("--disparities", "0..100000"), ("0..100000", "needed", "640")),
         (("--cam-reference", "nonsense"), ("--cam-reference is 'nonsense'", "needed is front, center")),
         (("--cam-reference", "9" * 20 + ",0"), ("--cam-reference is", "metres, up to 30")),
+        (("--cam-sigma", "0"), ("--cam-sigma is 0.0 m", "needed is 0.001 to 100")),
+        (("--cam-sigma", "nan"), ("--cam-sigma is nan m", "needed is 0.001 to 100")),
         (("--clock-sigma", "1e308"), ("--clock-sigma is 1e+308 s", "needed is 1e-06 to 60")),
         (("--clock-sigma", "nan"), ("--clock-sigma is nan s", "needed is 1e-06 to 60")),
         (("--max-sigma-m", "0"), ("--max-sigma-m is 0.0 m", "needed is a number above 0")),

@@ -140,7 +140,7 @@ def errors(made: Scene, T_utm_sensor: FloatArray) -> tuple[float, float]:
 
 ASSUMED = (
     "note: the messages tell no accuracy of their positions: taken as 0.02 m, that of a receiver with carrier-phase "
-    "corrections"
+    "corrections; with another the result is as far off as its positions: say --cam-sigma"
 )
 
 

@@ -152,6 +152,17 @@ def test_an_axis_that_is_not_told_is_as_long_as_the_other() -> None:
     assert np.isnan(track_of(replace(log, semi_major_95_m=nothing, semi_minor_95_m=nothing)).position_sigma_m)
 
 
+def test_accuracy_is_said_only_of_positions_whose_messages_do_not_tell_it() -> None:
+    log = cam_log(ULM, car(TURN), 6.0)
+    told, nothing = np.full(len(log), 0.6 * ELLIPSE_SIGMAS), np.full(len(log), np.nan)
+    for major, minor in ((told, nothing), (nothing, told), (told, told)):
+        assert track_of(replace(log, semi_major_95_m=major, semi_minor_95_m=minor).exact_to(2.0)).position_sigma_m == (
+            pytest.approx(0.6)
+        )
+    untold = replace(log, semi_major_95_m=nothing, semi_minor_95_m=nothing)
+    assert track_of(untold.exact_to(2.0)).position_sigma_m == pytest.approx(2.0)
+
+
 def test_stamps_are_exact_far_from_1970() -> None:
     log = cam_log(ULM, car(NORTH), 5.0)
     assert ((track_of(log).stamps_s * 1e9).round().astype(np.int64) == log.stamps_ns - EPOCH_NS).all()

@@ -206,6 +206,13 @@ def test_an_accuracy_that_was_not_told() -> None:
     assert np.array_equal(told.T_world_sensor, untold.T_world_sensor)
 
 
+def test_positions_that_are_a_metre_off_make_a_result_that_may_be() -> None:
+    found = calibrate(TURNING.recording, TURNING.messages.exact_to(1.0))
+    assert found.remarks == ()
+    assert found.quality.track_xy_sigma_m > 0.7
+    assert found.quality.verdict == "warn"
+
+
 def test_an_accuracy_that_is_out_of_range() -> None:
     log = TURNING.messages
     semi = np.full(len(log), 40.94)
