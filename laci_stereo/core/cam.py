@@ -108,8 +108,9 @@ class CamLog(Columns):
     def exact_to(self, sigma_m: float) -> CamLog:
         """Return the messages with positions exact to so much, one standard deviation, where they do not tell it."""
         told = np.isfinite(self.semi_major_95_m) | np.isfinite(self.semi_minor_95_m)
-        axes = (np.where(told, axis, ELLIPSE_SIGMAS * sigma_m) for axis in (self.semi_major_95_m, self.semi_minor_95_m))
-        major_m, minor_m = axes
+        major_m, minor_m = (
+            np.where(told, axis, ELLIPSE_SIGMAS * sigma_m) for axis in (self.semi_major_95_m, self.semi_minor_95_m)
+        )
         return replace(self, semi_major_95_m=major_m, semi_minor_95_m=minor_m)
 
 

@@ -404,7 +404,8 @@ def _assumed_accuracies(drives: Sequence[Evidence], names: Sequence[str], settin
     """Say how exact positions were taken for whose messages tell nothing of it."""
     assumed = (
         f"the messages tell no accuracy of their positions: taken as {settings.position_sigma_m:g} m, that of a "
-        "receiver with carrier-phase corrections; with another the result is as far off as its positions: say --cam-sigma"
+        "receiver with carrier-phase corrections; with another the result is as far off as its positions: "
+        "say --cam-sigma"
     )
     return [
         f"{name}: {assumed}" if name else assumed
