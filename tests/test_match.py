@@ -127,6 +127,33 @@ def test_one_vehicle_among_thirty_tells_where_the_sensor_is(
     assert angle_deg < 0.3
 
 
+@pytest.mark.parametrize("late_s", [0.1, -0.1])
+@pytest.mark.parametrize(
+    "seed", [103, 108, *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS if seed not in {103, 104, 108})]
+)
+def test_a_clock_that_nobody_set_is_told_where_speed_changes(tmp_path: Path, seed: int, late_s: float) -> None:
+    """A seed that turns is left out: by half of its positions' errors it looks like another place on the vehicle."""
+    made = traffic(seed)
+    sent = replace(made.messages, stamps_ns=made.messages.stamps_ns + round(late_s * 1e9))
+    found = matched(tmp_path, replace(made, messages=sent)).calibration
+    assert is_senders(made, found)
+    assert errors(made, found).track_xy_m < 3 * found.quality.track_xy_sigma_m
+    assert abs(found.time_offset_s - late_s) < 3 * found.time_sigma_s
+    assert found.quality.verdict == "warn"
+    assert any("the clocks are" in reason for reason in found.quality.reasons)
+
+
+def test_messages_that_pause_while_the_vehicle_is_seen(tmp_path: Path) -> None:
+    """From so soon that one half of the drive has a frame or two, or none, at which its place is known."""
+    made = traffic(SEEDS[0])
+    begin_ns = np.sort(made.detections.stamps_ns[made.of_vehicle == 0])[0]
+    for first_s in (0.2, 0.4, 0.6, 0.8, 1.0):
+        late = made.messages.stamps_ns - begin_ns
+        kept = (late < first_s * 1e9) | (late > 7.0e9)
+        found = matched(tmp_path, replace(made, messages=made.messages[kept])).calibration
+        assert errors(made, found).track_xy_m < 3 * found.quality.track_xy_sigma_m
+
+
 def test_exact_boxes_give_the_exact_transform(tmp_path: Path) -> None:
     """Up to the messages' resolution (1 cm, 0.1 deg) and the spline between them; and what was claimed covers it."""
     for seed in (1, 2, 3):

@@ -270,7 +270,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     ------
     CamError
         If there are fewer than two messages with a position, or no two near one another in time, or fewer than half fit
-        one another, or the heading was never sent, or is not what it should be.
+        one another, or headings are not what they should be.
     TrackError
         If the vehicle stands still.
     """
@@ -301,6 +301,9 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
             f"more; needed are two within {MAX_GAP_S} s, as nothing tells where it was over longer gaps"
         )
     yaw = _body_yaw(log, world, xy_reference)
+    if not np.isfinite(log.heading_deg).any():
+        no_heading = "the messages tell no heading: taken for the way in which positions move, as if it drove forwards"
+        remarks += (no_heading,)
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     track = VehicleTrack(
         stamps_s=stamps_s,
@@ -446,19 +449,23 @@ def _position_sigma(log: CamLog) -> float:
 
 
 def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
-    """Return the body's yaw, unwrapped: from the sent heading while the vehicle moves, interpolated while it stands."""
+    """Return the body's yaw, unwrapped: from the sent heading while the vehicle moves, interpolated while it stands.
+
+    Where no heading was sent at all, it is the way in which the positions move.
+    """
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
+    stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
+    if not np.isfinite(yaw).any():
+        velocity = usual_velocity(stamps_s, xy)
+        yaw = np.arctan2(velocity[:, 1], velocity[:, 0])
     speed = np.where(np.isfinite(log.speed_mps), log.speed_mps, _speed(xy, log.stamps_ns))
     sure = np.isfinite(yaw) & (speed >= STANDING_MPS)
-    if not np.isfinite(yaw).any():
-        raise CamError(f"the vehicle's heading is in none of the {len(log)} messages; needed is at least one")
     if not sure.any():
         fastest_mps = float(np.nanmax(speed[np.isfinite(yaw)], initial=0.0))
         raise TrackError(
             f"the vehicle of station {log.station_id[0]} stands still: its speed is at most {fastest_mps:.2f} m/s "
             f"according to its CAMs; needed are {STANDING_MPS} m/s"
         )
-    stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
     drive = np.append(0, np.cumsum(_may_turn(np.diff(stamps_s), (speed[1:] + speed[:-1]) / 2)))[sure]
     parts = [
         _without_reversing(yaw[sure][drive == number], speed[sure][drive == number]) for number in np.unique(drive)

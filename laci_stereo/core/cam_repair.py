@@ -280,7 +280,8 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
 def _without_mirrors(length_m: float, told_m: float) -> tuple[float, float]:
     """Return the likelier of a car's width as told and its width if that is over the mirrors, and what it may be off.
 
-    By Bayes' rule between the two, from how wide cars of this length are; the other one counts in the variance.
+    By Bayes' rule between the two, from how wide cars of this length are; the other one counts in the variance. What is
+    told is not over the mirrors where the body would be even wider.
     """
     usual_m = USUAL_WIDTH_M + WIDER_PER_M * (length_m - USUAL_LENGTH_M)
     sigmas = np.hypot(WIDTH_SIGMA_M, (ROUNDED_M, math.hypot(ROUNDED_M, MIRRORS_SIGMA_M)))
@@ -289,6 +290,8 @@ def _without_mirrors(length_m: float, told_m: float) -> tuple[float, float]:
     is_over = float(over / max(as_told + over, 1e-300))
     know = np.array([WIDTH_SIGMA_M, math.hypot(ROUNDED_M, MIRRORS_SIGMA_M)]) ** -2
     body_m = float(know @ (usual_m, told_m - MIRRORS_M) / know.sum())
+    if body_m >= told_m:
+        return told_m, 0.0
     variance, apart = float(1.0 / know.sum()), (told_m - body_m) ** 2
     if is_over > 0.5:
         return body_m, math.sqrt(variance + (1.0 - is_over) * apart)

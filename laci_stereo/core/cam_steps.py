@@ -65,12 +65,17 @@ def largest_step(
     velocity = onwards_mps[:, None] * np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
     passed_s = np.diff(stamps_s)[:, None]
     led = np.cumsum(np.vstack([np.zeros((1, 2)), (velocity[1:] + velocity[:-1]) / 2 * passed_s]), axis=0)
-    each = [xy - rotate_xy(yaw_rad, np.tile(lever, (len(xy), 1))) - led for lever in levers]
+    yaws = (yaw_rad, _smoothed(stamps_s, yaw_rad))
+    each = [xy - rotate_xy(yaw, np.tile(lever, (len(xy), 1))) - led for yaw in yaws for lever in levers]
     place = around[:, BESIDE]
     by_lever = np.array([rotate_xy(-yaw_rad[place], _steps(stamps_s, off, around, place)) for off in each])
-    lever = np.linalg.norm(by_lever, axis=2).argmin(axis=0)
+    size_m = np.linalg.norm(by_lever, axis=2)
+    lever = size_m.argmin(axis=0)
     steps = by_lever[lever, np.arange(len(place))]
-    steps_m, sigmas = (np.linalg.norm(each_way, axis=1) for each_way in (steps, steps / _noise(steps, place)))
+    # Inexact headings move a point by its lever, which bends tell: straight on, a point without one has less noise.
+    # Smoothed headings are more exact, but where a bend begins.
+    noise = np.maximum(_noise(steps, place), _noise(by_lever[size_m.mean(axis=1).argmin()], place))
+    steps_m, sigmas = (np.linalg.norm(each_way, axis=1) for each_way in (steps, steps / noise))
     surely = (sigmas > SURELY) & (steps_m > BEYOND_TOLD * float(np.nan_to_num(sigma_m)))
     for i in np.flatnonzero(surely)[np.argsort(-steps_m[surely])].tolist():
         others = np.array([np.delete(around[i], k) for k in range(2 * BESIDE)])
@@ -87,6 +92,17 @@ def _steps(stamps_s: FloatArray, off: FloatArray, around: IntArray, place: IntAr
     by_step = np.linalg.pinv(np.stack([np.ones_like(at_s), at_s, at_s**2, later], axis=2))[:, 3]
     steps: FloatArray = np.einsum("mk,mkj->mj", by_step, off[around])
     return steps
+
+
+def _smoothed(stamps_s: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Return yaws by parabolas through each message and the two before and after (Savitzky and Golay 1964)."""
+    smooth = yaw_rad.copy()
+    five = np.arange(-2, 3) + np.arange(2, len(yaw_rad) - 2)[:, None]
+    five = five[np.ptp(stamps_s[five], axis=1) <= LONGEST_S / 2.0]
+    at_s = stamps_s[five] - stamps_s[five[:, 2:3]]
+    weights = np.linalg.pinv(np.stack([np.ones_like(at_s), at_s, at_s**2], axis=2))[:, 0]
+    smooth[five[:, 2]] = np.einsum("mk,mk->m", weights, yaw_rad[five])
+    return smooth
 
 
 def _noise(steps: FloatArray, place: IntArray) -> FloatArray:

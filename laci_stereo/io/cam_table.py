@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.io.cam_columns import COLUMNS, SPEED, STATION_ID, Quantity
+from laci_stereo.io.cam_columns import COLUMNS, MOTION, STATION_ID, Quantity
 from laci_stereo.io.stamps import number
 from laci_stereo.io.table import Parsed, Table, is_missing
 from laci_stereo.io.text_file import quoted
@@ -19,7 +19,8 @@ def column_notes(table: Table) -> list[str]:
         for column, place in places.items()
         if place is not None and table.header[place] != column.name
     ]
-    return notes if places[SPEED] is not None else [*notes, "no column speed; it follows from the positions"]
+    lacking = [f"no column {each.name}; it follows from the positions" for each in MOTION if places[each] is None]
+    return notes + lacking
 
 
 def station_ids(table: Table) -> Parsed[IntArray]:

@@ -56,6 +56,14 @@ def test_positions_that_go_where_they_should_have_no_step(drive: Drive) -> None:
         assert found.position_sigma_m == pytest.approx(TOLD_M)
 
 
+@pytest.mark.parametrize("drive", [LEFT_TURN, RIGHT_TURN, CURVE])
+def test_inexact_headings_are_no_steps_of_the_front(drive: Drive) -> None:
+    for seed in range(20):
+        log = sent(drive, seed=seed)
+        more_deg = np.random.default_rng(100 + seed).normal(0.0, 0.6, len(log))
+        assert track(replace(log, heading_deg=log.heading_deg + more_deg)).doubts == ()
+
+
 @pytest.mark.parametrize("step_m", [0.15, 0.25])
 @pytest.mark.parametrize("drive", [STRAIGHT, LEFT_TURN, RIGHT_TURN, CURVE, STOP_AND_GO])
 def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: float) -> None:
