@@ -129,10 +129,10 @@ def test_one_vehicle_among_thirty_tells_where_the_sensor_is(
 
 @pytest.mark.parametrize("late_s", [0.1, -0.1])
 @pytest.mark.parametrize(
-    "seed", [103, 108, *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS if seed not in {103, 104, 108})]
+    "seed", [103, 106, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (100, 101, 102, 105, 107, 109))]
 )
 def test_a_clock_that_nobody_set_is_told_where_speed_changes(tmp_path: Path, seed: int, late_s: float) -> None:
-    """A seed that turns is left out: by half of its positions' errors it looks like another place on the vehicle."""
+    """To 25 ms at the least; and without a turn, in which it may look like another place on the vehicle."""
     made = traffic(seed)
     sent = replace(made.messages, stamps_ns=made.messages.stamps_ns + round(late_s * 1e9))
     found = matched(tmp_path, replace(made, messages=sent)).calibration

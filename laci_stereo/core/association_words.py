@@ -19,6 +19,9 @@ from laci_stereo.core.tracking import Track
 COVERED_SHARE = 0.9
 """What is empty in no more than a tenth of the frames is background, see `learn_background`."""
 
+TURNED_RAD = np.radians(30.0)
+"""A drive that turns by so much lacks no turn."""
+
 EVEN_ODDS = 2.0
 """Up to such odds people call two things equally likely."""
 
@@ -49,10 +52,14 @@ def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
 
 def by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> str:
     """Say that the one that fits may be a stranger, and what the log odds are that it is not."""
+    track = joined(scene, best)
+    poses = scene.senders[best.station].at(np.array([sighting.stamp_s for sighting in track.usable]))
+    turns = np.ptp(poses.yaw_rad[poses.known]) > TURNED_RAD if poses.known.any() else False
+    odds = f"{math.exp(log_odds):.1f} to 1" if log_odds >= 0.0 else f"1 to {math.exp(min(-log_odds, 9.0)):.1f}"
     return (
-        f"station {best.station} fits one of {objects} moving objects, seen in {len(joined(scene, best).usable)} "
-        f"frames, but that may be by chance (odds of {math.exp(log_odds):.1f} to 1 that it is its vehicle): record a "
-        "longer drive, or one with a turn"
+        f"station {best.station} fits one of {objects} moving objects, seen in {len(track.usable)} frames, but that "
+        f"may be by chance (odds of {odds} that it is its vehicle): record a longer drive"
+        f"{', or one with less traffic' if turns else ', or one with a turn'}"
     )
 
 

@@ -13,7 +13,7 @@ from laci_stereo.core.choice import Choice, Other
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
-from laci_stereo.core.errors import CamError, TrackError
+from laci_stereo.core.errors import CamError, MatchError, TrackError
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import whole
@@ -92,7 +92,10 @@ def locate(
     """
     settings = settings or Settings()
     tracks = whole(seen.tracks, vehicles.values(), settings)
-    choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings)
+    try:
+        choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings)
+    except MatchError as error:
+        raise MatchError(f"{error}{_assumed(vehicles)}") from error
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     for remark in vehicles[choice.station].remarks:
         log.warning("%s", remark)
@@ -106,6 +109,17 @@ def locate(
     doubts = (*doubts_of(choice), *ridden, *repeats_of(own.track, own.vehicle, own.time_offset_s))
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
     return conclude(passages, placement, settings)
+
+
+def _assumed(vehicles: Mapping[int, VehicleTrack]) -> str:
+    """Say what was assumed of the first vehicle whose messages do not tell its length: it may be what does not fit."""
+    assumed = (
+        f"; station {station}: {remark}"
+        for station, vehicle in sorted(vehicles.items())
+        if vehicle.guessed_m[0]
+        for remark in vehicle.remarks
+    )
+    return next(assumed, "")
 
 
 def _passages(

@@ -41,6 +41,9 @@ TIGHTEST_M, HURRIED_MPS2 = 3.0, 2.0
 """Of a small car (9.5 m from kerb to kerb, 2.4 m from axle to axle) the rear axle's middle goes on that radius at the
 least. Nobody speeds up by more in order to turn round."""
 
+NARROWEST_M = 1.1
+"""No car is narrower (the narrowest quadricycles have 1.2 m). Riders are half as wide as their handlebars."""
+
 COARSE_DECIMALS, ROUNDED_SHARE = 5, 1e-3
 """Of latitudes and longitudes: a metre, and how near to such a step a number is that has no more."""
 
@@ -316,7 +319,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         position_sigma_m=sigma_m,
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
-        doubts=(*doubts, *stepped),
+        doubts=(*doubts, *stepped, *_narrow(float(width), int(log.station_id[0]))),
         altitude_m=log.altitude_m if np.isfinite(log.altitude_m).any() else None,
     )
     if not track.folded.any():
@@ -417,6 +420,17 @@ def _with_steps(
         "those before or those after it are wrong by as much"
     )
     return float(np.hypot(np.nan_to_num(told_m), step_m / np.sqrt(2.0))), (words,)
+
+
+def _narrow(width_m: float, station: int) -> tuple[str, ...]:
+    """Say that a vehicle is no box."""
+    if width_m >= NARROWEST_M:
+        return ()
+    words = (
+        f"the vehicle of station {station} is {width_m:.2f} m wide, as two-wheelers are over their handlebars, and "
+        f"what is seen of it is narrower: the result is off by up to {width_m / 4.0:.2f} m; drive a car"
+    )
+    return (words,)
 
 
 def _check_folding(track: VehicleTrack, station: int) -> str:

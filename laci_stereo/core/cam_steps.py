@@ -96,7 +96,7 @@ def _steps(stamps_s: FloatArray, off: FloatArray, around: IntArray, place: IntAr
 
 def _smoothed(stamps_s: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     """Return yaws by parabolas through each message and the two before and after (Savitzky and Golay 1964)."""
-    smooth = yaw_rad.copy()
+    smooth: FloatArray = yaw_rad.copy()
     five = np.arange(-2, 3) + np.arange(2, len(yaw_rad) - 2)[:, None]
     five = five[np.ptp(stamps_s[five], axis=1) <= LONGEST_S / 2.0]
     at_s = stamps_s[five] - stamps_s[five[:, 2:3]]

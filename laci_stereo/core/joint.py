@@ -282,19 +282,12 @@ class _Mistake:
         By how much more room there is for these corrections then, as a logarithm.
     alone : bool
         It is only if it leaves nothing else that the messages do not allow for.
-    least : float
-        If above 0, it must be off by so much, and likely, by what is found of it; else surely.
     """
 
     what: frozenset[str]
     settings: JointSettings
     log_wider: float = 0.0
     alone: bool = False
-    least: float = 0.0
-
-    def beyond(self, after: float) -> float:
-        """Return by how much it must be off if its standard deviation is known to be so much."""
-        return max(self.least, LATE * after) if self.least else SURELY * after
 
 
 def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettings]:
@@ -337,13 +330,12 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
         likely.append(_Mistake(frozenset(OPTICS), optics))
     apart_s = float(np.abs(solved.x[problem.clocks]).max())
     # How exact a detector's boxes are is told by how they scatter, to which a clock that is off adds: what is found
-    # while clocks are taken for set never seems to contradict that, and what is found else is seldom sure.
+    # while clocks are taken for set never seems to contradict that.
     boxes = not any(len(drive.points) for drive in drives)
     if not problem.turn.possible and (boxes or apart_s > LATE * settings.clock_sigma_s):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         wider = unset.clock_sigma_s / settings.clock_sigma_s
-        least = SURELY * settings.clock_sigma_s if boxes else 0.0
-        likely.append(_Mistake(frozenset({"clock"}), unset, len(drives) * np.log(wider), alone=True, least=least))
+        likely.append(_Mistake(frozenset({"clock"}), unset, len(drives) * np.log(wider), alone=True))
     return likely
 
 
@@ -576,7 +568,7 @@ class _Problem:
             found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
             return float(found @ np.linalg.solve(covariance, found)) > SURELY**2
         return any(
-            each.what in mistake.what and abs(each.value) > mistake.beyond(each.after)
+            each.what in mistake.what and abs(each.value) > SURELY * each.after
             for model, its in self.corrections(solved)
             if "ahead" not in mistake.what or _turned_rad(model.drive) > TURNED_RAD
             for each in its

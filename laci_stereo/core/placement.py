@@ -279,7 +279,8 @@ def _contradicted(
     """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
     found = []
     for name, drive, corrections, missing_m in zip(names, drives, fit.corrections, missing, strict=True):
-        found += [(name, words) for words in (*map(_in_words, _wrong(corrections)), *drive.vehicle.doubts)]
+        wrong = (_in_words(each, drive.vehicle) for each in _wrong(corrections))
+        found += [(name, words) for words in (*wrong, *drive.vehicle.doubts)]
         if missing_m:
             found.append((name, f"{_lacks(missing_m, drive.vehicle)}: {ANOTHER_PIECE}"))
     return found
@@ -363,8 +364,8 @@ def _wrong(corrections: Iterable[Correction]) -> list[Correction]:
     return [each for each in corrections if each.surprise > CONTRADICTED]
 
 
-def _in_words(correction: Correction) -> str:
-    """Say what of the messages the points contradict."""
+def _in_words(correction: Correction, vehicle: VehicleTrack) -> str:
+    """Say what of the messages, or of what was assumed where they tell nothing, the points contradict."""
     value, sigma = correction.value, correction.sigma
     if correction.what == "clock":
         return f"the clocks are {1e3 * value:.0f} ms apart, where {1e3 * sigma:.0f} ms were expected: --clock unknown"
@@ -376,7 +377,9 @@ def _in_words(correction: Correction) -> str:
     if correction.what == "left":
         side = "right" if value > 0 else "left"
         return f"the messages' positions are {abs(value):.2f} m to the {side} of where --cam-reference puts them"
-    return f"the vehicle's {correction.what} is {value:+.2f} m off what its messages tell"
+    guessed_m = dict(zip(("length", "width"), vehicle.guessed_m, strict=True))
+    told = "was assumed" if guessed_m[correction.what] else "its messages tell"
+    return f"the vehicle's {correction.what} is {value:+.2f} m off what {told}"
 
 
 def _optics_in_words(fit: JointFit) -> str:

@@ -38,9 +38,11 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
         f"rolled {angles.roll_deg:.2f} deg clockwise"
     )
     size = f"{vehicle.length_m:.2f} m x {vehicle.width_m:.2f} m"
+    told = all(np.isfinite(passage.vehicle.position_sigma_m) for passage in calibration.passages)
+    one_sigma = "one sigma" if told else "one sigma, if positions are as exact as assumed"
     doubt = (
         f"{quality.track_xy_sigma_m:.2f} m along the track, {quality.yaw_sigma_deg:.2f} deg yaw, "
-        f"{quality.tilt_sigma_deg:.2f} deg tilt, {quality.height_sigma_m:.3f} m height (one sigma)"
+        f"{quality.tilt_sigma_deg:.2f} deg tilt, {quality.height_sigma_m:.3f} m height ({one_sigma})"
     )
     static = calibration.background
     lines = [

@@ -156,7 +156,7 @@ def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], 
     hint = (
         f"with the cameras exchanged {other:.0%} would: are the folders swapped, or is T given in the other direction?"
         if other >= max(2 * share, MIN_MATCHED_SHARE)
-        else "is the calibration another rig's, or stale?"
+        else "is the calibration another rig's, or stale, or are the images dark? `laci-stereo rig` looks for the cause"
     )
     raise RigError(
         f"{folder}: after rectification {share:.1%} of the pixels match between left and right; "
