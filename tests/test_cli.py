@@ -314,9 +314,9 @@ def no_cam(site: Site) -> None:
         pytest.param(cam_content(b""), ("is empty", "needed"), id="empty"),
         pytest.param(header_only, ("holds a header but no rows", "needed is at least one message"), id="header only"),
         pytest.param(
-            without_column("heading"),
-            ("lacks the column heading", "it holds timestamp, station_id, latitude, longitude, altitude, speed"),
-            id="no heading",
+            without_column("latitude"),
+            ("lacks the column latitude", "it holds timestamp, station_id, longitude, altitude, heading, speed"),
+            id="no latitude",
         ),
         pytest.param(exchanged, ("latitude and longitude look exchanged", "9.94", "48.42"), id="exchanged"),
         pytest.param(no_positions, ("no position", "all of 99 rows", "needed are at least 2"), id="no positions"),

@@ -470,7 +470,7 @@ def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
     if not np.isfinite(yaw).any():
-        velocity = usual_velocity(stamps_s, xy)
+        velocity = np.gradient(xy, stamps_s, axis=0)
         yaw = np.arctan2(velocity[:, 1], velocity[:, 0])
     speed = np.where(np.isfinite(log.speed_mps), log.speed_mps, _speed(xy, log.stamps_ns))
     sure = np.isfinite(yaw) & (speed >= STANDING_MPS)

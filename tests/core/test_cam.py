@@ -18,7 +18,7 @@ from laci_stereo.core.cam import (
     vehicle_track,
 )
 from laci_stereo.core.errors import CamError, TrackError
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
 from laci_stereo.core.world import World
 from tests.simulated import EPOCH_NS, SYDNEY, ULM, Drive, Place, cam_log, car, together
 
@@ -168,10 +168,26 @@ def test_stamps_are_exact_far_from_1970() -> None:
     assert ((track_of(log).stamps_s * 1e9).round().astype(np.int64) == log.stamps_ns - EPOCH_NS).all()
 
 
-def test_a_heading_that_was_never_sent() -> None:
-    log = cam_log(ULM, car(NORTH), 2.0)
-    with pytest.raises(CamError, match=f"the vehicle's heading is in none of the {len(log)} messages"):
-        track_of(replace(log, heading_deg=np.full(len(log), np.nan)))
+@pytest.mark.parametrize("drive", [NORTH, TURN])
+def test_headings_that_were_never_sent_are_those_of_the_motion(drive: Drive) -> None:
+    log = cam_log(ULM, car(drive), 6.0)
+    known, found = track_of(log), track_of(replace(log, heading_deg=np.full(len(log), np.nan)))
+    assert known.remarks == ()
+    (remark,) = found.remarks
+    assert remark.startswith("the messages tell no heading")
+    sent = found.xy + rotate_xy(found.yaw_rad, np.tile(found.reference, (len(log), 1)))
+    moved = np.diff(sent, axis=0)
+    off = wrap(np.arctan2(moved[:, 1], moved[:, 0]) - (found.yaw_rad[1:] + found.yaw_rad[:-1]) / 2.0)
+    assert np.degrees(np.abs(off)).max() < 5.0
+    assert np.degrees(found.yaw_rad[[0, -1]]) == pytest.approx(np.degrees(known.yaw_rad[[0, -1]]), abs=3.0)
+
+
+def test_a_two_wheelers_width_is_not_its_bodys() -> None:
+    log = cam_log(ULM, car(NORTH), 6.0)
+    for width_m, said in ((0.8, 1), (1.0, 1), (1.2, 0), (1.7, 0)):
+        sent = replace(log, length_m=np.full(len(log), 2.2), width_m=np.full(len(log), width_m))
+        doubts = track_of(sent).doubts
+        assert ["two-wheelers" in doubt for doubt in doubts] == [True] * said
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -231,5 +231,11 @@ def test_it_is_said_that_a_width_is_over_the_mirrors() -> None:
     assert any("2.20 m" in remark and "over its mirrors" in remark for remark in taken.remarks)
 
 
+@pytest.mark.parametrize("length_m", [1.9, 2.2, 2.5, 3.0, 4.0])
+def test_nothing_is_wider_than_it_tells(length_m: float) -> None:
+    for width_m in np.arange(0.5, 1.9, 0.1):
+        assert told(length_m, width_m).width_m <= round(float(width_m), 1) + 1e-9
+
+
 def test_a_bus_is_as_wide_as_it_tells() -> None:
     assert (told(12.0, 2.5).width_m, told(12.0, 2.5).guessed_m[1]) == (2.5, 0.0)

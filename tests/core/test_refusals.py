@@ -206,6 +206,14 @@ def test_an_accuracy_that_was_not_told() -> None:
     assert np.array_equal(told.T_world_sensor, untold.T_world_sensor)
 
 
+def test_headings_that_were_not_told() -> None:
+    log = accurate(TURNING.messages)
+    found = calibrate(TURNING.recording, replace(log, heading_deg=np.full(len(log), np.nan)))
+    covered(TURNING, found)
+    (remark,) = found.remarks
+    assert remark.startswith("the messages tell no heading")
+
+
 def test_positions_that_are_a_metre_off_make_a_result_that_may_be() -> None:
     found = calibrate(TURNING.recording, TURNING.messages.exact_to(1.0))
     assert found.remarks == ()

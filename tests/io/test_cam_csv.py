@@ -238,8 +238,9 @@ def test_the_canonical_column_goes_before_its_synonyms(tmp_path: Path, log: CamL
 def test_yaw_is_no_heading(tmp_path: Path) -> None:
     rows = table(drive())
     rows[0][rows[0].index("heading")] = "yaw"
-    with pytest.raises(CamError, match=r"lacks the column heading; .* it holds timestamp, .*yaw"):
-        read_cam_csv(write(tmp_path / "cam.csv", rows))
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert np.isnan(recording.log.heading_deg).all()
+    assert recording.notes == ("no column heading; it follows from the positions",)
 
 
 def test_raw_etsi_integers_are_recognised_and_noted(tmp_path: Path, log: CamLog) -> None:
@@ -433,6 +434,7 @@ def test_times_in_whole_seconds_are_refused_rather_than_merged(tmp_path: Path) -
     [
         ("station_id", "no station_id; all rows are taken for those of one station, 0"),
         ("speed", "no column speed; it follows"),
+        ("heading", "no column heading; it follows"),
     ],
 )
 def test_what_may_be_absent_is_noted(tmp_path: Path, column: str, note: str) -> None:
@@ -442,7 +444,7 @@ def test_what_may_be_absent_is_noted(tmp_path: Path, column: str, note: str) -> 
     assert len(recording.log) == 20
 
 
-@pytest.mark.parametrize("column", ["timestamp", "latitude", "longitude", "heading"])
+@pytest.mark.parametrize("column", ["timestamp", "latitude", "longitude"])
 def test_what_may_not_be_absent_is_named(tmp_path: Path, column: str) -> None:
     columns = {name: cell for name, cell in CANONICAL.items() if name != column}
     with pytest.raises(CamError, match=rf"cam\.csv lacks the column {column}; needed are .*, it holds .*station_id"):
@@ -553,7 +555,7 @@ def test_what_is_no_log(tmp_path: Path) -> None:
         (bytes(range(256)) * 4, "is not a text file"),
         (b"\x7fELF\0\0\0\0", "is not a text file: character 4 is NUL"),
         ("\n".join(",".join(row) for row in table(drive())[1:]).encode(), "begins with 1760000002.237000000, 4711"),
-        (b"hello\nworld\n", "lacks the column timestamp, latitude, longitude, heading"),
+        (b"hello\nworld\n", "lacks the column timestamp, latitude, longitude"),
     ):
         if content is not None:
             path.write_bytes(content)
