@@ -248,7 +248,7 @@ def place(
         time_sigma_s=fit.time_sigmas_s[0],
         turn=fit.turn,
         remarks=(
-            *([_turning(fit)] if any(drive.turn_s for drive in drives) else []),
+            *([_turning(fit, turn_s)] if (turn_s := max(drive.turn_s for drive in drives)) else []),
             *_assumed_accuracies(drives, names, settings.joint),
         ),
         advice=_advice(fit, doubt, drives[0], _all_lack_m(missing)),
@@ -397,10 +397,16 @@ def _optics_in_words(fit: JointFit) -> str:
     )
 
 
-def _turning(fit: JointFit) -> str:
-    """Say how the scanner turns."""
+def _turning(fit: JointFit, turn_s: float) -> str:
+    """Say how the scanner turns, if it does that once in ``turn_s``."""
     how = {0.0: "all at once", 1.0: "turning counter-clockwise", -1.0: "turning clockwise"}[fit.turn]
-    return f"by the drive, the scanner takes a scan's points {how} (probability {fit.turn_probability:.0%})"
+    found = f"by the drive, the scanner takes a scan's points {how} (probability {fit.turn_probability:.0%})"
+    if fit.turn == 0.0:
+        return found
+    return (
+        f"{found}, once in {turn_s:.3g} s; when in a turn it sees the vehicle is a part of the clock offset then, which "
+        "--sweep takes out"
+    )
 
 
 def _assumed_accuracies(drives: Sequence[Evidence], names: Sequence[str], settings: JointSettings) -> list[str]:
