@@ -404,8 +404,8 @@ def _turning(fit: JointFit, turn_s: float) -> str:
     if fit.turn == 0.0:
         return found
     return (
-        f"{found}, once in {turn_s:.3g} s; when in a turn it sees the vehicle is a part of the clock offset then, which "
-        "--sweep takes out"
+        f"{found}, once in {turn_s:.3g} s; when in a turn it sees the vehicle is a part of the clock offset then, "
+        "which --sweep takes out"
     )
 
 

@@ -18,8 +18,8 @@ def read_cam_csv(path: Path) -> CamRecording:
 
     The columns are ``timestamp``, ``station_id``, ``latitude``, ``longitude``, ``heading``, ``speed``,
     ``vehicle_length`` and ``vehicle_width``, optionally ``altitude``, ``semi_major_95``, ``semi_minor_95`` and
-    ``ellipse_orientation``, and ``position_of`` where that is the ``antenna``; common synonyms are known. Only times and
-    positions are needed. Raw ETSI integers are recognised for the whole file at once.
+    ``ellipse_orientation``, and ``position_of`` where that is the ``antenna``; common synonyms are known. Only
+    times and positions are needed. Raw ETSI integers are recognised for the whole file at once.
 
     Raises
     ------
