@@ -46,8 +46,8 @@ def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
     well = f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1)"
     if second.station != best.station and not set(best.tracks) & set(second.tracks):
         return (
-            f"{well}, each by another vehicle, but not both by one place of the sensor: a clock may be off, and with it "
-            "what either alone would tell; record a drive with a turn"
+            f"{well}, each by another vehicle, but not both by one place of the sensor: a clock may be off, and what "
+            "either alone would tell with it; record a drive with a turn"
         )
     name = "name the sender's station, or " if len(scene.senders) > 1 else ""
     return f"{well}: {name}record a drive with a turn or less traffic"
