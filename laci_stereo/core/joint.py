@@ -313,8 +313,9 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
     """Return what may be wrong by far.
 
     Headings are not the drive's, or positions those of another place on the vehicle than was said, which only a turn
-    tells; a stereo camera has another focal length or baseline; or a clock was not set, if some seem to be apart. To
-    take small errors of much else for it is likelier the nearer it is to none, and downhill from there.
+    tells; a stereo camera has another focal length or baseline; or a clock was not set, if some seem to be apart or
+    would not seem so. To take small errors of much else for it is likelier the nearer it is to none, and downhill from
+    there.
     """
     settings, drives = problem.settings, [model.drive for model in problem.models]
     senders = len(set(problem.recordings.stations))

@@ -418,7 +418,9 @@ def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:
     # Two seconds later it is elsewhere on the circle, which the motion takes up.
     other = seen(replace(ROUND, start_s=2.0), STAMPS[25:])
     permissive = MatchSettings(least_log_odds=0.0)
-    assert "by chance" in choose_track([other], {42: vehicle(ROUND)}, permissive).doubt
+    doubt = choose_track([other], {42: vehicle(ROUND)}, permissive).doubt
+    assert "by chance" in doubt
+    assert doubt.endswith("record a longer drive, or one with less traffic")
 
 
 def test_a_drive_of_its_own_leaves_no_doubt() -> None:
@@ -435,7 +437,9 @@ def exactly(*_: object) -> Resemblance:
 
 def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
     brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
-    assert "by chance" in choose_track([brief], {42: vehicle()}).doubt
+    doubt = choose_track([brief], {42: vehicle()}).doubt
+    assert "by chance" in doubt
+    assert doubt.endswith("record a longer drive, or one with a turn")
     assert choose_track([brief], {42: vehicle()}, likeness=exactly).doubt == ""
 
 

@@ -155,6 +155,9 @@ def test_a_stranger_on_the_senders_way_at_nearly_its_speed(last_s: float) -> Non
     messages = scene(STRAIGHT, lidar(), last_s=last_s).messages
     with pytest.raises(MatchError, match=r"station 42 fits one of 1 moving objects, .* but that may be by chance"):
         calibrate(stranger.recording, messages)
+    untold = replace(messages, length_m=np.full(len(messages), np.nan))
+    with pytest.raises(MatchError, match=r"by chance .* the messages tell no length of the vehicle: taken as a car's"):
+        calibrate(stranger.recording, untold)
 
 
 def test_messages_that_contradict_one_another() -> None:
