@@ -218,8 +218,11 @@ class DriveModel:
         knots = max(2, int(np.ceil(end * KNOTS_PER_TIME)) + 1)
         at = np.linspace(0.0, end, knots)
         self.hat = np.maximum(0.0, 1.0 - np.abs(course[:, None] - at) / at[1])
+        # What lasts for one frame stands on until then, so that no two knots are at one time.
+        stays_s, until = (end - course[-1:]) * settings.bias_time_s, np.append(course, end)
         self.knots_s, self.knots_m = (
-            np.interp(at, course, each) if len(drive) else np.zeros(knots) for each in (drive.stamps_s, drive.way_m)
+            np.interp(at, until, np.append(each, each[-1:] + more)) if len(drive) else np.zeros(knots)
+            for each, more in ((drive.stamps_s, stays_s), (drive.way_m, 0.0))
         )
         self.block = blocks_of(drive, settings.block_s)
         self.worth = worth_of(drive, SAME_VIEW_M)

@@ -61,8 +61,10 @@ def halves_apart(own: Passage, fit: JointFit, settings: Settings) -> Apart | Non
     sightings = own.track.sightings
     middle = len(sightings) // 2
     try:
-        first, second = (_alone(own, part, fit, settings) for part in (sightings[:middle], sightings[middle:]))
+        first, second = (_alone(own, part, fit) for part in (sightings[:middle], sightings[middle:]))
     except MatchError:
+        return None
+    if min(first.frames, second.frames) < settings.match.min_frames:
         return None
     place = fit.centre_level[None]
     off = np.array(
@@ -79,18 +81,7 @@ def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
     return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
 
 
-def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit, settings: Settings) -> JointFit:
-    """Fit a half as the whole was, whose mistakes it has.
-
-    Raises
-    ------
-    MatchError
-        If it shows the vehicle in too few frames.
-    """
+def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:
+    """Fit a half as the whole was, whose mistakes it has."""
     drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(HELD_ROWS)
-    least = settings.match.min_frames
-    if len(drive) >= least:
-        found = fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)
-        if found.frames >= least:
-            return found
-    raise MatchError(f"half of the drive shows the vehicle in too few frames; needed are {least}")
+    return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)

@@ -197,6 +197,27 @@ def test_two_drives_know_more_than_either() -> None:
     assert len(both.time_offsets_s) == len(both.corrections) == 2
 
 
+def test_one_frame_tells_a_little() -> None:
+    """So does one whose messages pause but for that, or another sender that is hardly seen."""
+    drive = evidence(TURN)
+    its = drive.frame == 40
+    one = replace(
+        drive,
+        stamps_s=drive.stamps_s[40:41],
+        middles=drive.middles[40:41],
+        lacking_m=drive.lacking_m[40:41],
+        points=drive.points[its],
+        frame=np.zeros(np.count_nonzero(its), dtype=np.int64),
+        sigma_along_m=drive.sigma_along_m[its],
+        sigma_across_m=drive.sigma_across_m[its],
+        sigma_z_m=drive.sigma_z_m[its],
+    )
+    fit, whole = fit_jointly([one], TRUTH), timed(TURN)
+    assert (np.diag(fit.covariance) > np.diag(whole.covariance)).all()
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 9.0
+
+
 @pytest.mark.slow
 def test_from_what_each_drive_says_no_other_start_is_needed() -> None:
     one, other = evidence(seed=1), evidence(STRAIGHT, seed=2)
