@@ -16,6 +16,7 @@ from jsonschema import Draft202012Validator
 
 from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import GroundError, InputError
+from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from laci_stereo.io.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match
@@ -28,6 +29,8 @@ NOT_CALIBRATED, UNUSABLE = 1, 2
 SEEDS = range(100, 110)
 TURNS = 104
 """A seed whose sender turns."""
+PERHAPS = [(108, 0.1), *(pytest.param(*it, marks=pytest.mark.slow) for it in ((108, -0.1), (113, -0.1), (115, 0.1)))]
+"""Seeds whose senders drive nearly straight and steadily, and by how much clocks are off."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,20 @@ def test_a_clock_that_nobody_set_is_told_where_speed_changes(tmp_path: Path, see
     assert abs(found.time_offset_s - late_s) < 3 * found.time_sigma_s
     assert found.quality.verdict == "warn"
     assert any("the clocks are" in reason for reason in found.quality.reasons)
+
+
+@pytest.mark.parametrize(("seed", "late_s"), PERHAPS)
+def test_a_clock_that_was_perhaps_not_set_is_a_doubt(tmp_path: Path, seed: int, late_s: float) -> None:
+    """Where it is known worse than to 25 ms; whoever says that clocks are unknown gets the right result."""
+    made = traffic(seed)
+    sent = replace(made, messages=replace(made.messages, stamps_ns=made.messages.stamps_ns + round(late_s * 1e9)))
+    found = matched(tmp_path, sent).calibration
+    assert found.quality.verdict == "warn"
+    assert any("clocks that are" in reason and "--clock unknown" in reason for reason in found.quality.reasons)
+    unknown = Settings(match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0))
+    found = matched(tmp_path, sent, MatchOptions(core=unknown)).calibration
+    assert errors(sent, found).track_xy_m < 3 * found.quality.track_xy_sigma_m
+    assert abs(found.time_offset_s - late_s) < 3 * found.time_sigma_s
 
 
 def test_messages_that_pause_while_the_vehicle_is_seen(tmp_path: Path) -> None:

@@ -156,6 +156,8 @@ class JointFit:
         Of that, by what the points tell.
     settings : JointSettings
         What was taken as known: less than was given, where messages are mistaken.
+    perhaps_unset : Correction or None
+        Of a clock, if none was set. That is likelier than what was taken as known, but not sure.
     """
 
     match: PlanarMatch
@@ -173,6 +175,7 @@ class JointFit:
     standing: int = 0
     optics: tuple[Correction, ...] = ()
     settings: JointSettings = field(default_factory=JointSettings)
+    perhaps_unset: Correction | None = None
 
     def covariance_about(self, place: FloatArray) -> FloatArray:
         """Return the covariance of yaw, x and y, shape (3, 3), about a place of the level frame, shape (2,)."""
@@ -247,9 +250,9 @@ def fit_jointly(
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = _Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    told = settings
+    told, perhaps_unset = settings, None
     if mistakes:
-        best, settings = _mistaken(thinned, best)
+        best, settings, perhaps_unset = _mistaken(thinned, best)
     problem = _Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
@@ -264,7 +267,13 @@ def fit_jointly(
     fit = _fit(problem, solved, centre, expected)
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
     return replace(
-        fit, optics=optics, turn=its_turn, turn_probability=probability, standing=standing, settings=settings
+        fit,
+        optics=optics,
+        turn=its_turn,
+        turn_probability=probability,
+        standing=standing,
+        settings=settings,
+        perhaps_unset=perhaps_unset if settings is told else None,
     )
 
 
@@ -290,23 +299,28 @@ class _Mistake:
     alone: bool = False
 
 
-def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettings]:
+def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
     """Return what is to be expected if something is surely mistaken, and then likeliest, and where the search goes on.
 
-    If nothing is, that is where it began, and what was expected before.
+    If nothing is, that is where it began, and what was expected before; and the offset of a clock that is perhaps.
     """
     here = problem.solve(x, COMPARED)
-    settings, most_likelier = problem.settings, 0.0
+    settings, most_likelier, perhaps_unset = problem.settings, 0.0, None
     for mistake in _mistakes(problem, here):
         wider = problem.expecting(mistake.settings)
         there = wider.solve(here.x, COMPARED)
-        if not wider.tells(there, mistake):
+        surely, unset = wider.tells(there, mistake), None
+        if "clock" in mistake.what and wider.only(there, mistake.what):
+            unset = wider.late(there, problem.settings.clock_sigma_s)
+        if not (surely or unset):
             continue
         log_prior = float(np.log(MISTAKEN)) - mistake.log_wider + wider.log_room_of(there) - problem.log_room_of(here)
         likelier = log_prior + _likelier_by(problem, here, wider, there)
-        if likelier > most_likelier:
+        if unset and likelier > CLEARLY:
+            perhaps_unset = unset
+        if surely and likelier > most_likelier:
             most_likelier, x, settings = likelier, there.x, mistake.settings
-    return x, settings
+    return x, settings, perhaps_unset
 
 
 def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
@@ -574,6 +588,11 @@ class _Problem:
             if "ahead" not in mistake.what or _turned_rad(model.drive) > TURNED_RAD
             for each in its
         )
+
+    def late(self, solved: _Solved, known_s: float) -> Correction | None:
+        """Return a drive's clock that seems to be off by more than was known of it, and than is known now, if any."""
+        clocks = (each for _, its in self.corrections(solved) for each in its if each.what == "clock")
+        return next((each for each in clocks if abs(each.value) > LATE * max(known_s, each.after)), None)
 
     def only(self, solved: _Solved, what: Set[str]) -> bool:
         """Tell whether the messages allow for all corrections but these."""

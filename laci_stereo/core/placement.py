@@ -255,6 +255,7 @@ def place(
         contradictions=(
             *(f"{name}: {words}" if name else words for name, words in contradicted),
             *([_optics_in_words(fit)] if fit.optics else []),
+            *([_perhaps_unset(fit.perhaps_unset)] if fit.perhaps_unset else []),
         ),
         bodies=fit.bodies,
     )
@@ -394,6 +395,14 @@ def _optics_in_words(fit: JointFit) -> str:
         f"depths are {depths} than measured, and breadths {breadths}: the stereo calibration's focal length (depths "
         f"alone) or baseline (both) is wrong, and the camera is put about {off_m:.1f} m off its place; mend it and "
         "calibrate again"
+    )
+
+
+def _perhaps_unset(clock: Correction) -> str:
+    """Say that a clock that nobody has set would explain what is seen better, where its offset is not known well."""
+    return (
+        f"clocks that are {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms apart would explain what is seen "
+        "better; unless they are surely set: --clock unknown"
     )
 
 
