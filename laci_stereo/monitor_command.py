@@ -167,7 +167,10 @@ def monitor(
         read_by = options.contract or contract_beside(options.model)
         files = {"vehicle mask": options.model} | ({} if read_by is None else {"mask contract": read_by})
     settings = StereoSettings(
-        rectified=rectified or stored.rectified, baseline_m=baseline or stored.baseline_m, workers=asked.workers
+        rectified=rectified or stored.rectified,
+        baseline_m=baseline or stored.baseline_m,
+        turn_deg=None if stereo else stored.turn_deg,
+        workers=asked.workers,
     )
     rig_files = calibration_files(stereo, left)
     return Watched(StereoFrames(left, right, rig_files, settings, mask, follow=asked.follow), left, files)

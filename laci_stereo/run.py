@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,13 +11,14 @@ import numpy as np
 
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.result import placed_by
+from laci_stereo.check.rig_turn import RightTurn, find_turn
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
-from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME
+from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME, StereoRig
 from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.job import DriveOptions, Job, Result, read_drive, sha256
 from laci_stereo.mask.contract import contract_beside
@@ -26,6 +27,7 @@ from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
+from laci_stereo.stereo.rectify import already_rectified
 from laci_stereo.stereo.settings import StereoSettings
 
 SIMULTANEOUS_S = 0.001
@@ -86,7 +88,7 @@ def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Opt
 
 
 def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) -> Job:
-    """Read everything but the images, and check that it holds together.
+    """Read everything but the images, of which a few pairs tell whether the cameras have turned, and check it.
 
     Raises
     ------
@@ -94,8 +96,16 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
     """
     options = options or Options()
     pairs = pair_images(ImageFolder.open(left), ImageFolder.open(right))
-    recording, stereo = _recording(left, pairs, options)
-    drive = read_drive(cam, options.lane_map or find_lane_map(left), recording.span_ns, options)
+    stereo = calibration_files(options.stereo, left)
+    size = first_size(pair.left for pair in pairs.pairs)
+    rig = read_stereo_calibration(stereo, size, left, options.camera.baseline_m)
+    span_ns = pairs.pairs[0].stamp_ns, pairs.pairs[-1].stamp_ns
+    drive = read_drive(cam, options.lane_map or find_lane_map(left), span_ns, options)
+    turn = RightTurn()
+    if options.camera.turn_deg is None:
+        turn = find_turn(already_rectified(rig) if options.camera.rectified else rig, pairs.pairs)
+        options = replace(options, camera=replace(options.camera, turn_deg=turn.turn_deg))
+    recording = _recording(left, pairs, rig, options)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
     return Job(
@@ -114,7 +124,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
                 **drive.files,
             },
             config=options.config(),
-            notes=_notes(pairs) + apart + _understood(recording) + _assumed(recording) + drive.notes,
+            notes=_notes(pairs) + apart + _understood(recording) + turn.notes + _assumed(recording) + drive.notes,
             T_sensor_rectified=recording.rectification.T_sensor_rectified,
         ),
         inputs=f"{len(pairs)} image pairs ({unpaired} unpaired), {len(drive.messages)} CAMs",
@@ -122,23 +132,20 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         check=partial(_check, recording, drive.lane_map),
         photograph=partial(_photographs, recording),
         remarks=partial(_words, recording),
-        doubts=apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else (),
+        doubts=turn.doubts + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ()),
     )
 
 
-def _recording(left: Path, pairs: Pairs, options: Options) -> tuple[StereoRecording, tuple[Path, ...]]:
-    """Return the recording and the files that its calibration is from."""
-    stereo = calibration_files(options.stereo, left)
-    recording = StereoRecording(
+def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> StereoRecording:
+    return StereoRecording(
         pairs.pairs,
-        read_stereo_calibration(stereo, first_size(pair.left for pair in pairs.pairs), left, options.camera.baseline_m),
+        rig,
         options.camera,
         options.core.ground,
         _background(pairs, options.background),
         options.name or left.absolute().parent.name,
         None if options.mask is None else VehicleMask.load(options.mask),
     )
-    return recording, stereo
 
 
 def _understood(recording: StereoRecording) -> tuple[str, ...]:

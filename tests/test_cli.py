@@ -210,12 +210,12 @@ def test_the_cameras_exchanged_are_refused_with_a_guess(site: Site) -> None:
     site.left.rename(site.root / "other")
     site.right.rename(site.left)
     (site.root / "other").rename(site.right)
-    site.refused(UNUSABLE, "left", "of the pixels match", "needed are 10%", "exchanged", "folders swapped")
+    site.refused(UNUSABLE, "left", "the images of left and right are swapped", "the other way round")
 
 
 def test_a_baseline_in_the_other_direction_is_refused_with_a_guess(site: Site) -> None:
     site.replace_text(site.stereo, BASELINE, "[ 0.6, 0., 0. ]")
-    site.refused(UNUSABLE, "left", "of the pixels match", "needed are 10%", "T given in the other direction")
+    site.refused(UNUSABLE, "left", "or T is given in the other direction: the other way round the calibration fits")
 
 
 def test_right_images_of_another_size_are_refused(site: Site) -> None:

@@ -95,8 +95,8 @@ def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
     fit = fit_of(used, matches)
     against = judge(fit)
     if outcome_of(against) == "fail":
-        swapped = tuple(_swapped(used, matches))
-        against = (*swapped, *against) if swapped else (*against, *_flat(used, matches))
+        swapped = tuple(swapped_images(used, matches))
+        against = (*swapped, *against) if swapped else (*against, *flat_images(used, matches))
     elif used is not rig:
         findings = tuple(Finding("fail", f"{finding.text}; scaled to them it fits") for finding in findings)
     return RigCheck(used, size, fit, (*findings, *against), matched.first, matched.skipped)
@@ -176,13 +176,14 @@ def scaled(rig: StereoRig, factor: float) -> StereoRig:
     return replace(rig, left=resized(rig.left), right=resized(rig.right), rectified=None)
 
 
-def _swapped(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
+def swapped_images(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
     """Say that left and right are swapped, if the calibration fits the other way round."""
     if _fits(rig, [found.swapped() for found in matches]):
-        yield Finding("fail", "the images of left and right are swapped: the other way round the calibration fits")
+        words = "the images of left and right are swapped, or T is given in the other direction"
+        yield Finding("fail", f"{words}: the other way round the calibration fits")
 
 
-def _flat(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
+def flat_images(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
     """Ask whether the images are rectified already, if that would explain what they show."""
     flat = already_rectified(rig)
     if _fits(flat, matches):

@@ -75,6 +75,23 @@ class Turn:
 
 
 @dataclass(frozen=True)
+class RowsTurn:
+    """The turn of the right camera that explains most of the parallax, if it has turned up and rolled, and no more.
+
+    Attributes
+    ----------
+    angles_rad, sigma_rad : ndarray, shape (2,)
+        About its x and z axis.
+    effect_px : float
+        Root mean square, over the matches, of the parallax by it.
+    """
+
+    angles_rad: FloatArray
+    sigma_rad: FloatArray
+    effect_px: float
+
+
+@dataclass(frozen=True)
 class Parallax:
     """The findings.
 
@@ -92,6 +109,7 @@ class Parallax:
         How far the median disparity of some cell is below zero beyond noise.
     cells : Cells
     turn : Turn
+    rows_turn : RowsTurn
     """
 
     median_px: float
@@ -102,6 +120,7 @@ class Parallax:
     behind_px: float
     cells: Cells
     turn: Turn
+    rows_turn: RowsTurn
 
 
 @dataclass(frozen=True)
@@ -144,7 +163,14 @@ def measure(points: Rectified) -> Parallax:
         behind_px=float(behind.max(initial=0.0)),
         cells=cells,
         turn=Turn(turn[:3], sigma[:3], turn[3:], _high(left_over)),
+        rows_turn=_rows_turn(design[:, [0, 2]], points),
     )
+
+
+def _rows_turn(design: FloatArray, points: Rectified) -> RowsTurn:
+    angles, covariance = _robust_fit(design, points.parallax_px, points.cell, PRIOR_RAD)
+    effect_px = float(np.sqrt(((design @ angles) ** 2).mean()))
+    return RowsTurn(angles, np.sqrt(np.diag(covariance)), effect_px)
 
 
 def turn_rows(points: Rectified) -> FloatArray:

@@ -63,15 +63,30 @@ class Fit:
     moving: Partners
     still: Partners
 
+    @property
+    def shown(self) -> Parallax | None:
+        """The parallax, if most pairs show one scene."""
+        return None if 2 * self.strange > self.pairs else self.parallax
+
+    @property
+    def covers(self) -> bool:
+        """Whether enough parts of the image hold matches to judge by."""
+        return self.shown is not None and len(self.shown.cells.count) >= FEWEST_CELLS
+
 
 def judge(fit: Fit) -> tuple[Finding, ...]:
     """Return what speaks against a calibration; nothing does if it fits.
 
     *fail*: disparities cannot be trusted. *warn*: they are worse than is accounted for, or it cannot be told.
     """
-    if 2 * fit.strange > fit.pairs or fit.parallax is None:
+    if fit.shown is None:
         return (Finding("fail", _strangers(fit)),)
-    found = [*_coverage(fit, fit.parallax), *_rows(fit.parallax), *_columns(fit.parallax, fit.points.focal_px)]
+    return (*_coverage(fit, fit.shown), *contradictions(fit, fit.shown))
+
+
+def contradictions(fit: Fit, shown: Parallax) -> tuple[Finding, ...]:
+    """Return what speaks against a calibration, and not only against the images' texture."""
+    found = [*_rows(shown), *_columns(shown, fit.points.focal_px)]
     if fit.strange:
         found.append(Finding("warn", _strangers(fit)))
     return (*found, *_times(fit))
@@ -96,14 +111,13 @@ def _strangers(fit: Fit) -> str:
 
 
 def _coverage(fit: Fit, parallax: Parallax) -> list[Finding]:
-    cells = len(parallax.cells.count)
-    if cells >= FEWEST_CELLS:
+    if fit.covers:
         return []
     return [
         Finding(
             "warn",
-            f"{len(fit.points)} matches, and enough of them in {cells} of {COLUMNS * ROWS} parts of the image; needed "
-            f"are {FEWEST_CELLS} to judge: is there texture, light and focus?",
+            f"{len(fit.points)} matches, and enough of them in {len(parallax.cells.count)} of {COLUMNS * ROWS} parts "
+            f"of the image; needed are {FEWEST_CELLS} to judge: is there texture, light and focus?",
         )
     ]
 

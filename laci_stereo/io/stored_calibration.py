@@ -43,6 +43,8 @@ class StoredCalibration:
         It is of images that were rectified already.
     baseline_m : float or None
         How far apart the user said that the cameras stand; None where the stereo calibration tells it.
+    turn_deg : tuple of float or None
+        How far its right camera had turned, see `StereoSettings.turn_deg`.
     """
 
     path: Path
@@ -57,6 +59,7 @@ class StoredCalibration:
     angles_deg: tuple[float, float, float]
     rectified: bool
     baseline_m: float | None
+    turn_deg: tuple[float, float] | None
 
     @property
     def claims(self) -> bool:
@@ -116,7 +119,15 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
         angles_deg=(angles["roll"], angles["down"], angles["yaw"]),
         rectified=images.get("rectified") is True,
         baseline_m=float(baseline_m) if isinstance(baseline_m, int | float) else None,
+        turn_deg=_turn_deg(images.get("turn_deg")),
     )
+
+
+def _turn_deg(told: object) -> tuple[float, float] | None:
+    match told:
+        case [int() | float() as pitch, int() | float() as roll]:
+            return float(pitch), float(roll)
+    return None
 
 
 def _covariance(rows: list[list[float]] | None) -> FloatArray:

@@ -25,7 +25,7 @@ from laci_stereo.mask.stage import GlimpseRays, VehicleMask
 from laci_stereo.stereo.ahead import map_ahead, workers
 from laci_stereo.stereo.disparity import Region, check_matched, match
 from laci_stereo.stereo.reader import GreyReader
-from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify
+from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify, turned
 from laci_stereo.stereo.scene import Look, RoadDisparity, learn_look, regions, shrink
 from laci_stereo.stereo.settings import StereoSettings
 
@@ -140,7 +140,7 @@ class StereoRecording:
         self.name = name
         self.pairs = pairs
         self.settings = settings or StereoSettings()
-        self.rig = already_rectified(rig) if self.settings.rectified else rig
+        self.rig = turned(already_rectified(rig) if self.settings.rectified else rig, self.settings.turn_deg)
         _check_disparities(self.settings, self.rig)
         self.reader = GreyReader(self.rig)
         self._ground = ground or GroundSettings()

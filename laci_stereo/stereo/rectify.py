@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster, rigid
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
@@ -116,6 +117,15 @@ def already_rectified(rig: StereoRig) -> StereoRig:
     lens = replace(rig.left, distortion=np.zeros(4), model="pinhole")
     side = np.sign((rig.R_right_left.T @ rig.t_right_left_m)[0])
     return StereoRig(lens, lens, np.eye(3), np.array([side * rig.baseline_m, 0.0, 0.0]), rig.notes)
+
+
+def turned(rig: StereoRig, turn_deg: tuple[float, float] | None) -> StereoRig:
+    """Return the rig whose right camera has turned about its x and z axis, see `StereoSettings.turn_deg`."""
+    if turn_deg is None:
+        return rig
+    pitch, roll = turn_deg
+    R = Rotation.from_rotvec([pitch, 0.0, roll], degrees=True).as_matrix()
+    return replace(rig, R_right_left=R @ rig.R_right_left, t_right_left_m=R @ rig.t_right_left_m)
 
 
 def undistorted(lens: Lens, points: FloatArray, R: FloatArray | None = None, P: FloatArray | None = None) -> FloatArray:

@@ -17,6 +17,9 @@ class StereoSettings:
         The images are rectified already, and the calibration's left matrix is that of both.
     baseline_m : float or None
         How far apart the cameras stand, where the calibration's lengths are in an unknown unit; None: as it says.
+    turn_deg : tuple of float or None
+        How far the right camera has turned since it was calibrated, up and about its line of sight (about its x and z
+        axis), as rows of the images tell; None: not at all. A turn sideways moves no rows.
     disparities : tuple of int or None
         Smallest and largest disparity to search, pixels. None: from the baseline, the focal length and the mounting
         height, which a coarse look at the scene gives, for every part of an image by itself.
@@ -42,6 +45,7 @@ class StereoSettings:
 
     rectified: bool = False
     baseline_m: float | None = None
+    turn_deg: tuple[float, float] | None = None
     disparities: tuple[int, int] | None = None
     block_size: int = 5
     uniqueness_percent: int = 10

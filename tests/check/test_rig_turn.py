@@ -1,0 +1,116 @@
+"""A right camera that has turned since it was calibrated: rows tell it, and it is taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from laci_stereo.check.rig_images import fit_of, match_images
+from laci_stereo.check.rig_turn import LEAST_PX, RightTurn, find_turn
+from laci_stereo.core.errors import RigError
+from laci_stereo.io.calibration_file import to_document, to_text
+from laci_stereo.io.images import StereoPair
+from laci_stereo.io.rig import StereoRig
+from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.run import Options, prepare
+from laci_stereo.stereo.rectify import rectify, turned
+from laci_stereo.stereo.settings import StereoSettings
+from tests.cli_support import DEMONSTRATION
+from tests.io.rig_writers import opencv_entries, write_storage
+from tests.report.page_support import PROVENANCE
+from tests.report.support import calibration
+from tests.stereo.rigs import RIGS
+from tests.stereo.support import exposed, views, write_pairs
+
+KINDS = ("five", "askew", "fisheye", "mirrored askew")
+LARGE, SMALL = (0.3, -0.2), (0.03, -0.02)
+"""Turns in degrees: rows are off by two pixels, and by 0.2."""
+
+Recorded = Callable[[str], Sequence[StereoPair]]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    @lru_cache(maxsize=len(KINDS))
+    def pairs(name: str) -> Sequence[StereoPair]:
+        return write_pairs(tmp_path_factory.mktemp("pairs"), exposed([views(name)], seed=1) * 2)
+
+    return pairs
+
+
+def stale(rig: StereoRig, turn_deg: tuple[float, float]) -> StereoRig:
+    """Return the rig as it was calibrated before its right camera turned to where it is."""
+    pitch, roll = turn_deg
+    back = Rotation.from_rotvec([pitch, 0.0, roll], degrees=True).inv().as_matrix()
+    return replace(rig, R_right_left=back @ rig.R_right_left, t_right_left_m=back @ rig.t_right_left_m)
+
+
+@pytest.mark.parametrize("turn_deg", [LARGE, SMALL])
+@pytest.mark.parametrize("name", KINDS)
+def test_a_turn_is_found_and_taken_back(recorded: Recorded, name: str, turn_deg: tuple[float, float]) -> None:
+    rig, pairs = stale(RIGS[name], turn_deg), recorded(name)
+    found = find_turn(rig, pairs)
+    assert found.turn_deg is not None
+    assert np.abs(np.subtract(found.turn_deg, turn_deg)).max() < 0.01
+    after = fit_of(turned(rig, found.turn_deg), match_images(pairs).matches)
+    assert after.shown is not None
+    assert after.shown.rows_turn.effect_px < LEAST_PX
+    said, unsaid = (found.doubts, found.notes) if turn_deg == LARGE else (found.notes, found.doubts)
+    assert [len(said), len(unsaid)] == [1, 0]
+    assert ("a turn sideways by as much would not show" in said[0]) == (turn_deg == LARGE)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_calibration_that_fits_is_left_as_it_is(recorded: Recorded, name: str) -> None:
+    assert find_turn(RIGS[name], recorded(name)) == RightTurn()
+
+
+def test_what_no_turn_explains_is_a_doubt(recorded: Recorded) -> None:
+    rig = RIGS["five"]
+    longer = replace(rig, right=replace(rig.right, K=rig.right.K * [[1.03, 1.0, 1.0], [1.0, 1.03, 1.0], [1.0] * 3]))
+    doubts = find_turn(longer, recorded("five")).doubts
+    assert any("no turn of a camera explains it" in doubt for doubt in doubts), doubts
+
+
+@pytest.mark.parametrize("name", ["askew", "fisheye"])
+def test_a_swapped_pair_is_refused(recorded: Recorded, name: str) -> None:
+    swapped = [StereoPair(pair.stamp_ns, pair.right, pair.left) for pair in recorded(name)]
+    with pytest.raises(RigError, match="the images of left and right are swapped"):
+        find_turn(RIGS[name], swapped)
+
+
+def test_images_that_are_rectified_already_are_refused(tmp_path: Path) -> None:
+    plane = rectify(RIGS["five"])
+    (left, right), *_ = exposed([views("five")], seed=1)
+    flat = write_pairs(tmp_path, [(plane.left.look_up(left), plane.right.look_up(right))] * 2)
+    with pytest.raises(RigError, match="With --rectified the calibration fits"):
+        find_turn(RIGS["five"], flat)
+
+
+def test_images_that_show_nothing_tell_nothing(tmp_path: Path) -> None:
+    grey = np.full((360, 480), 128, dtype=np.uint8)
+    assert find_turn(RIGS["five"], write_pairs(tmp_path, [(grey, grey)] * 2)) == RightTurn()
+
+
+@pytest.mark.slow
+def test_a_stale_calibration_gives_what_the_right_one_does(tmp_path: Path) -> None:
+    """The result says so, and keeps the turn, so that a monitor of it sees alike."""
+    folders = [DEMONSTRATION / name for name in ("left", "right", "cam.csv")]
+    fresh = prepare(*folders)
+    file = write_storage(tmp_path / "stale.yaml", opencv_entries(stale(fresh.recording.rig, (0.05, 0.02))))
+    job = prepare(*folders, Options(stereo=file))
+    one, other = fresh.run().calibration, job.run().calibration
+    assert np.abs(one.T_utm_sensor - other.T_utm_sensor).max() < 0.01  # a centimetre, and half a degree
+    assert other.quality.verdict == "warn"
+    assert any("the right camera has turned by +0.05" in reason for reason in other.quality.reasons)
+    provenance = replace(PROVENANCE, config=job.provenance.config)
+    (tmp_path / "calibration.json").write_text(to_text(to_document(calibration(), provenance)))
+    turn_deg = read_calibration(tmp_path).turn_deg
+    assert turn_deg == pytest.approx((0.05, 0.02), abs=0.002)
+    assert Options(camera=StereoSettings(turn_deg=turn_deg)).config()["stereo"] == job.provenance.config["stereo"]
