@@ -17,7 +17,7 @@ from laci_stereo.check.result import Checking, beside_map, not_checked
 from laci_stereo.core.calibrate import calibrate, world_around
 from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint
 from laci_stereo.core.cloud import PointCloudSource
-from laci_stereo.core.errors import CamError
+from laci_stereo.core.errors import CalibrationError, CamError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -176,6 +176,10 @@ def no_remarks() -> tuple[str, ...]:
     return ()
 
 
+def nothing_new(_found: Calibration | CalibrationError) -> None:
+    """Return no other task: nothing that its task did not know is told of this sensor."""
+
+
 Watch = Callable[[PointCloudSource], PointCloudSource]
 """Wraps a recording, for example to show progress while its frames are consumed."""
 
@@ -201,6 +205,9 @@ class Task(ABC):
         What is to be said of the sensor once the recording was read, one line each.
     doubts : tuple of str
         What of the inputs may have spoilt the result, one line each.
+    again : callable
+        Returns a task that knows of the sensor what a result, or a refusal, tells of it; None where that is nothing
+        new.
     """
 
     drive: Drive
@@ -212,6 +219,7 @@ class Task(ABC):
     photograph: Photographing = not_photographed
     remarks: Callable[[], tuple[str, ...]] = no_remarks
     doubts: tuple[str, ...] = ()
+    again: Callable[[Calibration | CalibrationError], Task | None] = nothing_new
 
     @abstractmethod
     def calibrate(self, watch: Watch) -> Calibration:
@@ -250,8 +258,17 @@ class Task(ABC):
         LaciError
             If the recording cannot be read or does not determine a transform.
         """
-        with _naming(self.drive.cam):
-            found = self.calibrate(watch)
+        try:
+            with _naming(self.drive.cam):
+                found = self.calibrate(watch)
+        except CalibrationError as error:
+            if (task := self.again(error)) is not None:
+                return task.run(watch)
+            if not self.doubts:
+                raise
+            raise type(error)("; ".join((str(error), *self.doubts))) from error
+        if (task := self.again(found)) is not None:
+            return task.run(watch)
         found = replace(found, quality=found.quality.doubted(*self.doubts))
         lanes = self.check(found)
         return Result(found if lanes is None else beside_map(found, lanes.check), self, lanes)

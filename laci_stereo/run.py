@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,9 +11,11 @@ import numpy as np
 
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.result import placed_by
-from laci_stereo.check.rig_turn import RightTurn, find_turn
+from laci_stereo.check.rig_turn import MOST_LOOKS, RightTurn, find_turn
+from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.settings import GroundSettings
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
@@ -27,7 +29,7 @@ from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
-from laci_stereo.stereo.rectify import already_rectified
+from laci_stereo.stereo.rectify import Rectification, already_rectified
 from laci_stereo.stereo.settings import StereoSettings
 
 SIMULTANEOUS_S = 0.001
@@ -87,8 +89,15 @@ def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Opt
     return prepare(Path(left), Path(right), Path(cam), options).run()
 
 
-def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) -> Job:
+def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, turn: RightTurn | None = None) -> Job:
     """Read everything but the images, of which a few pairs tell whether the cameras have turned, and check it.
+
+    Parameters
+    ----------
+    left, right, cam, options
+        As for `calibrate`.
+    turn : RightTurn or None
+        How far the right camera has turned; None: as the images tell, unless the options do.
 
     Raises
     ------
@@ -101,10 +110,10 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
     rig = read_stereo_calibration(stereo, size, left, options.camera.baseline_m)
     span_ns = pairs.pairs[0].stamp_ns, pairs.pairs[-1].stamp_ns
     drive = read_drive(cam, options.lane_map or find_lane_map(left), span_ns, options)
-    turn = RightTurn()
-    if options.camera.turn_deg is None:
+    if turn is None and options.camera.turn_deg is None:
         turn = find_turn(already_rectified(rig) if options.camera.rectified else rig, pairs.pairs)
-        options = replace(options, camera=replace(options.camera, turn_deg=turn.turn_deg))
+        options = _knowing(options, turn)
+    turn = turn or RightTurn(options.camera.turn_deg)
     recording = _recording(left, pairs, rig, options)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
@@ -132,8 +141,51 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None) 
         check=partial(_check, recording, drive.lane_map),
         photograph=partial(_photographs, recording),
         remarks=partial(_words, recording),
+        again=partial(_again, partial(prepare, left, right, cam), options, turn, recording.rectification),
         doubts=turn.doubts + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ()),
     )
+
+
+def _knowing(options: Options, turn: RightTurn) -> Options:
+    """Return options that know how far the right camera has turned: it may have turned sideways by as much.
+
+    What that does to all disparities is what all points' noise has in common, on the vehicle and, as far as the vehicle
+    has left it open, on the road.
+    """
+    camera, core = replace(options.camera, turn_deg=turn.turn_deg), options.core
+    bias, shared = (
+        float(np.hypot(GroundSettings.shared_noise_share, off_px / camera.disparity_floor_px))
+        for off_px in (turn.off_px, turn.left_px)
+    )
+    joint = replace(core.joint, bias_noise_share=bias)
+    ground = replace(core.ground, shared_noise_share=shared)
+    return replace(options, camera=camera, core=replace(core, joint=joint, ground=ground))
+
+
+def _again(
+    prepared: Callable[[Options, RightTurn], Job],
+    options: Options,
+    turn: RightTurn,
+    plane: Rectification,
+    found: Calibration | CalibrationError,
+) -> Job | None:
+    """Return the task whose right camera has turned sideways, as the drive tells; None if that is known.
+
+    The drive is asked where rows tell that it has turned at all, until it tells what was known; also where the vehicle
+    is not found, but would be by such a turn.
+    """
+    if not turn.off_px or turn.looks == MOST_LOOKS:
+        return None
+    if isinstance(found, CalibrationError):
+        per_m, after_per_m = found.nearer_per_m if isinstance(found, MatchError) else 0.0, 0.0
+        known = per_m == 0.0
+    else:
+        per_m, after_per_m = (0.0, 0.0) if found.nearer is None else (found.nearer.value, found.nearer.after)
+        known = found.nearer is None or (turn.looks > 0 and abs(per_m) < after_per_m)
+    if known:
+        return None
+    turn = turn.sideways(plane, per_m, after_per_m)
+    return prepared(_knowing(options, turn), turn)
 
 
 def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> StereoRecording:

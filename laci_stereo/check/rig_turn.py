@@ -8,7 +8,7 @@ do not tell is a turn sideways, which shifts all disparities alike; it is likely
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from laci_stereo.core.errors import ImageError, RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.rig import StereoRig
-from laci_stereo.stereo.rectify import turned
+from laci_stereo.stereo.rectify import Rectification, turned
 
 LEAST_PX, SURELY = 0.05, 3.0
 """Rows that are off by less, or by less than so many standard deviations, are left as they are: a matcher's own bias is
@@ -26,6 +26,10 @@ as large."""
 
 LOOKS = 2
 """The turn is found to first order; what a turn of a degree leaves then is a hundredth of that."""
+
+MOST_LOOKS = 3
+"""So often a drive is asked how far the right camera has turned sideways, which takes a run each time: each leaves a
+tenth or so of what the one before was off."""
 
 SAID_AT_M = 30.0
 """How far away things are of which it is said how far they may be off."""
@@ -39,13 +43,41 @@ class RightTurn:
     ----------
     turn_deg : tuple of float, or None
         As in `StereoSettings.turn_deg`.
+    off_px : float
+        By how much a turn sideways that is as large shifts all disparities.
+    left_px : float
+        By how much disparities may be off all the same after a drive has told that turn, one standard deviation.
+    looks : int
+        How often a drive was asked for it.
     notes, doubts : tuple of str
         What was done about it, and what is wrong with the calibration all the same.
     """
 
-    turn_deg: tuple[float, float] | None = None
+    turn_deg: tuple[float, float, float] | None = None
+    off_px: float = 0.0
+    left_px: float = 0.0
+    looks: int = 0
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+
+    def sideways(self, plane: Rectification, per_m: float, after_per_m: float) -> RightTurn:
+        """Return the turn by so much more that inverse depths are larger, 1/m; its standard deviation is 0 if unknown.
+
+        Inverse depths are disparities over focal length and baseline, and a turn shifts these by the focal length.
+        """
+        pitch, yaw, roll = self.turn_deg or (0.0, 0.0, 0.0)
+        yaw += float(np.degrees(plane.baseline_m * per_m)) * (-1.0 if plane.mirrored else 1.0)
+        note = (
+            f"stereo calibration: by the drive the right camera has turned sideways by {yaw:+.3f} +- "
+            f"{np.degrees(plane.baseline_m * after_per_m):.3f} deg, which is taken into account, too"
+        )
+        return replace(
+            self,
+            turn_deg=(pitch, yaw, roll),
+            left_px=plane.focal_px * plane.baseline_m * after_per_m,
+            looks=self.looks + 1,
+            notes=(*self.notes[: len(self.notes) - bool(self.looks)], note),
+        )
 
 
 def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
@@ -67,13 +99,13 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
     except ImageError:
         return RightTurn()  # who reads all of them says what is wrong
     before = fit = fit_of(rig, matches)
-    turn_deg: tuple[float, float] | None = None
+    turn_deg: tuple[float, float, float] | None = None
     for _ in range(LOOKS):
         step = _step_rad(fit)
         if step is None:
             break
-        pitch, roll = np.degrees(step) + (turn_deg or (0.0, 0.0))
-        turn_deg = float(pitch), float(roll)
+        before_deg, step_deg = turn_deg or (0.0, 0.0, 0.0), np.degrees(step)
+        turn_deg = before_deg[0] + float(step_deg[0]), 0.0, before_deg[2] + float(step_deg[1])
         fit = fit_of(turned(rig, turn_deg), matches)
     if not fit.covers or fit.shown is None:
         return RightTurn()
@@ -83,17 +115,17 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
             raise RigError(f"{pairs[0].left.parent}: {mistake.text}")
     doubts = tuple(f"stereo calibration: {finding.text}" for finding in against)
     if turn_deg is None:
-        return RightTurn(None, (), doubts)
-    said = _in_words(before, turn_deg)
-    off_px = fit.points.focal_px * float(np.radians(np.hypot(*turn_deg)))
+        return RightTurn(doubts=doubts)
+    said, turn_rad = _in_words(before, turn_deg), float(np.radians(np.linalg.norm(turn_deg)))
+    off_px = fit.points.focal_px * turn_rad
     if off_px <= WARN_PX:
-        return RightTurn(turn_deg, (f"{said}; that is taken into account",), doubts)
-    off_m = SAID_AT_M**2 * float(np.radians(np.hypot(*turn_deg))) / rig.baseline_m
+        return RightTurn(turn_deg, off_px, notes=(f"{said}; that is taken into account",), doubts=doubts)
     doubt = (
-        f"{said}; that is taken into account, but a turn sideways by as much would not show, and put what is "
-        f"{SAID_AT_M:.0f} m away {off_m:.1f} m nearer or farther: calibrate the cameras again"
+        f"{said}; that is taken into account, but a turn sideways by as much, which only the drive tells, puts what is "
+        f"{SAID_AT_M:.0f} m away {SAID_AT_M**2 * turn_rad / rig.baseline_m:.1f} m nearer or farther: calibrate the "
+        "cameras again"
     )
-    return RightTurn(turn_deg, (), (doubt, *doubts))
+    return RightTurn(turn_deg, off_px, doubts=(doubt, *doubts))
 
 
 def _step_rad(fit: Fit) -> FloatArray | None:
@@ -105,9 +137,9 @@ def _step_rad(fit: Fit) -> FloatArray | None:
     return rows.angles_rad if surely and rows.effect_px > LEAST_PX else None
 
 
-def _in_words(before: Fit, turn_deg: tuple[float, float]) -> str:
+def _in_words(before: Fit, turn_deg: tuple[float, float, float]) -> str:
     assert before.shown is not None
-    pitch, roll = turn_deg
+    pitch, _, roll = turn_deg
     return (
         f"stereo calibration: partners lie {before.shown.rows_turn.effect_px:.2f} px beside their row, as the right "
         f"camera has turned by {pitch:+.3f} deg up or down and {roll:+.3f} deg about its line of sight since"

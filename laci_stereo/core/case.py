@@ -55,11 +55,14 @@ class Instead:
     words : str
     log_searched : float
         Of how many it is the best, as a logarithm: one of so many fits so well by chance.
+    nearer_per_m : float
+        By how much inverse distances would have to be larger, 1/m.
     """
 
     choice: Choice
     words: str
     log_searched: float = 0.0
+    nearer_per_m: float = 0.0
 
     @property
     def log_odds(self) -> float:

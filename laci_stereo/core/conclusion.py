@@ -55,6 +55,7 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
         method=settings.method,
         clock_sigma_s=settings.joint.clock_sigma_s,
         turn=placement.turn,
+        nearer=placement.nearer,
         found=placement.remarks,
         others=tuple(replace(each, match=match, method=settings.method, turn=placement.turn) for each in others),
         body=own.body,

@@ -58,7 +58,7 @@ class Correction:
     Attributes
     ----------
     what : str
-        One of `CORRECTED` or of `OPTICS`.
+        One of `CORRECTED` or of `OPTICS`, or ``nearer``.
     value, sigma : float
         The correction, and the standard deviation that was to be expected.
     after : float

@@ -94,7 +94,15 @@ class TrackError(CalibrationError):
 
 
 class MatchError(CalibrationError):
-    """The vehicle's track in the sensor does not fit its track in the world."""
+    """The vehicle's track in the sensor does not fit its track in the world.
+
+    Attributes
+    ----------
+    nearer_per_m : float
+        It surely would if all inverse distances were larger by that, 1/m; 0 where not.
+    """
+
+    nearer_per_m: float = 0.0
 
 
 class OpenError(CalibrationError):

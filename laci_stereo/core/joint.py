@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.drive_model import (
+    BIAS,
     BY_OPTICS,
     FIRST_OWN,
     SWEEP,
@@ -158,6 +159,8 @@ class JointFit:
         What was taken as known: less than was given, where messages are mistaken.
     perhaps_unset : Correction or None
         Of a clock, if none was set. That is likelier than what was taken as known, but not sure.
+    nearer : Correction or None
+        By how much inverse distances, 1/m, are larger than a matcher has it, whose disparities all err alike.
     """
 
     match: PlanarMatch
@@ -176,6 +179,7 @@ class JointFit:
     optics: tuple[Correction, ...] = ()
     settings: JointSettings = field(default_factory=JointSettings)
     perhaps_unset: Correction | None = None
+    nearer: Correction | None = None
 
     def covariance_about(self, place: FloatArray) -> FloatArray:
         """Return the covariance of yaw, x and y, shape (3, 3), about a place of the level frame, shape (2,)."""
@@ -274,6 +278,7 @@ def fit_jointly(
         standing=standing,
         settings=settings,
         perhaps_unset=perhaps_unset if settings is told else None,
+        nearer=_nearer(solved, drives, settings),
     )
 
 
@@ -340,7 +345,8 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(_Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
-    if any(drive.window_rad for drive in drives):
+    # Where disparities may all be off, as by a camera that has turned, other optics would only look so.
+    if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
         optics = replace(settings, optics_sigma=WRONG_OPTICS)
         likely.append(_Mistake(frozenset(OPTICS), optics))
     apart_s = float(np.abs(solved.x[problem.clocks]).max())
@@ -817,6 +823,24 @@ def _optics(solved: _Solved) -> tuple[Correction, ...]:
         Correction(what, float(value), WRONG_OPTICS, float(left))
         for what, value, left in zip(OPTICS, values, after, strict=True)
     )
+
+
+def _nearer(solved: _Solved, drives: Sequence[Evidence], settings: JointSettings) -> Correction | None:
+    """Return by how much inverse distances have to be corrected: what all points' noise has in common, as one of all.
+
+    The noise of a distance r is r^2 times that of its inverse, which is a disparity's but for a constant.
+    """
+    noise_per_m = [
+        drive.sigma_along_m / (ground_m * np.hypot(ground_m, drive.height_m - drive.points[:, 2]))
+        for drive in drives
+        if drive.window_rad
+        for ground_m in [np.linalg.norm(drive.points[:, :2], axis=1)]
+    ]
+    if not noise_per_m:
+        return None
+    scale = float(np.median(np.concatenate(noise_per_m)))
+    after = float(np.sqrt(solved.covariance[BIAS, BIAS]))
+    return Correction("nearer", scale * float(solved.x[BIAS]), scale * settings.bias_noise_share, scale * after)
 
 
 def _fit(problem: _Problem, solved: _Solved, centre: FloatArray, expected: Sequence[FloatArray]) -> JointFit:

@@ -74,6 +74,35 @@ def stretched_track(track: Track, ahead: float, aside: float) -> Track:
     )
 
 
+def nearer_track(track: Track, per_m: float) -> Track:
+    """Return a track whose inverse distances from the sensor on the ground plan are larger by so much.
+
+    Boxes keep their directions: where they are in view they are small against their distance.
+    """
+
+    def by(xy: FloatArray) -> FloatArray:
+        scale: FloatArray = 1.0 / np.maximum(1.0 + per_m * np.linalg.norm(xy, axis=-1, keepdims=True), 1e-3)
+        return scale
+
+    def moved(points: FloatArray) -> FloatArray:
+        return np.concatenate([points[:, :2] * by(points[:, :2]), points[:, 2:]], axis=1)
+
+    return Track(
+        tuple(
+            replace(
+                sighting,
+                points=moved(sighting.points),
+                sigma_along_m=sighting.sigma_along_m * by(sighting.points[:, :2])[:, 0] ** 2,
+                low=replace(sighting.low, points=moved(sighting.low.points)),
+                borders=moved(sighting.borders),
+                middle=sighting.middle * by(sighting.middle),
+                box=replace(sighting.box, centre=sighting.box.centre * by(sighting.box.centre)),
+            )
+            for sighting in track.sightings
+        )
+    )
+
+
 def told_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
     """Return the positions of a vehicle's messages, shape (n, 2), and its yaws, shape (n,), on the map."""
     xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(vehicle.reference, (len(vehicle.xy), 1)))

@@ -247,6 +247,7 @@ def place(
         time_offset_s=fit.time_offsets_s[0],
         time_sigma_s=fit.time_sigmas_s[0],
         turn=fit.turn,
+        nearer=fit.nearer,
         remarks=(
             *([_turning(fit, turn_s)] if (turn_s := max(drive.turn_s for drive in drives)) else []),
             *_assumed_accuracies(drives, names, settings.joint),

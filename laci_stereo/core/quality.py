@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.drive_prior import Correction
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.result import Quality, Verdict
@@ -75,6 +76,8 @@ class Placement:
         To be added to the sensor's stamps to get the CAMs' time; 0 where it is taken as known.
     turn : float
         How the scanner turns, see `JointFit`.
+    nearer : Correction or None
+        See `JointFit`.
     remarks : tuple of str
         What else was found.
     advice : str
@@ -94,6 +97,7 @@ class Placement:
     time_offset_s: float = 0.0
     time_sigma_s: float = 0.0
     turn: float = 0.0
+    nearer: Correction | None = None
     remarks: tuple[str, ...] = ()
     advice: str = ""
     contradictions: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ import numpy as np
 
 from laci_stereo.core.background import Background
 from laci_stereo.core.cam import VehicleTrack
+from laci_stereo.core.drive_prior import Correction
 from laci_stereo.core.frames import Axes, FloatArray, wrap
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
@@ -101,6 +102,8 @@ class Calibration:
         What was known of the clocks' offset beforehand, one standard deviation.
     turn : float
         How the scanner turned, see `JointFit`.
+    nearer : Correction or None
+        See `JointFit`.
     found : tuple of str
         What else the estimate found.
     others : tuple of Passage
@@ -128,6 +131,7 @@ class Calibration:
     method: Method
     clock_sigma_s: float = 0.010
     turn: float = 0.0
+    nearer: Correction | None = None
     found: tuple[str, ...] = ()
     others: tuple[Passage, ...] = ()
     body: VehicleTrack | None = None

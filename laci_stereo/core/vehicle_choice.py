@@ -17,7 +17,7 @@ from laci_stereo.core.resemblance import resemblance
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, MatchSettings, Settings
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.unset_clock import clocks_apart
-from laci_stereo.core.wrong_optics import optics_off
+from laci_stereo.core.wrong_optics import disparities_off, optics_off
 from laci_stereo.core.wrong_place import place_off
 
 
@@ -51,13 +51,15 @@ def choose_vehicle(
     except CalibrationError as error:
         asked = [mirrored(case, None), clocks_apart(case, None, by_any_clock)]
         if isinstance(error, MatchError):
-            asked += [place_off(case), optics_off(case)]
-        words = told([each for each in asked if each is not None], settings.match)
-        if not words:
+            asked += [place_off(case), optics_off(case), disparities_off(case)]
+        instead = [each for each in asked if each is not None]
+        if not instead:
             raise
-        raise MatchError(f"{error}; {words}") from error
-    if instead := mirrored(case, choice):
-        raise MatchError(instead.words)
+        refusal = MatchError(f"{error}; {told(instead, settings.match)}")
+        refusal.nearer_per_m = max(instead, key=lambda each: abs(each.nearer_per_m)).nearer_per_m
+        raise refusal from error
+    if turned_over := mirrored(case, choice):
+        raise MatchError(turned_over.words)
     alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]
     unset = clocks_apart(case, choice, by_any_clock)
     return replace(choice, others=tuple(alone), clocks=unset.words if unset else "")

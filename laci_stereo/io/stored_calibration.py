@@ -59,7 +59,7 @@ class StoredCalibration:
     angles_deg: tuple[float, float, float]
     rectified: bool
     baseline_m: float | None
-    turn_deg: tuple[float, float] | None
+    turn_deg: tuple[float, float, float] | None
 
     @property
     def claims(self) -> bool:
@@ -123,10 +123,10 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
     )
 
 
-def _turn_deg(told: object) -> tuple[float, float] | None:
+def _turn_deg(told: object) -> tuple[float, float, float] | None:
     match told:
-        case [int() | float() as pitch, int() | float() as roll]:
-            return float(pitch), float(roll)
+        case [int() | float() as x, int() | float() as y, int() | float() as z]:
+            return float(x), float(y), float(z)
     return None
 
 

@@ -119,12 +119,11 @@ def already_rectified(rig: StereoRig) -> StereoRig:
     return StereoRig(lens, lens, np.eye(3), np.array([side * rig.baseline_m, 0.0, 0.0]), rig.notes)
 
 
-def turned(rig: StereoRig, turn_deg: tuple[float, float] | None) -> StereoRig:
-    """Return the rig whose right camera has turned about its x and z axis, see `StereoSettings.turn_deg`."""
+def turned(rig: StereoRig, turn_deg: tuple[float, float, float] | None) -> StereoRig:
+    """Return the rig whose right camera has turned, see `StereoSettings.turn_deg`."""
     if turn_deg is None:
         return rig
-    pitch, roll = turn_deg
-    R = Rotation.from_rotvec([pitch, 0.0, roll], degrees=True).as_matrix()
+    R = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
     return replace(rig, R_right_left=R @ rig.R_right_left, t_right_left_m=R @ rig.t_right_left_m)
 
 

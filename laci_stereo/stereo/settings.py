@@ -18,8 +18,8 @@ class StereoSettings:
     baseline_m : float or None
         How far apart the cameras stand, where the calibration's lengths are in an unknown unit; None: as it says.
     turn_deg : tuple of float or None
-        How far the right camera has turned since it was calibrated, up and about its line of sight (about its x and z
-        axis), as rows of the images tell; None: not at all. A turn sideways moves no rows.
+        How far the right camera has turned since it was calibrated, a rotation vector about its x, y and z axis; None:
+        not at all. Up and about its line of sight, as rows of the images tell, and sideways, as a drive does.
     disparities : tuple of int or None
         Smallest and largest disparity to search, pixels. None: from the baseline, the focal length and the mounting
         height, which a coarse look at the scene gives, for every part of an image by itself.
@@ -45,7 +45,7 @@ class StereoSettings:
 
     rectified: bool = False
     baseline_m: float | None = None
-    turn_deg: tuple[float, float] | None = None
+    turn_deg: tuple[float, float, float] | None = None
     disparities: tuple[int, int] | None = None
     block_size: int = 5
     uniqueness_percent: int = 10

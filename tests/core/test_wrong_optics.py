@@ -12,10 +12,10 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.case import Case
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import MatchError
-from laci_stereo.core.laying import stretched_track
+from laci_stereo.core.laying import nearer_track, stretched_track
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
-from laci_stereo.core.wrong_optics import STEP, optics_off
+from laci_stereo.core.wrong_optics import STEP, disparities_off, optics_off
 from tests.core.tracks import seen, sighting, vehicle
 from tests.simulated import LEFT_TURN, Recording, scene, stereo
 
@@ -51,6 +51,33 @@ def test_of_what_fits_as_it_was_seen_nothing_is_said() -> None:
 
 def test_what_no_matcher_saw_has_no_optics() -> None:
     assert said(stretched_track(seen(), 0.8, 0.8)) == ""
+
+
+@pytest.mark.parametrize("per_m", [-0.012, -0.004, 0.004, 0.008])
+def test_an_offset_of_all_disparities_is_told(per_m: float) -> None:
+    """Inverse distances are too small by it, so larger ones would fit."""
+    measured = nearer_track(by_a_matcher(seen()), -per_m)
+    told = disparities_off(Case([measured], {42: vehicle()}, MatchSettings()))
+    assert told is not None
+    assert "station 42 would be seen where its messages say: has one of the cameras turned sideways" in told.words
+    typical_m = float(np.median(np.linalg.norm(measured.centres, axis=1)))
+    assert told.nearer_per_m * typical_m == pytest.approx(per_m * typical_m, abs=STEP * (1.0 + abs(per_m) * typical_m))
+
+
+def test_a_track_whose_inverse_distances_are_larger() -> None:
+    one = sighting(0.0, np.array([20.0, 5.0]), yaw_rad=0.3)
+    one = replace(one, borders=np.array([[19.0, 4.0, 1.0], [21.0, 6.0, 1.0]]))
+    (other,) = nearer_track(Track((one,)), 0.01).sightings
+    moved = [(one.points, other.points), (one.borders, other.borders), (one.middle[None], other.middle[None])]
+    for before, after in moved:
+        (inverse, expected) = (1.0 / np.linalg.norm(xyz[:, :2], axis=1) for xyz in (after, before))
+        np.testing.assert_allclose(inverse, expected + 0.01)
+        np.testing.assert_allclose(np.arctan2(*after[:, :2].T), np.arctan2(*before[:, :2].T))
+        np.testing.assert_allclose(after[:, 2:], before[:, 2:])
+    (back,) = nearer_track(Track((other,)), -0.01).sightings
+    np.testing.assert_allclose(back.points, one.points)
+    np.testing.assert_allclose(back.sigma_along_m, one.sigma_along_m)
+    np.testing.assert_allclose(back.box.centre, one.box.centre)
 
 
 @pytest.mark.parametrize(("ahead", "aside"), [(1.2, 1.2), (1.2, 1.0), (0.7, 1.0)])
