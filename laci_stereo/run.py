@@ -181,7 +181,7 @@ def _again(
         known = per_m == 0.0
     else:
         per_m, after_per_m = (0.0, 0.0) if found.nearer is None else (found.nearer.value, found.nearer.after)
-        known = found.nearer is None or (turn.looks > 0 and abs(per_m) < after_per_m)
+        known = found.nearer is None or (turn.left_px > 0.0 and abs(per_m) < after_per_m)
     if known:
         return None
     turn = turn.sideways(plane, per_m, after_per_m)

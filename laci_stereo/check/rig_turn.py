@@ -46,10 +46,11 @@ class RightTurn:
     off_px : float
         By how much a turn sideways that is as large shifts all disparities.
     left_px : float
-        By how much disparities may be off all the same after a drive has told that turn, one standard deviation.
+        By how much disparities may be off all the same after a drive has told that turn, one standard deviation; 0
+        where none has, or only roughly.
     looks : int
         How often a drive was asked for it.
-    notes, doubts : tuple of str
+    by_rows, doubts : tuple of str
         What was done about it, and what is wrong with the calibration all the same.
     """
 
@@ -57,8 +58,16 @@ class RightTurn:
     off_px: float = 0.0
     left_px: float = 0.0
     looks: int = 0
-    notes: tuple[str, ...] = ()
+    by_rows: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done about it, by the drive as well."""
+        if not self.looks or self.turn_deg is None:
+            return self.by_rows
+        said = f"by the drive the right camera has turned by {self.turn_deg[1]:+.3f} deg sideways"
+        return (*self.by_rows, f"stereo calibration: {said}; that is taken into account, too")
 
     def sideways(self, plane: Rectification, per_m: float, after_per_m: float) -> RightTurn:
         """Return the turn by so much more that inverse depths are larger, 1/m; its standard deviation is 0 if unknown.
@@ -67,17 +76,8 @@ class RightTurn:
         """
         pitch, yaw, roll = self.turn_deg or (0.0, 0.0, 0.0)
         yaw += float(np.degrees(plane.baseline_m * per_m)) * (-1.0 if plane.mirrored else 1.0)
-        note = (
-            f"stereo calibration: by the drive the right camera has turned sideways by {yaw:+.3f} +- "
-            f"{np.degrees(plane.baseline_m * after_per_m):.3f} deg, which is taken into account, too"
-        )
-        return replace(
-            self,
-            turn_deg=(pitch, yaw, roll),
-            left_px=plane.focal_px * plane.baseline_m * after_per_m,
-            looks=self.looks + 1,
-            notes=(*self.notes[: len(self.notes) - bool(self.looks)], note),
-        )
+        left_px = plane.focal_px * plane.baseline_m * after_per_m
+        return replace(self, turn_deg=(pitch, yaw, roll), left_px=left_px, looks=self.looks + 1)
 
 
 def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
@@ -110,16 +110,15 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
     if not fit.covers or fit.shown is None:
         return RightTurn()
     against = contradictions(fit, fit.shown)
-    if outcome_of(against) == "fail":
-        for mistake in (*swapped_images(rig, matches), *flat_images(rig, matches)):
-            raise RigError(f"{pairs[0].left.parent}: {mistake.text}")
+    if outcome_of(against) == "fail" and (mistakes := [*swapped_images(rig, matches), *flat_images(rig, matches)]):
+        raise RigError(f"{pairs[0].left.parent}: {mistakes[0].text}")
     doubts = tuple(f"stereo calibration: {finding.text}" for finding in against)
     if turn_deg is None:
         return RightTurn(doubts=doubts)
     said, turn_rad = _in_words(before, turn_deg), float(np.radians(np.linalg.norm(turn_deg)))
     off_px = fit.points.focal_px * turn_rad
     if off_px <= WARN_PX:
-        return RightTurn(turn_deg, off_px, notes=(f"{said}; that is taken into account",), doubts=doubts)
+        return RightTurn(turn_deg, off_px, by_rows=(f"{said}; that is taken into account",), doubts=doubts)
     doubt = (
         f"{said}; that is taken into account, but a turn sideways by as much, which only the drive tells, puts what is "
         f"{SAID_AT_M:.0f} m away {SAID_AT_M**2 * turn_rad / rig.baseline_m:.1f} m nearer or farther: calibrate the "

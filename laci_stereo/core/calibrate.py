@@ -95,9 +95,7 @@ def locate(
     try:
         choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings)
     except MatchError as error:
-        refusal = MatchError(f"{error}{_assumed(vehicles)}")
-        refusal.nearer_per_m = error.nearer_per_m
-        raise refusal from error
+        raise MatchError(f"{error}{_assumed(vehicles)}", error.nearer_per_m) from error
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
     for remark in vehicles[choice.station].remarks:
         log.warning("%s", remark)

@@ -96,13 +96,16 @@ class TrackError(CalibrationError):
 class MatchError(CalibrationError):
     """The vehicle's track in the sensor does not fit its track in the world.
 
-    Attributes
+    Parameters
     ----------
+    message : str
     nearer_per_m : float
         It surely would if all inverse distances were larger by that, 1/m; 0 where not.
     """
 
-    nearer_per_m: float = 0.0
+    def __init__(self, message: str, nearer_per_m: float = 0.0) -> None:
+        super().__init__(message)
+        self.nearer_per_m = nearer_per_m
 
 
 class OpenError(CalibrationError):

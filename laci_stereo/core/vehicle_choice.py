@@ -55,9 +55,8 @@ def choose_vehicle(
         instead = [each for each in asked if each is not None]
         if not instead:
             raise
-        refusal = MatchError(f"{error}; {told(instead, settings.match)}")
-        refusal.nearer_per_m = max(instead, key=lambda each: abs(each.nearer_per_m)).nearer_per_m
-        raise refusal from error
+        nearer_per_m = max((each.nearer_per_m for each in instead), key=abs)
+        raise MatchError(f"{error}; {told(instead, settings.match)}", nearer_per_m) from error
     if turned_over := mirrored(case, choice):
         raise MatchError(turned_over.words)
     alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]

@@ -123,7 +123,7 @@ def test_a_stale_calibration_gives_what_the_right_one_does(tmp_path: Path, mirro
     assert other.quality.track_xy_sigma_m < 2.0 * one.quality.track_xy_sigma_m
     assert other.quality.verdict == "warn"
     assert any("the right camera has turned by +0.0" in reason for reason in other.quality.reasons)
-    assert any("by the drive the right camera has turned sideways by +0.0" in note for note in provenance.notes)
+    assert any("by the drive the right camera has turned by +0.0" in note for note in provenance.notes)
     kept = replace(PROVENANCE, config=provenance.config)
     (tmp_path / "calibration.json").write_text(to_text(to_document(calibration(), kept)))
     found_deg = read_calibration(tmp_path).turn_deg
