@@ -15,7 +15,6 @@ from laci_stereo.check.rig_turn import MOST_LOOKS, RightTurn, find_turn
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.settings import GroundSettings
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
@@ -110,10 +109,11 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
     rig = read_stereo_calibration(stereo, size, left, options.camera.baseline_m)
     span_ns = pairs.pairs[0].stamp_ns, pairs.pairs[-1].stamp_ns
     drive = read_drive(cam, options.lane_map or find_lane_map(left), span_ns, options)
-    if turn is None and options.camera.turn_deg is None:
-        turn = find_turn(already_rectified(rig) if options.camera.rectified else rig, pairs.pairs)
-        options = _knowing(options, turn)
-    turn = turn or RightTurn(options.camera.turn_deg)
+    if turn is None:
+        told = options.camera.turn_deg
+        images = already_rectified(rig) if options.camera.rectified else rig
+        turn = find_turn(images, pairs.pairs) if told is None else RightTurn(told)
+    asked, options = options, _knowing(options, turn)
     recording = _recording(left, pairs, rig, options)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
@@ -141,7 +141,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
         check=partial(_check, recording, drive.lane_map),
         photograph=partial(_photographs, recording),
         remarks=partial(_words, recording),
-        again=partial(_again, partial(prepare, left, right, cam), options, turn, recording.rectification),
+        again=partial(_again, partial(prepare, left, right, cam, asked), turn, recording.rectification),
         doubts=turn.doubts + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ()),
     )
 
@@ -154,8 +154,11 @@ def _knowing(options: Options, turn: RightTurn) -> Options:
     """
     camera, core = replace(options.camera, turn_deg=turn.turn_deg), options.core
     bias, shared = (
-        float(np.hypot(GroundSettings.shared_noise_share, off_px / camera.disparity_floor_px))
-        for off_px in (turn.off_px, turn.left_px)
+        float(np.hypot(share, off_px / camera.disparity_floor_px))
+        for share, off_px in (
+            (core.joint.bias_noise_share, turn.off_px),
+            (core.ground.shared_noise_share, turn.left_px),
+        )
     )
     joint = replace(core.joint, bias_noise_share=bias)
     ground = replace(core.ground, shared_noise_share=shared)
@@ -163,8 +166,7 @@ def _knowing(options: Options, turn: RightTurn) -> Options:
 
 
 def _again(
-    prepared: Callable[[Options, RightTurn], Job],
-    options: Options,
+    prepared: Callable[[RightTurn], Job],
     turn: RightTurn,
     plane: Rectification,
     found: Calibration | CalibrationError,
@@ -184,8 +186,7 @@ def _again(
         known = found.nearer is None or (turn.left_px > 0.0 and abs(per_m) < after_per_m)
     if known:
         return None
-    turn = turn.sideways(plane, per_m, after_per_m)
-    return prepared(_knowing(options, turn), turn)
+    return prepared(turn.sideways(plane, per_m, after_per_m))
 
 
 def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> StereoRecording:

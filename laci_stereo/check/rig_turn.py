@@ -114,9 +114,9 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
         return RightTurn()  # who reads all of them says what is wrong
     fits = partial(_fit_turned, rig, matches)
     turn_deg, fit = _evened(fits, NO_TURN)
-    if not fit.covers or fit.shown is None:
+    if fit.judged is None:
         return RightTurn()
-    against = contradictions(fit, fit.shown)
+    against = contradictions(fit, fit.judged)
     if outcome_of(against) == "fail" and (mistakes := [*swapped_images(rig, matches), *flat_images(rig, matches)]):
         raise RigError(f"{pairs[0].left.parent}: {mistakes[0].text}")
     doubts = tuple(f"stereo calibration: {finding.text}" for finding in against)
@@ -153,17 +153,17 @@ def _evened(fits: Callable[[TurnDeg], Fit], turn_deg: TurnDeg) -> tuple[TurnDeg,
 
 def _step_rad(fit: Fit) -> FloatArray | None:
     """Return the turn that is to be taken back, about x and z, shape (2,); None if it is none, or cannot be told."""
-    if not fit.covers or fit.shown is None:
+    if fit.judged is None:
         return None
-    rows = fit.shown.rows_turn
+    rows = fit.judged.rows_turn
     surely = (np.abs(rows.angles_rad) > SURELY * rows.sigma_rad).any()
     return rows.angles_rad if surely and rows.effect_px > LEAST_PX else None
 
 
 def _in_words(before: Fit, turn_deg: TurnDeg) -> str:
-    assert before.shown is not None
+    assert before.judged is not None
     pitch, _, roll = turn_deg
     return (
-        f"stereo calibration: partners lie {before.shown.rows_turn.effect_px:.2f} px beside their row, as the right "
+        f"stereo calibration: partners lie {before.judged.rows_turn.effect_px:.2f} px beside their row, as the right "
         f"camera has turned by {pitch:+.3f} deg up or down and {roll:+.3f} deg about its line of sight since"
     )

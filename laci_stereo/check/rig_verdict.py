@@ -69,9 +69,9 @@ class Fit:
         return None if 2 * self.strange > self.pairs else self.parallax
 
     @property
-    def covers(self) -> bool:
-        """Whether enough parts of the image hold matches to judge by."""
-        return self.shown is not None and len(self.shown.cells.count) >= FEWEST_CELLS
+    def judged(self) -> Parallax | None:
+        """The same, if enough parts of the image hold matches to judge by."""
+        return self.shown if self.shown is not None and len(self.shown.cells.count) >= FEWEST_CELLS else None
 
 
 def judge(fit: Fit) -> tuple[Finding, ...]:
@@ -111,7 +111,7 @@ def _strangers(fit: Fit) -> str:
 
 
 def _coverage(fit: Fit, parallax: Parallax) -> list[Finding]:
-    if fit.covers:
+    if fit.judged is not None:
         return []
     return [
         Finding(

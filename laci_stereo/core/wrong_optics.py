@@ -72,34 +72,49 @@ def optics_off(case: Case) -> Instead | None:
 
     Asked where nothing fits as it was seen. What is not a matcher's has no such optics.
     """
-    most = round(np.log(MOST) / STEP / LADDER) * LADDER
-    found = _likeliest(case, (FOCAL, BASELINE), np.exp(STEP * np.arange(-most, most + 1, LADDER)))
-    if found is None:
+    moving = _moving(case)
+    if not case.matched or not moving.tracks:
         return None
-    exact, choice, log_searched = found
+    most = round(np.log(MOST) / STEP / LADDER) * LADDER
+    ladder = np.exp(STEP * np.arange(-most, most + 1, LADDER))
+    best, as_seen = _by_boxes(moving, (FOCAL, BASELINE), ladder)
+    log_searched = float(np.log(2 * len(ladder)))
+    if best.by == 1.0 or log_odds_between(best.choice, as_seen) < case.settings.least_log_odds + log_searched:
+        return None
+    exact = _by_outlines(moving, best)
+    if exact.choice is None or exact.choice.doubt:
+        return None
     way = "longer" if exact.by > 1.0 else "shorter"
     return Instead(
-        choice,
+        exact.choice,
         f"were the stereo camera's {exact.what} {100.0 * abs(exact.by - 1.0):.0f} % {way} than its calibration says, "
-        f"station {choice.station} would be seen where its messages say: is that the calibration of these images?",
+        f"station {exact.choice.station} would be seen where its messages say: is that the calibration of these "
+        "images?",
         log_searched,
     )
 
 
 def disparities_off(case: Case) -> Instead | None:
-    """Say the same of an offset of all disparities."""
-    found = _likeliest(case, (OFFSET,), np.exp(STEP / 2 * np.arange(-OFFSETS, OFFSETS + 1)))
-    if found is None:
+    """Say the same of an offset of all disparities.
+
+    One by which boxes fit about as well as they were seen may still be one by which outlines do, and else not.
+    """
+    moving = _moving(case)
+    if not case.matched or not moving.tracks:
         return None
-    exact, choice, log_searched = found
-    typical_m = _typical_m(_moving(case))
+    ladder = np.exp(STEP / 2 * np.arange(-OFFSETS, OFFSETS + 1))
+    best, _ = _by_boxes(moving, (OFFSET,), ladder)
+    exact = _by_outlines(moving, best)
+    if exact.choice is None or exact.choice.doubt:
+        return None
+    typical_m = _typical_m(moving)
     return Instead(
-        choice,
+        exact.choice,
         f"were all disparities off, so that what was measured {typical_m:.0f} m away is {exact.by * typical_m:.1f} m "
-        f"away, station {choice.station} would be seen where its messages say: has one of the cameras turned sideways "
-        "since they were calibrated?",
-        log_searched,
-        _nearer_per_m(_moving(case), exact.by),
+        f"away, station {exact.choice.station} would be seen where its messages say: has one of the cameras turned "
+        "sideways since they were calibrated?",
+        float(np.log(len(ladder))),
+        _nearer_per_m(moving, exact.by),
     )
 
 
@@ -107,27 +122,20 @@ def _moving(case: Case) -> Case:
     return replace(case, tracks=[each for each in case.tracks if extent(each.centres) >= case.settings.min_path_m])
 
 
-def _likeliest(case: Case, whats: Sequence[str], ladder: FloatArray) -> tuple[_Stretched, Choice, float] | None:
-    """Return which of some optics surely fits, what is chosen by it, and how many were asked; None if none does."""
-    moving = _moving(case)
-    if not case.matched or not moving.tracks:
-        return None
+def _by_boxes(moving: Case, whats: Sequence[str], ladder: FloatArray) -> tuple[_Stretched, Choice | None]:
+    """Return the likeliest of some optics by boxes, and what is chosen by them as they were seen."""
     boxes = replace(moving.by_boxes, tracks=[track.without_points() for track in moving.tracks])
-    best = _stretched(boxes, whats[0], 1.0)
-    as_seen = best.choice
+    best = as_seen = _stretched(boxes, whats[0], 1.0)
     for what in whats:
         best = _better(best, (_stretched(boxes, what, float(by)) for by in ladder if by != 1.0))
     best = _better(best, [_stretched(boxes, best.what, best.by * float(np.exp(step))) for step in (-STEP, STEP)])
-    log_searched = float(np.log(len(whats) * len(ladder)))
-    clearly = log_odds_between(best.choice, as_seen) > case.settings.least_log_odds + log_searched
-    if OFFSET not in whats and (best.by == 1.0 or not clearly):
-        return None  # an offset by which boxes fit about as well may still be one by which outlines do not
-    exact = _Stretched(best.what, 1.0, None)
+    return best, as_seen.choice
+
+
+def _by_outlines(moving: Case, best: _Stretched) -> _Stretched:
+    """Return what is likeliest by outlines around the best by boxes."""
     around = best.by * np.exp(STEP / 2 * np.arange(-AROUND, AROUND + 1))
-    exact = _better(exact, (_stretched(moving, best.what, float(by)) for by in around))
-    if exact.choice is None or exact.choice.doubt:
-        return None
-    return exact, exact.choice, log_searched
+    return _better(_Stretched(best.what, 1.0, None), (_stretched(moving, best.what, float(by)) for by in around))
 
 
 def _better(best: _Stretched, others: Iterable[_Stretched]) -> _Stretched:

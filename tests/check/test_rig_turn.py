@@ -15,6 +15,7 @@ from laci_stereo.check.rig_images import fit_of, match_images
 from laci_stereo.check.rig_turn import LEAST_PX, RightTurn, find_turn
 from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import invert, transform
+from laci_stereo.core.settings import GroundSettings, JointSettings, Settings
 from laci_stereo.io.calibration_file import to_document, to_text
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.rig import StereoRig
@@ -100,6 +101,13 @@ def test_images_that_are_rectified_already_are_refused(tmp_path: Path) -> None:
 def test_images_that_show_nothing_tell_nothing(tmp_path: Path) -> None:
     grey = np.full((360, 480), 128, dtype=np.uint8)
     assert find_turn(RIGS["five"], write_pairs(tmp_path, [(grey, grey)] * 2)) == RightTurn()
+
+
+def test_where_nothing_has_turned_settings_are_as_asked() -> None:
+    joint, ground = JointSettings(bias_noise_share=0.7), GroundSettings(shared_noise_share=0.4)
+    asked = Options(core=Settings(joint=joint, ground=ground))
+    config = prepare(*(DEMONSTRATION / name for name in ("left", "right", "cam.csv")), asked).provenance.config
+    assert config == asked.config()
 
 
 @pytest.mark.slow
