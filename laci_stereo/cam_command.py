@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 import click
 
-from laci_stereo.asked import PATH, say_written
+from laci_stereo.cli_options import PATH, say_written
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.cam_recording import CamRecording

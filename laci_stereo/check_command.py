@@ -8,12 +8,12 @@ from pathlib import Path
 import click
 import numpy as np
 
-from laci_stereo.asked import PATH, a_number, baseline_option, map_crs_option, say_written
 from laci_stereo.check.describe import check_document, describe_check
 from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.verdict import TOO_FAR_M, TOO_FAR_RAD
+from laci_stereo.cli_options import PATH, a_number, baseline_option, map_crs_option, say_written
 from laci_stereo.core.errors import CalibrationFileError, MapError
 from laci_stereo.io.images import ImageFolder, first_size, write_picture
 from laci_stereo.io.lane_map import MAP_FILES, LaneMap, find_lane_map, read_lane_map

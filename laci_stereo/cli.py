@@ -6,7 +6,10 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.asked import (
+from laci_stereo.cam_command import cam as cam_command
+from laci_stereo.check_command import check as check_command
+from laci_stereo.check_command import stereo_option
+from laci_stereo.cli_options import (
     PATH,
     Asked,
     baseline_option,
@@ -21,9 +24,6 @@ from laci_stereo.asked import (
     max_sigma_m_option,
     parse_background,
 )
-from laci_stereo.cam_command import cam as cam_command
-from laci_stereo.check_command import check as check_command
-from laci_stereo.check_command import stereo_option
 from laci_stereo.combine import CombineOptions
 from laci_stereo.combine import combine as combine_runs
 from laci_stereo.compare_command import compare_command

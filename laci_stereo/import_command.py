@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.asked import PATH, say_written
+from laci_stereo.cli_options import PATH, say_written
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.calibration_file import to_text
 from laci_stereo.io.imported import Direction, ImportOptions, import_pose, imported_document

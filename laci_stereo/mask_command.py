@@ -12,10 +12,10 @@ import click
 import cv2
 import numpy as np
 
-from laci_stereo.asked import PATH, say_written
+from laci_stereo.cli_options import PATH, say_written
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import Raster
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 from laci_stereo.io.images import ImageFolder, read_image, write_picture
 from laci_stereo.io.output import check_files, make_folder
 from laci_stereo.mask.detect import NetworkFinder, Vehicle

@@ -16,7 +16,8 @@ from typing import Any
 
 import click
 
-from laci_stereo.asked import (
+from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
+from laci_stereo.cli_options import (
     PATH,
     SAID,
     a_number,
@@ -26,7 +27,6 @@ from laci_stereo.asked import (
     say_written,
     workers_option,
 )
-from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
 from laci_stereo.core.errors import ImageError, LaciError, OutputError, SettingError
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.images import write_picture

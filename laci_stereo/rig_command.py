@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.asked import PATH, baseline_option, say_written
 from laci_stereo.check.rig_describe import describe_rig, rig_document
 from laci_stereo.check.rig_images import check_rig, match_images
 from laci_stereo.check.rig_picture import draw_rig
+from laci_stereo.cli_options import PATH, baseline_option, say_written
 from laci_stereo.core.errors import ImageError
 from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images, write_picture
 from laci_stereo.io.output import check_files, check_png, write_document

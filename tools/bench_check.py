@@ -36,7 +36,7 @@ from laci_stereo.check.lanes import LaneCheck, check_lanes
 from laci_stereo.check.picture import draw_check
 from laci_stereo.check.placed import Placed
 from laci_stereo.core.frames import FloatArray, IntArray, Raster, invert, rigid, transform
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera

@@ -18,7 +18,7 @@ from laci_stereo.check.sections import Sections
 from laci_stereo.check.traces import Traces
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster, invert
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 from laci_stereo.io.lane_map import LaneMap
 from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.camera import Camera

@@ -12,7 +12,7 @@ from laci_stereo.check.rig_parallax import FEWEST_IN_CELL, lag, measure
 from laci_stereo.check.rig_points import in_common, rectified
 from laci_stereo.check.rig_verdict import Finding, Fit, Outcome, judge, outcome_of
 from laci_stereo.core.errors import ImageError
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.rig import Lens, Size, StereoRig
 from laci_stereo.stereo.rectify import already_rectified

@@ -21,7 +21,7 @@ from laci_stereo.core.errors import ImageError, RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.rig import StereoRig
-from laci_stereo.stereo.rectify import Rectification, turned
+from laci_stereo.stereo.rectify import Rectification, with_right_turned
 
 TurnDeg: TypeAlias = tuple[float, float, float]
 """See `StereoSettings.turn_deg`."""
@@ -135,7 +135,7 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
 
 
 def _fit_turned(rig: StereoRig, matches: Sequence[PairMatches], turn_deg: TurnDeg) -> Fit:
-    return fit_of(turned(rig, turn_deg), matches)
+    return fit_of(with_right_turned(rig, turn_deg), matches)
 
 
 def _evened(fits: Callable[[TurnDeg], Fit], turn_deg: TurnDeg) -> tuple[TurnDeg, Fit]:

@@ -18,7 +18,7 @@ from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.passage import Passage
 from laci_stereo.core.pieces import whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly, ridden_doubts
-from laci_stereo.core.repeats import repeats_of
+from laci_stereo.core.repeated_frames import repeats_of
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread

@@ -14,9 +14,9 @@ from laci_stereo.core.errors import CombineError
 from laci_stereo.core.frames import FloatArray, invert, planar
 from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_merge import Chart
-from laci_stereo.core.laying import laid_background, laid_track, laid_vehicle, told_on_map
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.passage import Passage
+from laci_stereo.core.reframing import moved_vehicle, reported_on_map, transformed_background, transformed_track
 from laci_stereo.core.slope import slope_of
 from laci_stereo.core.world import World
 
@@ -78,14 +78,14 @@ def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
     shift = T_own_world_level[None, :2, 3]
     if passage.vehicle.slope is not None:
         shift = passage.vehicle.slope.on_map(shift)
-    xy, yaw_rad = told_on_map(passage.vehicle)
+    xy, yaw_rad = reported_on_map(passage.vehicle)
     return replace(
         passage,
         world=world,
         ground=ground,
-        background=laid_background(T_level_own, passage.background),
-        track=laid_track(T_level_own, passage.track),
-        vehicle=laid_vehicle(passage.vehicle, _between_worlds(xy, passage.world, world), yaw_rad, None),
+        background=transformed_background(T_level_own, passage.background),
+        track=transformed_track(T_level_own, passage.track),
+        vehicle=moved_vehicle(passage.vehicle, _between_worlds(xy, passage.world, world), yaw_rad, None),
         match=PlanarMatch(yaw, _between_worlds(shift, passage.world, world)[0]),
     )
 
@@ -102,7 +102,7 @@ def along_ground(passages: Sequence[Passage]) -> list[Passage]:
     return [
         replace(
             passage,
-            vehicle=laid_vehicle(passage.vehicle, *told_on_map(passage.vehicle), slope),
+            vehicle=moved_vehicle(passage.vehicle, *reported_on_map(passage.vehicle), slope),
             match=replace(passage.match, shift=slope.along_ground(passage.match.shift[None])[0]),
         )
         for passage in passages
@@ -115,4 +115,4 @@ def _heights_in_view(passage: Passage) -> tuple[FloatArray, FloatArray]:
     seen_s = np.array([sighting.stamp_s for sighting in passage.track.sightings]) + passage.time_offset_s
     near = (vehicle.stamps_s >= seen_s.min() - MAX_GAP_S) & (vehicle.stamps_s <= seen_s.max() + MAX_GAP_S)
     altitude_m = np.full(len(near), np.nan) if vehicle.altitude_m is None else vehicle.altitude_m
-    return told_on_map(vehicle)[0][near], altitude_m[near]
+    return reported_on_map(vehicle)[0][near], altitude_m[near]

@@ -23,9 +23,9 @@ from laci_stereo.core.drive_prior import (
     SHAPE,
     DrivePrior,
 )
+from laci_stereo.core.effective_samples import SAME_BORDER_M, SAME_ERROR_M, blocks_of, course_of, mean_overlap, worth_of
 from laci_stereo.core.evidence import SAME_VIEW_M, Evidence
-from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, rotate_xy, turned
-from laci_stereo.core.in_common import SAME_BORDER_M, SAME_ERROR_M, blocks_of, course_of, mean_overlap, worth_of
+from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, perpendicular, rotate_xy
 from laci_stereo.core.receiver import KNOTS_PER_TIME, decay, position_sigma_m
 from laci_stereo.core.settings import JointSettings, with_turn
 
@@ -617,11 +617,11 @@ class DriveModel:
         """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and lever, begin."""
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
-        jacobian[:, 0] = dot_xy(normal_world, turned(rotate_xy(x[0], arm)))
+        jacobian[:, 0] = dot_xy(normal_world, perpendicular(rotate_xy(x[0], arm)))
         jacobian[:, _NORMAL] = normal_world
         jacobian[:, _CLOCK] = by_time(poses.rates, frame, xy, normal, normal_world)
         jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
-        about = -dot_xy(normal, turned(xy - np.asarray(self.drive.vehicle.reference)))
+        about = -dot_xy(normal, perpendicular(xy - np.asarray(self.drive.vehicle.reference)))
         jacobian[:, _HEADING] = about
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         jacobian[:, _BEGIN] = about * poses.by_begin[frame]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, turned, wrap
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, perpendicular, rotate_xy, wrap
 from laci_stereo.core.robust import NORMAL
 
 RATE_S = 1.0
@@ -193,5 +193,5 @@ def by_time(rates: Rates, frame: IntArray, xy: FloatArray, normal: FloatArray, n
         The same normal in the world frame.
     """
     moved = dot_xy(normal_world, rates.velocity[frame])
-    derivative: FloatArray = -moved - rates.yaw[frame] * dot_xy(normal, turned(xy))
+    derivative: FloatArray = -moved - rates.yaw[frame] * dot_xy(normal, perpendicular(xy))
     return derivative

@@ -96,7 +96,7 @@ def dot_xy(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
-def turned(xy: FloatArray) -> FloatArray:
+def perpendicular(xy: FloatArray) -> FloatArray:
     """Return vectors, shape (n, 2), turned by a right angle to the left."""
     return np.column_stack([-xy[:, 1], xy[:, 0]])
 

@@ -17,7 +17,7 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.ground import GroundPlane, check_support
 from laci_stereo.core.ground_merge import Chart
-from laci_stereo.core.laying import laid_xy
+from laci_stereo.core.reframing import transformed_xy
 from laci_stereo.core.road_extent import road_along
 from laci_stereo.core.road_surface import FALL, OTHER, height_of
 from laci_stereo.core.settings import GroundSettings
@@ -137,7 +137,7 @@ def _seen_from(
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
     normal, origin = T_level_ground[:3, 2], T_level_ground[:3, 3]
     before = np.append(normal @ origin, -normal[:2]) / normal[2]
-    road = road_along(laid_xy(T_level_ground, way), survey, T_level_sensor, axes, before, settings)
+    road = road_along(transformed_xy(T_level_ground, way), survey, T_level_sensor, axes, before, settings)
     if road is None:
         return None
     surface = road.found

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from laci_stereo.core.case import Case, Instead, log_odds_between
+from laci_stereo.core.association_case import Alternative, Case, log_odds_between
 from laci_stereo.core.choice import Choice
-from laci_stereo.core.laying import mirrored_track
+from laci_stereo.core.reframing import mirrored_track
 
 MOST_ODDS = 1e6
 """Beyond this nobody reads odds any more."""
 
 
-def mirrored(case: Case, choice: Choice | None) -> Instead | None:
+def mirrored(case: Case, choice: Choice | None) -> Alternative | None:
     """Say that what moves fits the messages clearly better with left and right exchanged; None where it does not.
 
     One vehicle on a straight road fits both ways equally well. Boxes are asked first, for outlines take time. What a
@@ -34,7 +34,7 @@ def mirrored(case: Case, choice: Choice | None) -> Instead | None:
     if other is None or other.doubt or log_odds_between(other, choice) < case.settings.clear_log_odds:
         return None
     odds = f"by odds of {min(math.exp(log_odds_between(other, choice)), MOST_ODDS):.0f} to 1 " if choice else ""
-    return Instead(
+    return Alternative(
         other,
         f"what was seen fits the messages of station {other.station} {odds}with left and right exchanged: the "
         "sensor's frame is left-handed; needed is a right-handed one, such as x forward, y left, z up",

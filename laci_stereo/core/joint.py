@@ -26,7 +26,7 @@ from laci_stereo.core.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.recordings import Recordings
-from laci_stereo.core.scatter import Blocks, grown
+from laci_stereo.core.residual_scatter import Blocks, grown
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, with_turn
 
 SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)

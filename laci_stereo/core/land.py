@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.cluster import cells_of, widened
-from laci_stereo.core.fixtures import stands
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.static_clutter import stands
 
 
 @dataclass(frozen=True)

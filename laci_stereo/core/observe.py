@@ -25,9 +25,9 @@ from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
 from laci_stereo.core.ground_uneven import ONE_SURFACE_M
 from laci_stereo.core.land import learn_land
-from laci_stereo.core.laying import laid_background, laid_track, laid_xy
 from laci_stereo.core.outline import SIDES_HIGHEST_M
 from laci_stereo.core.pieces import whole
+from laci_stereo.core.reframing import transformed_background, transformed_track, transformed_xy
 from laci_stereo.core.road_extent import places, prolonged
 from laci_stereo.core.road_surface import OTHER
 from laci_stereo.core.settings import Settings
@@ -168,7 +168,7 @@ def on_the_road(
             check_support(first.ground, settings.ground)
             break
         T_first_seen = first.T_level_sensor @ invert(seen.T_level_sensor)
-        way, *beyond = (laid_xy(T_first_seen, xy) for xy in (places(choice.track), *_sent(choice, vehicles)))
+        way, *beyond = (transformed_xy(T_first_seen, xy) for xy in (places(choice.track), *_sent(choice, vehicles)))
         if before is not None and _is_along(way, before):
             break
         ground = road_ground(seen.standing, first.axes, first.ground, prolonged(way, *beyond), settings.ground)
@@ -182,8 +182,10 @@ def on_the_road(
 
 def _laid(seen: Observation, ground: GroundPlane, T_ground_seen: FloatArray) -> Observation:
     """Return what was seen, in the level frame of another ground."""
-    tracks = tuple(laid_track(T_ground_seen, track) for track in seen.tracks)
-    return replace(seen, ground=ground, background=laid_background(T_ground_seen, seen.background), tracks=tracks)
+    tracks = tuple(transformed_track(T_ground_seen, track) for track in seen.tracks)
+    return replace(
+        seen, ground=ground, background=transformed_background(T_ground_seen, seen.background), tracks=tracks
+    )
 
 
 def _is_along(way: FloatArray, before: FloatArray) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.columns import Columns
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, turned
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, perpendicular
 from laci_stereo.core.settings import VehicleSettings
 
 LOWEST_M = 0.25
@@ -386,7 +386,7 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
     centres = corner[:, :2] - outward * corner[:, 2:]
     far = np.hypot(*(xy - origin).T)
     ray = (xy - origin) / far[:, None]
-    normal = np.where(to_left, 1.0, -1.0)[:, None] * turned(ray)
+    normal = np.where(to_left, 1.0, -1.0)[:, None] * perpendicular(ray)
     beyond = normal @ centres.T - dot_xy(normal, origin)[:, None] + corner[:, 2]
     which = beyond.argmax(axis=1)
     (out_x, out_y), front = np.abs(normal).T, outward[which, 0] > 0.0

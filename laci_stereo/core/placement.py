@@ -16,7 +16,6 @@ from laci_stereo.core.drive_prior import Correction
 from laci_stereo.core.errors import CombineError, MatchError, OpenError
 from laci_stereo.core.evidence import Evidence, evidence_of
 from laci_stereo.core.frames import FloatArray, rotate_xy
-from laci_stereo.core.halves import halves_apart, with_doubt
 from laci_stereo.core.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.passage import Passage
@@ -24,6 +23,7 @@ from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
 from laci_stereo.core.riders import ridden_frames
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
+from laci_stereo.core.split_check import compare_halves, with_doubt
 from laci_stereo.core.tracking import Track
 
 LEAST_EXPLAINED = 0.5
@@ -100,7 +100,7 @@ def place_jointly(
         raise MatchError(f"{_besides(choice.beside)}, and {lacks}: which of them is the vehicle cannot be told")
     _check_registered(fit, [drive], settings)
     doubts = []
-    if apart := halves_apart(own, fit, settings):
+    if apart := compare_halves(own, fit, settings):
         fit = with_doubt(fit, apart)
         doubts.append(str(apart))
     registered, remarks, contradicting = _registered(own, drive, fit, others, settings)

@@ -18,8 +18,8 @@ from laci_stereo.core.frames import (
     along_line,
     between,
     dot_xy,
+    perpendicular,
     transform,
-    turned,
 )
 from laci_stereo.core.ground_fit import SHARED_IN_CELL
 from laci_stereo.core.ground_uneven import CLASS_B_M
@@ -354,7 +354,7 @@ def _beside(way: FloatArray, xy: FloatArray) -> tuple[IntArray, FloatArray, Floa
     """Return which place of a way is nearest to others, and how far to the left of it and beyond it they are."""
     nearest = np.asarray(cKDTree(way).query(xy)[1])
     forward, off = _directions(way)[nearest], xy - way[nearest]
-    return nearest, dot_xy(turned(forward), off), dot_xy(forward, off)
+    return nearest, dot_xy(perpendicular(forward), off), dot_xy(forward, off)
 
 
 def _medians(values: FloatArray, group: IntArray) -> FloatArray:

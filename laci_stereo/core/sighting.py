@@ -15,11 +15,11 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.cluster import cluster
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import BoxError
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, transform, turned
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, perpendicular, transform
 from laci_stereo.core.land import FLAT, Land
 from laci_stereo.core.outline import SIDES_HIGHEST_M
 from laci_stereo.core.settings import Settings, VehicleSettings
-from laci_stereo.core.spread import evenly
+from laci_stereo.core.subsampling import evenly
 
 Flaw = Literal["cut", "far", "thin"]
 """Why a sighting is left out: cut by the border of the field of view, too far away, too thin for a box."""
@@ -366,5 +366,5 @@ def _bearing(points: FloatArray, middle: FloatArray) -> FloatArray:
     """Return how far to the left of a place, shape (2,), points, shape (n, 3), are seen, shape (n,), rad."""
     forward = (middle / max(float(np.hypot(*middle)), 1e-9))[None]
     xy = points[:, :2]
-    bearing: FloatArray = np.arctan2(dot_xy(turned(forward), xy), dot_xy(forward, xy))
+    bearing: FloatArray = np.arctan2(dot_xy(perpendicular(forward), xy), dot_xy(forward, xy))
     return bearing

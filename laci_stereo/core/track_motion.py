@@ -10,7 +10,7 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import MatchSettings
-from laci_stereo.core.spread import evenly
+from laci_stereo.core.subsampling import evenly
 from laci_stereo.core.track_scene import KNOT_S, Knots, Poses, Scene, Sender, extent
 
 OUTLIER = 0.005

@@ -13,10 +13,10 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from laci_stereo.core.fixtures import stands
 from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.static_clutter import stands
 
 UNLINKED = 1.5
 """Cost of leaving a track without a sighting, in gates: above one, so that what is where it should be is linked."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from laci_stereo.core.association import BOXES_S
-from laci_stereo.core.case import Case, Instead, log_odds_between
+from laci_stereo.core.association_case import Alternative, Case, log_odds_between
 from laci_stereo.core.choice import Choice, Likeness, no_likeness
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, with_turn
 
@@ -13,7 +13,7 @@ SURELY = 4.0
 """By so many standard deviations clocks never differ that are as was said."""
 
 
-def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> Instead | None:
+def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> Alternative | None:
     """Say that clocks which are farther apart than was said explain clearly more; None where they do not.
 
     With a turn, or with vehicles that drive in several directions, a clock that is off fits no position. The one sender
@@ -46,7 +46,7 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> I
     seen = _together(other)
     stations = " and ".join(str(each) for each in seen)
     who, whose = (f"station {stations}", "its") if len(seen) == 1 else (f"stations {stations}", "their")
-    return Instead(
+    return Alternative(
         other,
         f"were the clocks {abs(other.time_offset_s):.2f} s apart, {who} would be seen where {whose} messages say: "
         "--clock unknown",

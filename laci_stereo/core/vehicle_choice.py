@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from laci_stereo.core.association_case import Alternative, Case
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.case import Case, Instead
 from laci_stereo.core.choice import Choice, Likeness, Resemblance
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import FloatArray
@@ -64,7 +64,7 @@ def choose_vehicle(
     return replace(choice, others=tuple(alone), clocks=unset.words if unset else "")
 
 
-def told(instead: Sequence[Instead], settings: MatchSettings) -> str:
+def told(instead: Sequence[Alternative], settings: MatchSettings) -> str:
     """Return in words what else would fit: the likeliest, and what is nearly as likely; empty if nothing would."""
     best = max((each.log_odds for each in instead), default=0.0)
     likely = sorted(instead, key=lambda each: -each.log_odds)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from laci_stereo.core.case import Case, Instead, log_odds_between
+from laci_stereo.core.association_case import Alternative, Case, log_odds_between
 from laci_stereo.core.choice import Choice
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.laying import nearer_track, stretched_track
+from laci_stereo.core.reframing import nearer_track, stretched_track
 from laci_stereo.core.track_scene import extent
 
 FOCAL, BASELINE, OFFSET = "focal length", "baseline", "offset"
@@ -67,7 +67,7 @@ def _typical_m(case: Case) -> float:
     return float(np.median(np.concatenate([np.linalg.norm(track.centres, axis=1) for track in case.tracks])))
 
 
-def optics_off(case: Case) -> Instead | None:
+def optics_off(case: Case) -> Alternative | None:
     """Say by how much longer a focal length or a baseline would have what moves fit the messages; None if none would.
 
     Asked where nothing fits as it was seen. What is not a matcher's has no such optics.
@@ -85,7 +85,7 @@ def optics_off(case: Case) -> Instead | None:
     if exact.choice is None or exact.choice.doubt:
         return None
     way = "longer" if exact.by > 1.0 else "shorter"
-    return Instead(
+    return Alternative(
         exact.choice,
         f"were the stereo camera's {exact.what} {100.0 * abs(exact.by - 1.0):.0f} % {way} than its calibration says, "
         f"station {exact.choice.station} would be seen where its messages say: is that the calibration of these "
@@ -94,7 +94,7 @@ def optics_off(case: Case) -> Instead | None:
     )
 
 
-def disparities_off(case: Case) -> Instead | None:
+def disparities_off(case: Case) -> Alternative | None:
     """Say the same of an offset of all disparities.
 
     One by which boxes fit about as well as they were seen may still be one by which outlines do, and else not.
@@ -108,7 +108,7 @@ def disparities_off(case: Case) -> Instead | None:
     if exact.choice is None or exact.choice.doubt:
         return None
     typical_m = _typical_m(moving)
-    return Instead(
+    return Alternative(
         exact.choice,
         f"were all disparities off, so that what was measured {typical_m:.0f} m away is {exact.by * typical_m:.1f} m "
         f"away, station {exact.choice.station} would be seen where its messages say: has one of the cameras turned "

@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from laci_stereo.core.association_case import Alternative, Case, log_odds_between
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint, VehicleTrack
 from laci_stereo.core.cam_repair import REAR_AXLE_SHARE
-from laci_stereo.core.case import Case, Instead, log_odds_between
 from laci_stereo.core.frames import rotate_xy
 from laci_stereo.core.resemblance import FREE_LEVER_M
 
 
-def place_off(case: Case) -> Instead | None:
+def place_off(case: Case) -> Alternative | None:
     """Say from where on the vehicle positions would surely fit what moves; None if from nowhere, or as they are.
 
     Asked where nothing fits as it was said; straight on everything would. Positions of all senders are of one place, as
@@ -34,7 +34,7 @@ def place_off(case: Case) -> Instead | None:
                 f"were the messages' positions those of another place on the vehicle, station {choice.station} would "
                 f"be seen where they say: --cam-reference {option}"
             )
-            found.append(Instead(choice, words, log_searched))
+            found.append(Alternative(choice, words, log_searched))
     return max(found, key=lambda each: each.log_odds, default=None)
 
 

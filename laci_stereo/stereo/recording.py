@@ -16,16 +16,16 @@ from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import OPENCV_AXES, Axes, BoolArray, FloatArray, IntArray, Raster
 from laci_stereo.core.ground import fit_ground
 from laci_stereo.core.settings import GroundSettings
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
+from laci_stereo.io.ahead import map_ahead, workers
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.stereo_calibration import StereoRig
 from laci_stereo.mask.apply import Moving, windows
 from laci_stereo.mask.picture import Crop
 from laci_stereo.mask.stage import GlimpseRays, VehicleMask
-from laci_stereo.stereo.ahead import map_ahead, workers
 from laci_stereo.stereo.disparity import Region, check_matched, match
 from laci_stereo.stereo.reader import GreyReader
-from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify, turned
+from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify, with_right_turned
 from laci_stereo.stereo.scene import Look, RoadDisparity, learn_look, regions, shrink
 from laci_stereo.stereo.settings import StereoSettings
 
@@ -140,7 +140,7 @@ class StereoRecording:
         self.name = name
         self.pairs = pairs
         self.settings = settings or StereoSettings()
-        self.rig = turned(already_rectified(rig) if self.settings.rectified else rig, self.settings.turn_deg)
+        self.rig = with_right_turned(already_rectified(rig) if self.settings.rectified else rig, self.settings.turn_deg)
         _check_disparities(self.settings, self.rig)
         self.reader = GreyReader(self.rig)
         self._ground = ground or GroundSettings()

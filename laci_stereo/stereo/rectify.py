@@ -119,7 +119,7 @@ def already_rectified(rig: StereoRig) -> StereoRig:
     return StereoRig(lens, lens, np.eye(3), np.array([side * rig.baseline_m, 0.0, 0.0]), rig.notes)
 
 
-def turned(rig: StereoRig, turn_deg: tuple[float, float, float] | None) -> StereoRig:
+def with_right_turned(rig: StereoRig, turn_deg: tuple[float, float, float] | None) -> StereoRig:
     """Return the rig whose right camera has turned, see `StereoSettings.turn_deg`."""
     if turn_deg is None:
         return rig

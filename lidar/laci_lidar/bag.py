@@ -13,10 +13,10 @@ from laci_lidar.pointcloud2 import POINT_CLOUD, header_stamp_ns, is_known, read_
 from laci_lidar.scan import Scan, scan_of
 from laci_lidar.sequence import counted
 from laci_stereo.core.frames import IntArray
+from laci_stereo.io.ahead import map_ahead
 from laci_stereo.io.bag_files import Bag, open_bag
 from laci_stereo.io.bag_records import CutOffError, Message, Topic
 from laci_stereo.io.text_file import listed, quoted, shortened
-from laci_stereo.stereo.ahead import map_ahead
 
 EARLIEST_NS = 10**17
 """March 1973: a stamp before that was never set, or counts from the start of the sensor."""

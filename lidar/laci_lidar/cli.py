@@ -13,8 +13,8 @@ from laci_lidar.monitor_command import monitor as monitor_command
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import AtOnce, LidarSettings, Sweep
-from laci_stereo.asked import PATH, Asked, calibrating, parse_background
 from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
+from laci_stereo.cli_options import PATH, Asked, calibrating, parse_background
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.lane_map import find_lane_map

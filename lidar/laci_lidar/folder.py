@@ -12,8 +12,8 @@ from laci_lidar.read import FORMATS, SUFFIXES, ScanFormat, read_scan
 from laci_lidar.scan import Scan
 from laci_lidar.sequence import counted
 from laci_stereo.core.frames import IntArray
+from laci_stereo.io.ahead import map_ahead
 from laci_stereo.io.timed_files import FileKind, in_time, names_in
-from laci_stereo.stereo.ahead import map_ahead
 
 SCANS = FileKind("scan", SUFFIXES, ", ".join(sorted(SUFFIXES)), ScanError)
 

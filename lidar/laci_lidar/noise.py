@@ -14,7 +14,7 @@ from laci_stereo.core.ground import GroundPlane
 from laci_stereo.core.ground_axes import ground_below
 from laci_stereo.core.robust import NORMAL
 from laci_stereo.core.settings import GroundSettings
-from laci_stereo.core.spread import evenly
+from laci_stereo.core.subsampling import evenly
 
 START_SIGMA_M = 0.02
 """What most data sheets promise; with it the ground is found for the first time."""

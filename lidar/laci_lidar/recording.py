@@ -20,10 +20,10 @@ from laci_lidar.view import View, learn_view
 from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
-from laci_stereo.core.spread import evenly, spread
+from laci_stereo.core.subsampling import evenly, spread
+from laci_stereo.io.ahead import workers
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.text_file import listed
-from laci_stereo.stereo.ahead import workers
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.job import DriveOptions, Job, Result, read_drive

@@ -16,7 +16,7 @@ from laci_stereo.check.profiles import OFFSETS_M, REACH_M, STEP_M
 from laci_stereo.check.sections import FARTHEST_M, SECTION_M, Sections
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray, transform
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 
 SCANS = 20
 """Evenly spread: the noise of their ranges fills what lies between beams, and what moves is in few of them."""

@@ -21,7 +21,7 @@ from laci_stereo.io.images import StereoPair
 from laci_stereo.io.rig import StereoRig
 from laci_stereo.io.stored_calibration import read_calibration
 from laci_stereo.run import Options, prepare
-from laci_stereo.stereo.rectify import rectify, turned
+from laci_stereo.stereo.rectify import rectify, with_right_turned
 from laci_stereo.stereo.settings import StereoSettings
 from tests.cli_support import DEMONSTRATION
 from tests.io.rig_writers import opencv_entries, write_storage
@@ -63,7 +63,7 @@ def test_a_turn_is_found_and_taken_back(recorded: Recorded, name: str, turn_deg:
     found = find_turn(rig, pairs)
     assert found.turn_deg is not None
     assert np.abs(np.subtract(found.turn_deg, turn_deg)).max() < 0.01
-    after = fit_of(turned(rig, found.turn_deg), match_images(pairs).matches)
+    after = fit_of(with_right_turned(rig, found.turn_deg), match_images(pairs).matches)
     assert after.shown is not None
     assert after.shown.rows_turn.effect_px < LEAST_PX
     said, unsaid = (found.doubts, found.notes) if turn_deg == LARGE else (found.notes, found.doubts)

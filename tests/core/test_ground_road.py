@@ -11,8 +11,8 @@ from laci_stereo.core.frames import Axes, FloatArray, invert, rigid, transform
 from laci_stereo.core.ground import GroundPlane, fit_farther_ground, fit_ground, fit_ground_beside
 from laci_stereo.core.ground_merge import Chart
 from laci_stereo.core.ground_road import _seen_from, road_ground, standing
-from laci_stereo.core.laying import laid_xy
 from laci_stereo.core.observe import Observation, observe
+from laci_stereo.core.reframing import transformed_xy
 from laci_stereo.core.road_extent import places, road_along
 from laci_stereo.core.road_surface import FALL
 from laci_stereo.core.settings import GroundSettings, Settings
@@ -293,7 +293,7 @@ def test_how_far_a_road_may_be_counts_from_the_ground(apart_m: float, is_seen: b
     cloud = seen(0.0)
     road = fitted(cloud)
     ground, found = (replace(road, height_m=road.height_m - share * apart_m) for share in (1.0, 0.5))
-    along = laid_xy(found.T_level_sensor(AXES) @ invert(road.T_level_sensor(AXES)), way())
+    along = transformed_xy(found.T_level_sensor(AXES) @ invert(road.T_level_sensor(AXES)), way())
     assert (_seen_from(found, ground, [cloud], AXES, along, GroundSettings()) is not None) == is_seen
 
 

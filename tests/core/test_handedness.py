@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from laci_stereo.core.association_case import Case
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.case import Case
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.handedness import mirrored
-from laci_stereo.core.laying import mirrored_track
+from laci_stereo.core.reframing import mirrored_track
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
 from tests.core.tracks import seen, sighting, vehicle

@@ -11,7 +11,7 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cam import CENTRE, FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.combine import combine
 from laci_stereo.core.frames import FloatArray, invert, transform
-from laci_stereo.core.laying import laid_vehicle, told_on_map
+from laci_stereo.core.reframing import moved_vehicle, reported_on_map
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.slope import slope_of
 from laci_stereo.core.world import World
@@ -69,8 +69,8 @@ def shortened(xy: FloatArray, percent: float, towards_deg: float, pivot: FloatAr
 def on_ground(log: CamLog, world: World, reference: ReferencePoint = CENTRE) -> VehicleTrack:
     """Return a drive along the ground, as its own altitudes tell it."""
     track = vehicle_track(log, world, EPOCH_NS, reference)
-    xy, yaw_rad = told_on_map(track)
-    return laid_vehicle(track, xy, yaw_rad, None if track.altitude_m is None else slope_of([(xy, track.altitude_m)]))
+    xy, yaw_rad = reported_on_map(track)
+    return moved_vehicle(track, xy, yaw_rad, None if track.altitude_m is None else slope_of([(xy, track.altitude_m)]))
 
 
 def drive_on(place: Place, drive: Drive, percent: float, towards_deg: float) -> tuple[CamLog, CamLog]:
@@ -195,12 +195,12 @@ def test_what_is_along_the_ground_lies_where_it_was_told_on_the_map() -> None:
     laid = on_ground(sloping, world, FRONT)
     assert np.abs(laid.xy - track.xy).max() > 0.05
     assert laid.slope is not None
-    xy, yaw_rad = told_on_map(laid)
+    xy, yaw_rad = reported_on_map(laid)
     assert xy == pytest.approx(world.from_geodetic(sloping.latitude_deg, sloping.longitude_deg), abs=1e-6)
     assert yaw_rad == pytest.approx(track.yaw_rad, abs=1e-12)
     on_ground_3d = np.column_stack([laid.xy, np.zeros(len(laid.xy))])
     assert transform(laid.slope.T_enu_world, on_ground_3d)[:, :2] == pytest.approx(laid.slope.on_map(laid.xy), abs=1e-9)
-    assert laid_vehicle(laid, xy, yaw_rad, None).xy == pytest.approx(track.xy, abs=1e-6)
+    assert moved_vehicle(laid, xy, yaw_rad, None).xy == pytest.approx(track.xy, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -288,7 +288,7 @@ def check_on_one_slope(found: Calibration, logs: dict[int, CamLog], towards_deg:
         assert np.array_equal(each.vehicle.slope.gradient, found.slope.gradient)
         log = logs[each.station_id]
         on_map = found.world.from_geodetic(log.latitude_deg, log.longitude_deg)
-        assert told_on_map(each.vehicle)[0] == pytest.approx(on_map, abs=2e-3)
+        assert reported_on_map(each.vehicle)[0] == pytest.approx(on_map, abs=2e-3)
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
+from laci_stereo.core.association_case import Case
 from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.case import Case
 from laci_stereo.core.choice import Resemblance, no_likeness
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, MatchSettings
 from laci_stereo.core.unset_clock import clocks_apart

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from laci_stereo.core.association_case import Case
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.case import Case
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import MatchError
-from laci_stereo.core.laying import nearer_track, stretched_track
+from laci_stereo.core.reframing import nearer_track, stretched_track
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
 from laci_stereo.core.wrong_optics import STEP, disparities_off, optics_off

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.asked import parse_reference
+from laci_stereo.cli_options import parse_reference
+from laci_stereo.core.association_case import Alternative, Case
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint, VehicleTrack
-from laci_stereo.core.case import Case, Instead
 from laci_stereo.core.choice import Choice, Resemblance
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.frames import rotate_xy
@@ -92,9 +92,9 @@ def test_straight_on_any_place_fits() -> None:
     assert words({42: taken_for(AXLE, FRONT, STRAIGHT_ON)}, (STRAIGHT_ON, LORRY)) == ""
 
 
-def instead(text: str, log_likelihood: float, log_searched: float = 0.0) -> Instead:
+def instead(text: str, log_likelihood: float, log_searched: float = 0.0) -> Alternative:
     choice = Choice(42, seen(), 1.0, 0.0, PlanarMatch(0.0, np.zeros(2)), 0.0, log_likelihood, math.inf, "nothing else")
-    return Instead(choice, text, log_searched)
+    return Alternative(choice, text, log_searched)
 
 
 def test_of_what_would_fit_the_likeliest_is_told_and_what_is_nearly_as_likely() -> None:

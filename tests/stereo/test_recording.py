@@ -14,7 +14,7 @@ import pytest
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import ImageError, RigError, SettingError
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.spread import spread
+from laci_stereo.core.subsampling import spread
 from laci_stereo.io.images import StereoPair
 from laci_stereo.stereo.recording import LOOK_FRAMES, QUIET_FRAMES, StereoRecording
 from laci_stereo.stereo.settings import StereoSettings

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from laci_stereo.stereo.ahead import map_ahead, workers
+from laci_stereo.io.ahead import map_ahead, workers
 
 
 def test_results_come_in_order_however_long_each_takes() -> None:

@@ -46,7 +46,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Instead:
+class Alternative:
     """What would fit if something were not as it was said.
 
     Attributes

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from laci_stereo.core.in_common import mean_overlap
+from laci_stereo.core.effective_samples import mean_overlap
 
 
 def test_windows_overlap_on_average_by_their_mean() -> None:

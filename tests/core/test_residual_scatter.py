@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.scatter import Blocks, grown, scatter
+from laci_stereo.core.residual_scatter import Blocks, grown, scatter
 
 ROWS, SIZE = 12, 5
 

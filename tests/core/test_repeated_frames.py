@@ -10,7 +10,7 @@ import pytest
 
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.repeats import repeats_of
+from laci_stereo.core.repeated_frames import repeats_of
 from laci_stereo.core.tracking import Track
 from tests.core.tracks import DRIVE, sighting, vehicle
 from tests.simulated import LEFT_TURN, Recording, lidar, scene

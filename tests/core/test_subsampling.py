@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from laci_stereo.core.spread import evenly, spread
+from laci_stereo.core.subsampling import evenly, spread
 
 
 def test_spread_takes_the_ends_and_no_more_than_asked() -> None:

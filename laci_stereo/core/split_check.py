@@ -48,7 +48,7 @@ class Apart:
         )
 
 
-def halves_apart(own: Passage, fit: JointFit, settings: Settings) -> Apart | None:
+def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | None:
     """Hold the halves of a drive against each other, each by itself; None where they agree, or one tells too little.
 
     Parameters

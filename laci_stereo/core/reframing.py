@@ -14,12 +14,12 @@ from laci_stereo.core.slope import Slope
 from laci_stereo.core.tracking import Track
 
 
-def laid_xy(T_a_b: FloatArray, xy: FloatArray) -> FloatArray:
+def transformed_xy(T_a_b: FloatArray, xy: FloatArray) -> FloatArray:
     """Return places on the ground of b, shape (n, 2), on the ground plan of a."""
     return transform(T_a_b, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
 
-def laid_track(T_a_b: FloatArray, track: Track) -> Track:
+def transformed_track(T_a_b: FloatArray, track: Track) -> Track:
     """Return a track in the level frame of a."""
     return Track(
         tuple(
@@ -28,7 +28,7 @@ def laid_track(T_a_b: FloatArray, track: Track) -> Track:
                 points=transform(T_a_b, sighting.points),
                 low=replace(sighting.low, points=transform(T_a_b, sighting.low.points)),
                 borders=transform(T_a_b, sighting.borders),
-                middle=laid_xy(T_a_b, sighting.middle[None])[0],
+                middle=transformed_xy(T_a_b, sighting.middle[None])[0],
                 box=_laid_box(T_a_b, sighting.box),
             )
             for sighting in track.sightings
@@ -103,7 +103,7 @@ def nearer_track(track: Track, per_m: float) -> Track:
     )
 
 
-def told_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
+def reported_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
     """Return the positions of a vehicle's messages, shape (n, 2), and its yaws, shape (n,), on the map."""
     xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(vehicle.reference, (len(vehicle.xy), 1)))
     if vehicle.slope is None:
@@ -111,15 +111,15 @@ def told_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
     return vehicle.slope.on_map(xy), vehicle.slope.yaw_on_map(vehicle.yaw_rad)
 
 
-def laid_vehicle(vehicle: VehicleTrack, xy: FloatArray, yaw_rad: FloatArray, slope: Slope | None) -> VehicleTrack:
-    """Return a track with what `told_on_map` returned, along a sloping ground where there is one."""
+def moved_vehicle(vehicle: VehicleTrack, xy: FloatArray, yaw_rad: FloatArray, slope: Slope | None) -> VehicleTrack:
+    """Return a track with what `reported_on_map` returned, along a sloping ground where there is one."""
     if slope is not None:
         xy, yaw_rad = slope.along_ground(xy), slope.yaw_along_ground(yaw_rad)
     centre = xy - rotate_xy(yaw_rad, np.tile(vehicle.reference, (len(xy), 1)))
     return replace(vehicle, xy=centre, yaw_rad=yaw_rad, slope=slope)
 
 
-def laid_background(T_a_b: FloatArray, background: Background) -> Background:
+def transformed_background(T_a_b: FloatArray, background: Background) -> Background:
     """Return a background in the level frame of a."""
     boxes = tuple(replace(static, box=_laid_box(T_a_b, static.box)) for static in background.boxes)
     return replace(background, boxes=boxes)
@@ -127,7 +127,7 @@ def laid_background(T_a_b: FloatArray, background: Background) -> Background:
 
 def _laid_box(T_a_b: FloatArray, box: Box) -> Box:
     turned = 2 * (box.yaw_rad + np.arctan2(T_a_b[1, 0], T_a_b[0, 0]))
-    return replace(box, centre=laid_xy(T_a_b, box.centre[None])[0], yaw_rad=float(wrap(turned)) / 2)
+    return replace(box, centre=transformed_xy(T_a_b, box.centre[None])[0], yaw_rad=float(wrap(turned)) / 2)
 
 
 def _stretched_box(box: Box, over: FloatArray) -> Box:
