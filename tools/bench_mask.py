@@ -46,8 +46,9 @@ from tools.scenes.disparity import STEREOS, StereoCamera, reproject
 from tools.scenes.geometry import RayCaster
 from tools.scenes.runs import NO_SCENE
 from tools.scenes.scene import SENSORS, Recorded, Scene, SceneError, draw_scene, errors_of
-from tools.scenes.seeing import rendered, reopened
+from tools.scenes.seeing import reopened
 from tools.scenes.traffic import Mover
+from tools.scenes.write import write_images
 
 FACTORS: dict[str, object] = {"walkers": 3, "vehicles": 2, "density": 2.0}
 CLOSE: dict[str, object] = {"walkers": 3, "vehicles": 2, "near_m": 2.0, "shrubs": 3}
@@ -382,7 +383,9 @@ def run(seed: int, sensor: str, factors: dict[str, object], paint: bool, images:
 def painted(scene: Scene, folder: Path) -> StereoRecording:
     """Render a scene, or open what was rendered before."""
     last = folder / "right" / f"{scene.stamps_ns[::RENDERED_STEP][-1]}.png"
-    return reopened(scene, folder) if last.exists() else rendered(scene, folder, RENDERED_STEP)
+    if not last.exists():
+        write_images(scene, folder, RENDERED_STEP)
+    return reopened(folder)
 
 
 def small_and_calm(scene: Scene) -> Scene:

@@ -11,7 +11,8 @@ from laci_stereo.core.settings import Settings
 from tools.bench_scenes import METHODS, Job, jobs_of, missing, run
 from tools.scenes.runs import Run, beyond, read_runs, recorded, table
 from tools.scenes.scene import draw_scene, errors_of
-from tools.scenes.seeing import rendered, see
+from tools.scenes.seeing import reopened, see
+from tools.scenes.write import write_images
 
 DONE = Run("lidar_16", "joint", 1, good=True, verdict="pass", track_xy_cm=3.0, rotation_deg=0.1)
 DONE = replace(DONE, sigma_ratio=1.0, rotation_ratio=0.5)
@@ -101,7 +102,8 @@ def test_rendered_images_are_the_frames_of_the_scene(tmp_path):
     scene = draw_scene(3, "stereo_05", density=0.0, parked=0)
     small = replace(scene.sensor, size_px=(96, 64), focal_px=80.0)
     scene = replace(scene, sensor=small)
-    images = rendered(scene, tmp_path, step=60)
+    write_images(scene, tmp_path, step=60)
+    images = reopened(tmp_path)
     assert [pair.stamp_ns for pair in images.pairs] == scene.stamps_ns[::60].tolist()
     assert images.rig.left.size == small.size_px
     assert images.rectification.baseline_m == pytest.approx(small.baseline_m, rel=0.01)

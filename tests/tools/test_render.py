@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.io.stereo_calibration import StereoRig, read_stereo_calibration
+from laci_stereo.stereo.rectify import bouguet, undistorted
 from tests.stereo.rigs import EIGHT, FISHEYE, FIVE, lens, rig
-from tools.scenes.cameras import looking, project, random_mount, random_rig, rays, write_calibration
+from tools.scenes.cameras import looking, mistold, project, random_mount, random_rig, rays, write_calibration
 from tools.scenes.compare_disparity import errors_in, exact_truth, matched_frames
+from tools.scenes.disparity import stereo_camera
 from tools.scenes.geometry import Body, Material, Mesh, RayCaster
 from tools.scenes.imager import Sensor, develop
 from tools.scenes.render import Eye, Look, Renderer, eyes, stereo_pairs, write_stereo
@@ -118,6 +120,20 @@ def test_a_rig_survives_its_file(seed: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(one.distortion, other.distortion, rtol=1e-12)
     np.testing.assert_allclose(read.R_right_left, drawn.R_right_left, atol=1e-12)
     np.testing.assert_allclose(read.t_right_left_m, drawn.t_right_left_m, atol=1e-12)
+
+
+@pytest.mark.parametrize("turned_deg", [(0.2, 0.1, -0.3), (-0.1, -0.2, 0.1)])
+def test_a_camera_that_has_turned_since(turned_deg: tuple[float, float, float]) -> None:
+    """Disparities by a stale calibration are off by what the fast simulation adds to them, near the middle."""
+    camera = replace(stereo_camera("stereo_05"), turned_deg=turned_deg)
+    told = mistold(camera.rig, 0.0, 0.0, turned_deg)
+    ahead = np.array([[0.05, 0.02, 1.0], [-0.05, -0.02, 1.0]]) * 20.0
+    left_R, right_R, left_P, right_P = bouguet(told)
+    in_right = transform(rigid(camera.rig.R_right_left, camera.rig.t_right_left_m), ahead)
+    left = undistorted(told.left, project(camera.rig.left, ahead), left_R, left_P)
+    right = undistorted(told.right, project(camera.rig.right, in_right), right_R, right_P)
+    off_px = (left - right)[:, 0] - camera.focal_px * camera.baseline_m / ahead[:, 2]
+    assert np.mean(off_px) == pytest.approx(camera.turned_px, rel=0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))

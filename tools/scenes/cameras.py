@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, rigid
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
+from laci_stereo.stereo.rectify import with_right_turned
 
 BASELINES_M = (0.2, 0.5, 1.0)
 
@@ -116,11 +117,15 @@ def raw_rig(rng: np.random.Generator, size: tuple[int, int], focal_px: float, ba
     return StereoRig(left, right, R, -R @ centre)
 
 
-def mistold(rig: StereoRig, focal_error: float, baseline_error: float) -> StereoRig:
-    """Return a rig as a calibration tells it that has focal lengths and baseline too long by these shares."""
+def mistold(
+    rig: StereoRig, focal_error: float, baseline_error: float, turned_deg: tuple[float, float, float]
+) -> StereoRig:
+    """Return a rig as a calibration tells it that is wrong, see `tools.scenes.disparity.StereoCamera`."""
     longer = np.diag([1.0 + focal_error, 1.0 + focal_error, 1.0])
     left, right = (replace(lens, K=lens.K @ longer) for lens in (rig.left, rig.right))
-    return replace(rig, left=left, right=right, t_right_left_m=rig.t_right_left_m * (1.0 + baseline_error))
+    pitch, yaw, roll = turned_deg
+    before = with_right_turned(rig, (-pitch, -yaw, -roll))
+    return replace(before, left=left, right=right, t_right_left_m=before.t_right_left_m * (1.0 + baseline_error))
 
 
 def _lens(rng: np.random.Generator, size: tuple[int, int], focal_px: float, strength: float) -> Lens:

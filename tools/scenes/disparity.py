@@ -111,6 +111,8 @@ class StereoCamera:
     period_s : float
     focal_error, baseline_error : float
         By which share its calibration has them too long.
+    turned_deg : tuple of float
+        By which its right camera has turned since it was calibrated, see `StereoSettings.turn_deg`.
     """
 
     name: StereoName
@@ -121,6 +123,12 @@ class StereoCamera:
     period_s: float = 0.1
     focal_error: float = 0.0
     baseline_error: float = 0.0
+    turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def turned_px(self) -> float:
+        """By how much a turn sideways makes disparities larger; rows tell the other two, so that they are known."""
+        return -self.focal_px * float(np.radians(self.turned_deg[1]))
 
     @cached_property
     def as_told(self) -> StereoCamera:
@@ -131,6 +139,7 @@ class StereoCamera:
             baseline_m=self.baseline_m * (1.0 + self.baseline_error),
             focal_error=0.0,
             baseline_error=0.0,
+            turned_deg=(0.0, 0.0, 0.0),
         )
 
     def at_rate(self, frame_rate_hz: float) -> StereoCamera:
@@ -298,7 +307,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     hidden = _occluded(camera, true) & (matched <= true + JUMP_PX)
     sigma = flaws.noise * sigma * np.exp(SPREAD * (middle - texture))
     told = np.hypot(StereoSettings().disparity_floor_px, TOLD * sigma)
-    values = matched + flaws.offset_px + sigma * _smooth(shape, WINDOW_SIGMA_PX / camera.stride, rng)
+    values = matched + flaws.offset_px + camera.turned_px + sigma * _smooth(shape, WINDOW_SIGMA_PX / camera.stride, rng)
     elsewhere = _smooth(shape, GROSS_SIGMA_PX / camera.stride, rng) > -ndtri(flaws.gross * gross)
     values -= flaws.gloss_px * _mirrored(mounted, hits, shiny.ravel(), seed[0]).reshape(shape)
     too_far = GROSS_PX[0] + GROSS_PX[1] * np.abs(_smooth(shape, GROSS_SIGMA_PX / camera.stride, rng))

@@ -351,6 +351,7 @@ def write_stereo(
     folder: Path,
     look: Look,
     seed: int,
+    told: StereoRig | None = None,
 ) -> None:
     """Write ``left/``, ``right/`` (PNG, named by their stamps) and ``stereo.yaml``, frame by frame.
 
@@ -368,11 +369,13 @@ def write_stereo(
     look : Look
     seed : int
         Of the sensors' noise.
+    told : StereoRig or None
+        As the calibration has the rig; None: as it is.
     """
     sides = [folder / "left", folder / "right"]
     for side in sides:
         side.mkdir(parents=True, exist_ok=True)
-    write_calibration(folder / "stereo.yaml", rig)
+    write_calibration(folder / "stereo.yaml", told or rig)
     pairs = stereo_pairs(bodies, rig, T_world_left, times_s, look, seed)
     for stamp, pair in zip(stamps_ns, pairs, strict=True):
         for side, image in zip(sides, pair, strict=True):

@@ -148,6 +148,8 @@ class Factors:
         Of stereo cameras; ``gross`` scales the share of mismatches, and see `StereoFlaws`.
     focal_error, baseline_error : float
         By which share a stereo calibration has them too long.
+    turned_deg : tuple of float
+        By which the right camera has turned since then.
     """
 
     layout: LayoutKind | None = None
@@ -201,6 +203,7 @@ class Factors:
     focal_px: float | None = None
     focal_error: float = 0.0
     baseline_error: float = 0.0
+    turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -541,7 +544,12 @@ def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCam
         if kind == name:
             focal = draw.given(factors.focal_px, "focal", lambda rng: float(rng.uniform(800.0, 1500.0)))
             camera = stereo_camera(name, focal)
-            return replace(camera, focal_error=factors.focal_error, baseline_error=factors.baseline_error)
+            return replace(
+                camera,
+                focal_error=factors.focal_error,
+                baseline_error=factors.baseline_error,
+                turned_deg=factors.turned_deg,
+            )
     scanner = lidar(next(name for name in LIDARS if name == kind))
     if factors.begin_deg != 180.0:
         scanner = scanner.beginning(factors.begin_deg)

@@ -5,13 +5,10 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
-
-import numpy as np
+from typing import Literal, Protocol
 
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.cam import FRONT, VehicleTrack
-from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.detections import observe_detections
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.result import Calibration
@@ -19,23 +16,26 @@ from laci_stereo.core.settings import Settings
 from laci_stereo.core.world import World
 from laci_stereo.io.images import ImageFolder, pair_images
 from laci_stereo.io.stereo_calibration import read_stereo_calibration
+from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings
-from tools.scenes.cameras import mistold, raw_rig
 from tools.scenes.detector import detect
-from tools.scenes.disparity import StereoCamera
-from tools.scenes.render import random_look, write_stereo
 from tools.scenes.scene import Recorded, Scene
+from tools.scenes.write import write_cams, write_images
 
 Way = Literal["simulated", "rendered", "detections"]
 
-RENDERED_STEP = 2
-"""Of the frames every second is rendered, 5 per second."""
+
+class Seen(Protocol):
+    """All that a calibration starts from; one serves several methods."""
+
+    def locate(self, settings: Settings) -> Calibration:
+        """Calibrate."""
 
 
 @dataclass(frozen=True)
-class Seen:
-    """All that a calibration starts from; one serves several methods.
+class Observed:
+    """What was observed, and where the senders were (implements `Seen`).
 
     Attributes
     ----------
@@ -53,6 +53,27 @@ class Seen:
         return locate(self.observation, self.vehicles, self.world, settings)
 
 
+@dataclass(frozen=True)
+class Filmed:
+    """Images and messages as files, which are calibrated as a user's (implements `Seen`).
+
+    Attributes
+    ----------
+    folder : TemporaryDirectory
+        As `tools.scenes.write` fills it, without a map.
+    crs : str
+    """
+
+    folder: tempfile.TemporaryDirectory[str]
+    crs: str
+
+    def locate(self, settings: Settings) -> Calibration:
+        """Calibrate, with all that the images tell of their calibration."""
+        folder = Path(self.folder.name)
+        options = Options(camera=StereoSettings(workers=1), crs=self.crs, core=settings)
+        return prepare(folder / "left", folder / "right", folder / "cam.csv", options).run().calibration
+
+
 def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
     """Observe a scene, and lay out where the senders were.
 
@@ -65,16 +86,15 @@ def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
     if way == "detections":
         log = detect(scene)
         vehicles, world = _senders(scene, log.span_ns, settings)
-        return Seen(observe_detections(log, scene.axes, settings), vehicles, world)
+        return Observed(observe_detections(log, scene.axes, settings), vehicles, world)
     if way == "rendered":
-        with tempfile.TemporaryDirectory() as folder:
-            return _watched(scene, rendered(scene, Path(folder)), settings)
-    return _watched(scene, Recorded(scene), settings)
-
-
-def _watched(scene: Scene, source: PointCloudSource, settings: Settings) -> Seen:
+        folder = tempfile.TemporaryDirectory()
+        write_images(scene, Path(folder.name))
+        write_cams(scene.messages, Path(folder.name) / "cam.csv")
+        return Filmed(folder, scene.crs)
+    source = Recorded(scene)
     vehicles, world = _senders(scene, source.span_ns, settings)
-    return Seen(on_the_road(observe(source, settings), source, vehicles, settings), vehicles, world)
+    return Observed(on_the_road(observe(source, settings), source, vehicles, settings), vehicles, world)
 
 
 def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> tuple[dict[int, VehicleTrack], World]:
@@ -83,23 +103,8 @@ def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> tupl
     return vehicles_of(messages, world, span_ns[0], FRONT), world
 
 
-def rendered(scene: Scene, folder: Path, step: int = RENDERED_STEP) -> StereoRecording:
-    """Render a stereo camera's raw images of every ``step``-th frame into a folder, and open them as a user's."""
-    camera, look = _stereo(scene), random_look(np.random.default_rng(scene.seed))
-    rig = raw_rig(np.random.default_rng([scene.seed, 8]), camera.size_px, camera.focal_px, camera.baseline_m)
-    stamps = scene.stamps_ns[::step].tolist()
-    write_stereo(scene.bodies, rig, scene.T_world_sensor, scene.times_s[::step], stamps, folder, look, scene.seed)
-    return reopened(scene, folder)
-
-
-def reopened(scene: Scene, folder: Path) -> StereoRecording:
-    """Open images of a stereo camera that were rendered before, with the rig that is written beside them."""
-    camera, rig = _stereo(scene), read_stereo_calibration(folder / "stereo.yaml")
-    told = mistold(rig, camera.focal_error, camera.baseline_error)
+def reopened(folder: Path) -> StereoRecording:
+    """Open a stereo camera's images and calibration as `tools.scenes.write` writes them."""
+    rig = read_stereo_calibration(folder / "stereo.yaml")
     pairs = pair_images(ImageFolder.open(folder / "left"), ImageFolder.open(folder / "right"))
-    return StereoRecording(pairs.pairs, told, StereoSettings(workers=1))
-
-
-def _stereo(scene: Scene) -> StereoCamera:
-    assert isinstance(scene.sensor, StereoCamera), scene.sensor_kind
-    return scene.sensor
+    return StereoRecording(pairs.pairs, rig, StereoSettings(workers=1))

@@ -1,4 +1,4 @@
-"""A scene as files: scans, messages, the lane map and the truth."""
+"""A scene as files: scans or images, messages, the lane map and the truth."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ import numpy as np
 
 from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray
+from tools.scenes.cameras import mistold, raw_rig
 from tools.scenes.cams import EPOCH_NS
 from tools.scenes.disparity import StereoCamera
 from tools.scenes.places import Place
+from tools.scenes.render import random_look, write_stereo
 from tools.scenes.scene import Recorded, Scene
 from tools.scenes.world import Edge, Line
 
@@ -25,18 +27,33 @@ CAM_HEADER = (
 
 TRUTH_STEP_S = 0.1
 
+RENDERED_STEP = 2
+"""Of the frames every second is rendered, 5 per second."""
+
 
 def write_scene(scene: Scene, out: Path) -> None:
-    """Write a LiDAR's data set into a folder: scans, ``cam.csv``, ``map.osm`` and ``truth.json``.
+    """Write a data set: ``cam.csv``, ``map.osm``, ``truth.json``, and scans, or images with their calibration.
 
-    A stereo camera's scene gets everything but the images, which `tools.scenes.render` paints.
+    Images take seconds each.
     """
     out.mkdir(parents=True, exist_ok=True)
-    if not isinstance(scene.sensor, StereoCamera):
+    if isinstance(scene.sensor, StereoCamera):
+        write_images(scene, out)
+    else:
         write_scans(scene, out / scene.sensor_kind)
     write_cams(scene.messages, out / "cam.csv")
     write_map((*scene.site.lines, *scene.site.edges), scene.place, out / "map.osm")
     (out / "truth.json").write_text(json.dumps(truth(scene), indent=1))
+
+
+def write_images(scene: Scene, out: Path, step: int = RENDERED_STEP) -> None:
+    """Render a stereo camera's raw images of every ``step``-th frame, and write its calibration as ``stereo.yaml``."""
+    camera, look = scene.sensor, random_look(np.random.default_rng(scene.seed))
+    assert isinstance(camera, StereoCamera), scene.sensor_kind
+    rig = raw_rig(np.random.default_rng([scene.seed, 8]), camera.size_px, camera.focal_px, camera.baseline_m)
+    told = mistold(rig, camera.focal_error, camera.baseline_error, camera.turned_deg)
+    stamps, times_s = scene.stamps_ns[::step].tolist(), scene.times_s[::step]
+    write_stereo(scene.bodies, rig, scene.T_world_sensor, times_s, stamps, out, look, scene.seed, told)
 
 
 def write_scans(scene: Scene, folder: Path) -> None:
