@@ -183,7 +183,7 @@ def combine(
     check_output(out, overwrite=overwrite)
     core = Settings(quality=limits(max_sigma_m, max_sigma_deg))
     result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map, map_crs=map_crs, core=core))
-    deliver(result, (*result.job.provenance.notes, *result.job.skipped), out, overwrite=overwrite, quiet=quiet)
+    deliver(result, out, overwrite=overwrite, quiet=quiet)
 
 
 cli.add_command(cam_command)

@@ -7,7 +7,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -235,20 +235,35 @@ def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]
 
 
 def _carry_out(job: Task, asked: Asked) -> None:
+    said = job.provenance.notes
     if not asked.quiet:
-        for note in job.provenance.notes:
-            click.echo(f"note: {note}", err=True)
+        _say(said)
     try:
         result = job.run(lambda source: source if asked.quiet else WithProgress(source))
     except GroundError as error:
         if asked.height is None:
             raise
         raise GroundError(f"{error}; --height is {asked.height:g} m, which is taken give or take a third") from error
-    deliver(result, (*job.remarks(), *job.skipped), asked.out, overwrite=asked.overwrite, quiet=asked.quiet)
+    deliver(result, asked.out, overwrite=asked.overwrite, quiet=asked.quiet, said=said)
 
 
-def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool, quiet: bool) -> None:
-    """Save a result and say what it is.
+def _say(notes: Iterable[str]) -> None:
+    for note in notes:
+        click.echo(f"note: {note}", err=True)
+
+
+def deliver(result: Result, out: Path, *, overwrite: bool, quiet: bool, said: Collection[str] = ()) -> None:
+    """Save a result and print its notes and its summary.
+
+    Parameters
+    ----------
+    result : Result
+        Its job may have been prepared anew during the run, and have notes that the first one did not have.
+    out : Path
+        The result folder.
+    overwrite, quiet : bool
+    said : collection of str
+        Notes that were printed before.
 
     Raises
     ------
@@ -257,8 +272,9 @@ def deliver(result: Result, notes: Sequence[str], out: Path, *, overwrite: bool,
     """
     result.save(out, overwrite=overwrite, command=_command())
     if not quiet:
-        for note in (*result.calibration.found, *notes):
-            click.echo(f"note: {note}", err=True)
+        job = result.job
+        _say(result.calibration.found)
+        _say(note for note in (*job.provenance.notes, *job.remarks(), *job.skipped) if note not in said)
         click.echo(result.summary)
         say_written(out)
     quality = result.calibration.quality

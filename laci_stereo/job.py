@@ -35,6 +35,9 @@ from laci_stereo.report.topdown import draw_topdown
 
 PAGE_FILE = "report.html"
 
+BLOCK_BYTES = 1 << 20
+"""Files are hashed in blocks of this size: a bag may be larger than the memory."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
@@ -414,7 +417,9 @@ def sha256(path: Path) -> str:
     files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.read_bytes())
+        with file.open("rb") as content:
+            while block := content.read(BLOCK_BYTES):
+                digest.update(block)
     return digest.hexdigest()
 
 

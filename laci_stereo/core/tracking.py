@@ -332,7 +332,7 @@ def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
     """
     count = len(track.sightings)
     before = _states(track.sightings, settings)
-    after = [_turned(one) for one in _states(_mirrored(track.sightings), settings)[::-1]]
+    after = [_forwards_in_time(one) for one in _states(_mirrored(track.sightings), settings)[::-1]]
     gaps_s = np.diff([one.stamp_s for one in track.sightings])
     strains = [
         strain(before[i], after[i + 1], float(gaps_s[i]), settings) for i in range(LEAST_PIECE - 1, count - LEAST_PIECE)
@@ -348,11 +348,17 @@ def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
 def _states(sightings: Sequence[Sighting], settings: TrackSettings) -> list[Moving]:
     """Return a track as it was at each of its sightings."""
     moving = Moving(sightings[0], settings)
-    states = [copy(moving)]
+    states = [_copied(moving)]
     for one in sightings[1:]:
         moving.add(one, settings)
-        states.append(copy(moving))
+        states.append(_copied(moving))
     return states
+
+
+def _copied(moving: Moving) -> Moving:
+    state = copy(moving)
+    state.sightings = list(moving.sightings)
+    return state
 
 
 def _without_last(part: Moving, strays: int, settings: TrackSettings) -> Moving:
@@ -370,7 +376,7 @@ def _filtered(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
 def backwards(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
     """Filter the beginning of a track against time, so that its last sighting is the first one."""
     few = list(sightings[:FILTERED])
-    moving = _turned(_filtered(_mirrored(few), settings))
+    moving = _forwards_in_time(_filtered(_mirrored(few), settings))
     moving.sightings = few[::-1]
     return moving
 
@@ -379,11 +385,11 @@ def _mirrored(sightings: Sequence[Sighting]) -> list[Sighting]:
     return [replace(one, stamp_s=-one.stamp_s) for one in sightings[::-1]]
 
 
-def _turned(moving: Moving) -> Moving:
+def _forwards_in_time(moving: Moving) -> Moving:
     """Return the same with the velocity in time, not against it."""
-    turned = copy(moving)
-    turned.state = moving.state * np.array([[1.0], [-1.0]])
-    return turned
+    forwards = copy(moving)
+    forwards.state = moving.state * np.array([[1.0], [-1.0]])
+    return forwards
 
 
 def strain(before: Moving, after: Moving, gap_s: float, settings: TrackSettings) -> float:

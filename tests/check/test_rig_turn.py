@@ -23,7 +23,7 @@ from laci_stereo.io.stored_calibration import read_calibration
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.rectify import rectify, with_right_turned
 from laci_stereo.stereo.settings import StereoSettings
-from tests.cli_support import DEMONSTRATION
+from tests.cli_support import DEMONSTRATION, run
 from tests.io.rig_writers import opencv_entries, write_storage
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
@@ -139,3 +139,14 @@ def test_a_stale_calibration_gives_what_the_right_one_does(tmp_path: Path, mirro
     assert found_deg[::2] == pytest.approx(turn_deg[::2], abs=0.002)
     assert found_deg[1] == pytest.approx(turn_deg[1], abs=0.02)
     assert Options(camera=StereoSettings(turn_deg=found_deg)).config()["stereo"] == provenance.config["stereo"]
+
+
+@pytest.mark.slow
+def test_what_only_the_drive_tells_of_a_turn_is_printed_once(tmp_path: Path) -> None:
+    left, right, cam = (DEMONSTRATION / name for name in ("left", "right", "cam.csv"))
+    rig = prepare(left, right, cam).recording.rig
+    stereo = write(tmp_path / "stale.yaml", stale(rig, (0.05, 0.03, 0.02)))
+    ran = run([*map(str, ("calibrate", left, right, cam, "--stereo", stereo, "--out", tmp_path / "out"))], tmp_path)
+    notes = [line for line in ran.err.splitlines() if line.startswith("note: ")]
+    assert any("by the drive the right camera has turned" in note for note in notes)
+    assert len(set(notes)) == len(notes)
