@@ -65,6 +65,19 @@ def test_what_is_mirrored_grows_from_nearly_nothing_to_nearly_all_as_a_side_is_g
         assert each == pytest.approx(share_of(paints, np.full(len(paints), at)).mean(), rel=1e-3)
 
 
+def test_what_is_mirrored_is_about_what_fresnels_equations_have() -> None:
+    """Clear coat has a refractive index of 1.5; Schlick's formula is some hundredths off in between."""
+    cos, index = np.linspace(0.0, 1.0, 101), 1.5
+    inside = np.sqrt(1.0 - (1.0 - cos**2) / index**2)
+    across, along = (cos - index * inside) / (cos + index * inside), (inside - index * cos) / (inside + index * cos)
+    light = (across**2 + along**2) / 2
+    paints = np.geomspace(*gloss.SCATTERED, 1001)[:, None]
+    share = (light**2 / (light**2 + ((1.0 - light) * paints) ** 2)).mean(axis=0)
+    off = np.abs(gloss.mirrored(cos)[:, 0] - share)
+    assert off.max() < 0.08
+    assert off[[0, -1]].max() < 0.001
+
+
 def test_what_any_paint_mirrors_is_the_mean_and_its_own_share_of_one_difference() -> None:
     cos = np.linspace(0.0, 1.0, 101)
     mean, darker = gloss.mirrored(cos).T
