@@ -1,1 +1,1 @@
-"""Reading what users have, writing what they need."""
+"""Readers of the formats that users have, and writers of those that they need."""

@@ -1,4 +1,4 @@
-"""Work that runs ahead of who needs it: ordered, bounded, and ended with its consumer."""
+"""Work in threads ahead of its consumer: ordered, limited in number, and cancelled when the consumer stops."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Result = TypeVar("Result")
 
 
 def workers(asked: int) -> int:
-    """Return how many threads to use: as asked, or one for each processor, at most 8."""
+    """Return the number of threads to use: as asked or, for 0 or less, one per processor, at most 8."""
     return asked if asked > 0 else min(os.cpu_count() or 1, 8)
 
 
 def map_ahead(work: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:
-    """Yield ``work(item)`` in order, while the next ``2 * threads`` items are worked on.
+    """Yield ``work(item)`` in order, while the next ``2 * threads`` items are processed.
 
-    OpenCV and NumPy release the interpreter's lock in what is costly, so threads suffice.
+    OpenCV and NumPy release the global interpreter lock in expensive operations, so threads suffice.
     """
     pool = ThreadPoolExecutor(threads)
     pending: deque[Future[Result]] = deque()

@@ -1,4 +1,4 @@
-"""Where forward and up are in a sensor's frame, as a person says it."""
+"""The forward and up axes of a sensor's frame, as a user writes them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _NEEDED = "needed is such as 'x forward, z up', '-y forward' or 'z down'"
 
 
 def parse_axes(text: str) -> Axes:
-    """Return the axes that a text such as ``x forward, z down`` tells.
+    """Return the axes that a text such as ``x forward, z down`` describes.
 
-    What it does not tell is as most sensors have it: x forward, z up.
+    Directions that the text omits are as in most sensors: x forward, z up.
 
     Raises
     ------
     SettingError
-        If it cannot be understood, or forward and up are not perpendicular.
+        If the text cannot be parsed, or forward and up are not perpendicular.
     """
     told: dict[str, tuple[float, float, float]] = {}
     for part in re.split(r"[,;]\s*", text.strip().lower()):

@@ -1,4 +1,4 @@
-"""Which frames of a recording a user says to be without moving objects."""
+"""The frames of a recording that a user declares to be without moving objects."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from laci_stereo.core.errors import SettingError
 
 
 def check_frames(first: int, last: int, count: int, noun: str) -> None:
-    """Check that a recording has the background frames that it is said to have.
+    """Raise if the background frames that a user names are not in the recording.
 
     Parameters
     ----------
     first, last : int
-        As the user says them.
+        Indices of the first and the last background frame.
     count : int
-        How many frames the recording has.
+        Number of frames in the recording.
     noun : str
-        What a frame is called, in the plural.
+        What frames are called, in the plural.
 
     Raises
     ------
     SettingError
-        If they are not in the recording, or there is none between them.
+        If the indices are outside the recording, or last is before first.
     """
     if not 0 <= first <= last < count:
         raise SettingError(f"background {noun} are {first}..{last}; needed are first <= last within 0..{count - 1}")

@@ -1,4 +1,4 @@
-"""Messages in bags: whole ones by rosbags, damaged ones record by record. The extra ``bag``."""
+"""Messages in bags: intact bags are read by rosbags, damaged ones record by record. Requires the extra ``bag``."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from laci_stereo.io.text_file import quoted
 
 
 class Bag(Protocol):
-    """A bag's messages, read as often as they are asked for."""
+    """The messages of a bag, which can be iterated repeatedly."""
 
     def topics(self) -> list[Topic]:
         """Return the topics, each once."""
 
     def count(self, topic: str) -> int | None:
-        """Return how many messages a topic should have, or None if the bag does not tell."""
+        """Return how many messages a topic should have, or None if the bag does not state it."""
 
     def messages(self, topic: str, times_ns: Sequence[int] | None = None) -> Iterator[Message]:
-        """Yield a topic's messages in the order of recording, all or those that were recorded at given times.
+        """Yield a topic's messages in the order of recording: all, or those recorded at the given times.
 
         Raises
         ------
         CutOffError
-            Where it is damaged, after what is whole.
+            Where the bag is damaged, after the intact messages.
         """
 
 
 def open_bag(path: Path, error: type[InputError]) -> Bag:
-    """Open a ROS 1 bag, a folder that ROS 2 wrote, or one of its files.
+    """Open a ROS 1 bag, a folder that ROS 2 recorded, or one of its files.
 
     Parameters
     ----------
     path : Path
     error : type of InputError
-        What is raised if it is none of these.
+        The error class to raise if the path is none of these.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def open_bag(path: Path, error: type[InputError]) -> Bag:
 
 
 class WholeBag:
-    """A bag as rosbags reads it."""
+    """An intact bag, read by rosbags."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -83,12 +83,12 @@ class WholeBag:
         return sum(count for found, count in self._connections() if found.name == topic)
 
     def messages(self, topic: str, times_ns: Sequence[int] | None = None) -> Iterator[Message]:
-        """Yield a topic's messages in the order of recording, all or those that were recorded at given times.
+        """Yield a topic's messages in the order of recording: all, or those recorded at the given times.
 
         Raises
         ------
         CutOffError
-            Where it is damaged.
+            Where the bag is damaged.
         """
         windows = [(None, None)] if times_ns is None else [(time, time + 1) for time in times_ns]
         try:
@@ -121,14 +121,14 @@ def _in_a_line(problem: Exception) -> str:
 
 
 class DamagedBag:
-    """A bag that lost its index or its end: read from the start, record by record."""
+    """A bag whose index or end is missing, read record by record from the start."""
 
     def __init__(self, path: Path, files: Sequence[Path]) -> None:
         self._path = path
         self._files = files
 
     def topics(self) -> list[Topic]:
-        """Return the topics that have a whole message, each once."""
+        """Return the topics that have an intact message, each once."""
         found: dict[str, Topic] = {}
         with suppress(CutOffError):
             for message in self._all():
@@ -136,7 +136,7 @@ class DamagedBag:
         return list(found.values())
 
     def count(self, topic: str) -> int | None:
-        """Return how many messages a topic should have by a ROS 2 bag's ``metadata.yaml``, if there is one."""
+        """Return how many messages a topic should have by ``metadata.yaml``, or None without that, as in ROS 1."""
         try:
             metadata = YAML(typ="safe").load((self._path / "metadata.yaml").read_text())
             topics = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
@@ -145,12 +145,12 @@ class DamagedBag:
             return None
 
     def messages(self, topic: str, times_ns: Sequence[int] | None = None) -> Iterator[Message]:
-        """Yield a topic's messages in the order of recording, all or those that were recorded at given times.
+        """Yield a topic's messages in the order of recording: all, or those recorded at the given times.
 
         Raises
         ------
         CutOffError
-            Where it is damaged.
+            Where the bag is damaged, after the intact messages.
         """
         times = None if times_ns is None else set(times_ns)
         for message in self._all():
@@ -168,7 +168,7 @@ class DamagedBag:
 
 
 def _storage_files(path: Path) -> list[Path]:
-    """Return the files with a bag's messages in the order in which they were written."""
+    """Return the storage files of a bag in the order in which they were written."""
     if path.is_file():
         return [path]
     files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3") and file.is_file()]

@@ -1,4 +1,4 @@
-"""Messages in the files of a bag, record by record from the start, up to where a file is damaged. The extra ``bag``."""
+"""Messages in the files of a bag, record by record up to where a file is damaged. Requires the extra ``bag``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ else:
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 
 LARGEST_CHUNK = 1 << 28
-"""Bytes of a chunk of messages, unpacked; writers close them after some megabytes."""
+"""Largest unpacked chunk of messages, bytes; writers close chunks after some megabytes."""
 
 _UNPACK: dict[str, Callable[[bytes], bytes]] = {
     "": bytes,
@@ -44,7 +44,7 @@ Stream: TypeAlias = BytesIO | mmap.mmap
 
 @dataclass(frozen=True)
 class Topic:
-    """Where messages of one type are.
+    """A topic, with the type of its messages.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class Topic:
     type_name : str
         Such as ``sensor_msgs/msg/PointCloud2``.
     ros1 : bool
-        Written by ROS 1, and so serialised in its way.
+        Whether it was written by ROS 1, in whose format its messages are serialised.
     definition : str
-        Of the message, as the bag tells it; may be empty.
+        Definition of the message type in the bag; may be empty.
     digest : str
-        ROS 1's MD5 sum of the definition.
+        MD5 sum of the definition, in ROS 1.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Topic:
 
     @property
     def shown(self) -> str:
-        """Its name within a line."""
+        """Its name, shortened for a message."""
         return shortened(self.name, 80)
 
 
@@ -79,7 +79,7 @@ class Message:
     ----------
     topic : Topic
     recorded_ns : int
-        When it was written, Unix time, nanoseconds.
+        Unix time of recording, nanoseconds.
     data : bytes
     """
 
@@ -89,16 +89,17 @@ class Message:
 
 
 class CutOffError(Exception):
-    """A bag cannot be read any further."""
+    """A bag cannot be read beyond this point."""
 
 
 def walk(file: Path) -> Iterator[Message]:
-    """Yield the messages in a file of a bag.
+    """Return an iterator over the messages in a file of a bag.
 
     Raises
     ------
     CutOffError
-        Where it is damaged, after what is whole. Other exceptions mean the same: the bytes may be anything.
+        Where the file is damaged, after the intact messages. Exceptions of other types mean the same, as the bytes may
+        be anything.
     """
     if begins(file, ROS1_MAGIC):
         return _ros1_messages(file)
@@ -110,14 +111,14 @@ def walk(file: Path) -> Iterator[Message]:
 
 
 def begins(file: Path, magic: bytes) -> bool:
-    """Tell whether a file begins with some bytes."""
+    """Return whether a file begins with the given bytes."""
     with file.open("rb") as stream:
         return stream.read(len(magic)) == magic
 
 
 @contextmanager
 def _mapped(file: Path) -> Iterator[Stream]:
-    """Map a file into memory, where a promise of more bytes than there are takes none."""
+    """Map a file into memory, so that a record whose stated length exceeds the file allocates nothing."""
     with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
         yield content
 
@@ -138,7 +139,7 @@ def _unpacked(compression: str, packed: bytes) -> Stream:
     return BytesIO(unpacked)
 
 
-# ROS 1: records of a header (fields "name=value") and data; chunks hold records of connections and messages.
+# ROS 1: records consist of a header (fields "name=value") and data; chunks hold records of connections and messages.
 
 
 def _ros1_messages(file: Path) -> Iterator[Message]:
@@ -193,7 +194,7 @@ def _ros1_message(header: dict[str, bytes], data: bytes, topics: dict[bytes, Top
         raise CutOffError(f"a record without its {problem}") from problem
 
 
-# MCAP: records of an opcode, a length and content; chunks hold records of schemas, channels and messages.
+# MCAP: records consist of an opcode, a length and content; chunks hold records of schemas, channels and messages.
 
 
 @dataclass(frozen=True)
@@ -255,13 +256,13 @@ def _mcap_message(
 def _sqlite_messages(file: Path) -> Iterator[Message]:
     address = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
-        # What SQLite's own recovery does to look into a file that is shorter than it should be.
+        # SQLite's own recovery sets this, too, to read a truncated file.
         database.execute("PRAGMA writable_schema = ON")
         topics = {
             number: Topic(str(name), str(type_name), False)
             for number, name, type_name in database.execute("SELECT id, name, type FROM topics")
         }
-        # The order of writing needs no index, whose pages may be those that are missing.
+        # Without ORDER BY, rows come in the order of writing, and no index is used, whose pages may be missing.
         for number, recorded_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages"):
             if number in topics:
                 yield Message(topics[number], int(recorded_ns), bytes(data))

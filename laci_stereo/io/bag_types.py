@@ -1,4 +1,4 @@
-"""The message types of ROS, as everybody has them and as a bag defines them. The extra ``bag``."""
+"""ROS message types: the standard ones, and those that a bag defines. Requires the extra ``bag``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def known_types(ros1: bool) -> Typestore:
 
 
 def types_told(definition: str, type_name: str) -> Mapping[str, Any]:
-    """Return the types in a bag's definition of a message, in ROS's or OMG's language; bad ones raise anything."""
+    """Return the types in a bag's definition of a message, in ROS's msg or OMG's IDL; bad ones raise any exception."""
     if not definition.lstrip().startswith(("=", "module")):
         return get_types_from_msg(definition, type_name)
     parts = [part.split("\n", 1)[1] if part.startswith("IDL: ") else part for part in definition.split("=" * 80 + "\n")]

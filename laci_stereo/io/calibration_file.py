@@ -1,4 +1,4 @@
-"""``calibration.json``: the native result, checked against the schema that is published beside this file."""
+"""``calibration.json``: the native result, validated against the schema in this package."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from laci_stereo.core.slope import Slope
 from laci_stereo.io.text_file import shortened
 
 Document: TypeAlias = dict[str, Any]
-"""JSON, as the standard library reads and writes it."""
+"""A JSON object, as the standard library reads and writes it."""
 
 SCHEMA = "calibration.schema.json"
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a result was made of, beside what the core knows.
+    """The origin of a result, as far as the core does not know it.
 
     Attributes
     ----------
     name, kind, frame : str
-        Of the sensor; the frame in words.
+        Of the sensor; the frame is described in words.
     inputs : mapping of str to str or int
-        Files with their SHA-256, folders with the number of what was used.
+        Files with their SHA-256, folders with the number of items used.
     config : mapping of str to object
         Every effective setting.
     notes : tuple of str
-        How the inputs were understood and what of them was left out.
+        How the inputs were interpreted, and which parts of them were left out.
     T_sensor_rectified : ndarray, shape (4, 4), or None
-        Of a stereo camera.
+        Only of a stereo camera.
     """
 
     name: str
@@ -62,12 +62,12 @@ def schema() -> Document:
 
 
 def validate(document: object) -> None:
-    """Hold a document against the schema.
+    """Validate a document against the schema.
 
     Raises
     ------
     CalibrationFileError
-        Naming the first place that does not fit.
+        With the first path that does not conform.
     """
     problems = sorted(Draft202012Validator(schema()).iter_errors(document), key=lambda problem: problem.json_path)
     if problems:
@@ -75,7 +75,7 @@ def validate(document: object) -> None:
 
 
 def to_document(calibration: Calibration, provenance: Provenance, lane_check: Document | None = None) -> Document:
-    """Write a result as JSON; ``lane_check`` is what the map's lines say of it, where that was asked."""
+    """Return a result as JSON; ``lane_check`` is its comparison with the map's lines, if that was requested."""
     quality, angles = calibration.quality, calibration.viewing_angles
     document: Document = {
         "schema": "laci-calibration/1",
@@ -139,7 +139,7 @@ def _slope(slope: Slope | None) -> Document | None:
 
 
 def _paper(calibration: Calibration) -> Document | None:
-    """Return what the paper's method says, beside the result."""
+    """Return the result of the paper's method, and its difference from the result."""
     differs = calibration.paper_differs
     if calibration.paper is None or differs is None:
         return None
@@ -152,7 +152,7 @@ def _paper(calibration: Calibration) -> Document | None:
 
 
 def boxes_in_world(calibration: Calibration) -> list[list[float]]:
-    """Return each background box as centre x, centre y, length, width, yaw, height."""
+    """Return each background box as centre x, centre y, length, width, yaw, height; metres and radians, world frame."""
     match = calibration.match
     return [
         [
@@ -167,9 +167,9 @@ def boxes_in_world(calibration: Calibration) -> list[list[float]]:
 
 
 def to_text(document: Document) -> str:
-    """Write JSON, indented, with lists of numbers such as a matrix's rows on one line."""
+    """Return indented JSON with lists of numbers, such as a matrix's rows, on one line."""
     text = json.dumps(document, indent=2, allow_nan=False)
-    # A string holds no raw line break, so this finds lists and nothing else.
+    # JSON strings contain no raw line breaks, so the pattern matches lists only.
     return re.sub(r"\[\n\s*([-+.,\deE\s]+?)\s*\]", _on_one_line, text) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""CAMs, or a vehicle's GNSS fixes, in ROS 1 bags, ROS 2 bags and MCAP files. The extra ``bag``."""
+"""CAMs, or a vehicle's GNSS fixes, in ROS 1 bags, ROS 2 bags and MCAP files. Requires the extra ``bag``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 _NO_FIX = -1
 _ROADSIDE_UNIT = 1
 
-# All elements that come before and with those of a Cam, in the order in which ROS writes them.
+# All elements up to the last one that a `Cam` needs, in ROS's order of serialisation.
 _ELEMENTS: tuple[tuple[str, str], ...] = (
     ("protocol_version", "uint8"),
     ("message_id", "uint8"),
@@ -57,12 +57,13 @@ _CODES: Mapping[str, str] = {"uint8": "B", "uint16": "H", "uint32": "I", "int32"
 
 
 def read_cam_bag(path: Path) -> CamRecording:
-    """Read all topics with CAMs of etsi_its_messages, or else the one with GNSS fixes.
+    """Read all topics with CAMs of etsi_its_messages or, if there are none, the one topic with GNSS fixes.
 
     Raises
     ------
     CamError
-        If it is no bag, holds neither, several topics with fixes, or as `read_received` and `recorded_drive`.
+        If the path is no bag, holds neither, or holds several topics with fixes, or as in `read_received` and
+        `recorded_drive`.
     """
     bag = open_bag(path, CamError)
     topics = bag.topics()
@@ -76,13 +77,13 @@ def _read_cams(path: Path, bag: Bag, topics: Sequence[Topic], others: int) -> Ca
     for topic in topics:
         _check_definition(path, topic)
     notes = [f"topics read: {listed([topic.name for topic in topics])}; {others} others left out"]
-    # Of a bag that is cut off, the notes grow while its messages are read.
+    # If the bag is cut off, `_messages` appends to the notes while the packets are consumed.
     packets = (_packet(place, message) for place, message in _messages(path, bag, topics, notes))
     return read_received(Source(path, "message", "a bag"), packets, notes)
 
 
 def _messages(path: Path, bag: Bag, topics: Sequence[Topic], notes: list[str]) -> Iterator[tuple[int, Message]]:
-    """Yield the messages of topics, counted, as far as they are whole."""
+    """Yield the messages of topics with a running number; of a damaged bag the intact ones."""
     place = 0
     for topic in topics:
         try:
@@ -113,7 +114,7 @@ def _cam(data: bytes, ros1: bool) -> Cam:
 
 @cache
 def _layout(ros1: bool, little_endian: bool) -> struct.Struct:
-    """Return how the elements are laid out: in ROS 1 without gaps; in ROS 2 (CDR) aligned, behind four bytes."""
+    """Return the layout of the elements: packed in ROS 1; aligned, after a header of four bytes, in ROS 2 (CDR)."""
     codes, place = ["<" if little_endian else ">", "" if ros1 else "4x"], 0
     for _, kind in _ELEMENTS:
         size = struct.calcsize("=" + _CODES[kind])
@@ -124,13 +125,13 @@ def _layout(ros1: bool, little_endian: bool) -> struct.Struct:
 
 
 def _check_definition(path: Path, topic: Topic) -> None:
-    """Raise if the bag tells another order of elements than etsi_its_messages has."""
+    """Raise if the bag's definition of the message has the elements in another order than etsi_its_messages."""
     if not topic.definition.strip():
         return
     needed = [kind for _, kind in _ELEMENTS]
     try:
         found = _leaves(types_told(topic.definition, topic.type_name), topic.type_name, {})
-    except Exception as problem:  # of many kinds, and all of them say that this is no definition
+    except Exception as problem:  # of many types, all of which mean that this is no definition
         raise CamError(
             f"{path}: the definition of {topic.type_name} on {topic.shown} cannot be read: {quoted(str(problem))}; "
             "needed is that of etsi_its_messages"
@@ -144,9 +145,9 @@ def _check_definition(path: Path, topic: Topic) -> None:
 
 
 def _leaves(types: Mapping[str, Any], name: str, known: dict[str, list[str]]) -> list[str]:
-    """Return the types of a message's first elements, as many as are needed, in the order in which they are written.
+    """Return the primitive types of a message's first elements, as many as `_ELEMENTS` has, in order of serialisation.
 
-    What is known of other messages is used and added to, so that a definition takes no longer than it is.
+    ``known`` caches the result of each nested type, so that the time stays proportional to the definition's length.
     """
     if name not in known:
         known[name] = ["itself"]
@@ -202,7 +203,7 @@ def _fix(message: Message) -> tuple[int, Mapping[Quantity, float]] | None:
     read = types.deserialize_ros1 if message.topic.ros1 else types.deserialize_cdr
     try:
         fix: Any = read(message.data, FIX_TYPE)
-    except Exception as problem:  # of many kinds: the bytes may be anything
+    except Exception as problem:  # of many types: the bytes may be anything
         raise DamagedError(
             f"it cannot be decoded: {quoted(str(problem))}; needed is sensor_msgs/NavSatFix"
         ) from problem

@@ -1,4 +1,4 @@
-"""The quantities in a log of messages: what their columns are called, their units, their missing values."""
+"""The quantities in a log of messages: names of their columns, units, ranges, and codes for missing values."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from laci_stereo.io.table import BAD_SHARE, TIMESTAMP, Column
 
 @dataclass(frozen=True)
 class Quantity(Column):
-    """A column of numbers, and how ETSI TS 102 894-2 sends them.
+    """A column of numbers, and its encoding in ETSI TS 102 894-2.
 
     Attributes
     ----------
     unit : str
     etsi_per_unit : float
-        How many of what a raw integer counts are in one ``unit``.
+        Steps of the raw ETSI integer per ``unit``.
     unavailable : int
-        The raw integer that says that the sender does not know.
+        The raw integer for "unavailable".
     lowest, highest : float
-        What the quantity can be, in ``unit``.
+        Range of possible values, in ``unit``.
     out_of_range : int or None
-        The raw integer that says that it is more than can be sent, if there is one.
+        The raw integer for "out of range" (above the largest value that can be encoded), if the element has one.
     is_at_least : bool
-        Whether a value that is more than can be sent is taken for the least of those, and not for missing: an error
-        that is so large is known well enough.
+        Whether an "out of range" value is replaced by the smallest value that it can stand for, instead of NaN: of a
+        position error, knowing that it is at least so large is enough.
     """
 
     unit: str
@@ -42,39 +42,39 @@ class Quantity(Column):
 
     @property
     def codes(self) -> Mapping[str, int]:
-        """The raw integers that are no values, by what they say."""
+        """The raw integers that stand for a missing value, by ETSI's name for them."""
         codes = {"unavailable": self.unavailable}
         if self.out_of_range is not None and not self.is_at_least:
             codes["out of range"] = self.out_of_range
         return codes
 
     def is_code(self, values: FloatArray, code: int) -> BoolArray:
-        """Return which values are such a raw integer, or were one before they were converted along with the others."""
+        """Return which values are a raw code, as an integer or, if a logger converted it like a value, in ``unit``."""
         both = (code, code / self.etsi_per_unit)
         found: BoolArray = np.any([np.isclose(values, number, rtol=1e-12, atol=0.0) for number in both], axis=0)
         return found
 
     @property
     def least_beyond(self) -> float:
-        """What a value that is more than can be sent is at least, in ``unit``; NaN where that says too little."""
+        """The smallest value, in ``unit``, that "out of range" can stand for; NaN where it is treated as missing."""
         if self.out_of_range is None or not self.is_at_least:
             return float("nan")
         return self.out_of_range / self.etsi_per_unit
 
     @property
     def etsi_text(self) -> str:
-        """What a raw integer counts, in words."""
+        """The step of the raw integer with its unit, such as ``0.1 deg``."""
         return f"{1 / self.etsi_per_unit:g} {self.unit}".replace("e-0", "e-")
 
     def possible(self, values: FloatArray) -> BoolArray:
-        """Return which values the quantity can have; what is missing is possible."""
+        """Return which values are in the quantity's range; NaN counts as possible."""
         return np.isnan(values) | ((values >= self.lowest) & (values <= self.highest))
 
 
 STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "vehicleid"))
 
 POSITION_OF = Column("position_of", ())
-"""What on the vehicle the positions are of, where it is not what CAMs are about."""
+"""Column that names the point on the vehicle that the positions are of, where it is not the CAM reference point."""
 
 ANTENNA = "antenna"
 
@@ -124,7 +124,7 @@ MOTION = (HEADING, SPEED)
 DIMENSIONS = (LENGTH, WIDTH)
 AXES = (SEMI_MAJOR, SEMI_MINOR)
 _TOGETHER = ((HEADING,), (SPEED,), (ALTITUDE,), DIMENSIONS, AXES, (ELLIPSE_ORIENTATION,))
-"""What is raw or not together; positions are for themselves."""
+"""Columns that hold raw integers either all together or not at all; positions are decided separately."""
 
 QUANTITIES = (*POSITION, HEADING, SPEED, ALTITUDE, *DIMENSIONS, SEMI_MAJOR, SEMI_MINOR, ELLIPSE_ORIENTATION)
 COLUMNS: tuple[Column, ...] = (TIMESTAMP, STATION_ID, *QUANTITIES)
@@ -134,17 +134,17 @@ Values: TypeAlias = Mapping[Quantity, FloatArray]
 
 
 def in_units(raw_or_not: Values, pointed: Set[Quantity] = frozenset()) -> tuple[Values, list[str]]:
-    """Convert those columns that hold raw ETSI integers, and say which.
+    """Convert the columns that hold raw ETSI integers to units, and return notes on which these are.
 
     Parameters
     ----------
     raw_or_not : mapping of Quantity to ndarray, shape (n,)
-        Infinite is what is more than can be sent.
+        Values in either encoding; infinite for "out of range".
     pointed : set of Quantity
-        Those that are written with a decimal point.
+        The columns in which numbers are written with a decimal point.
     """
     positions = _positions_look_raw(np.concatenate([raw_or_not[quantity] for quantity in POSITION]))
-    # Where even raw positions have a decimal point, whoever wrote them puts one behind all numbers.
+    # If even raw positions have a decimal point, the writer appends one to all numbers, so it says nothing.
     as_positions = positions and not pointed & set(POSITION)
     raw = {
         quantity
@@ -163,10 +163,11 @@ def in_units(raw_or_not: Values, pointed: Set[Quantity] = frozenset()) -> tuple[
 
 
 def _look_raw(values: Values, pointed: Collection[Quantity], positions_are_raw: bool) -> bool:
-    """Return whether columns that are written alike hold raw ETSI integers.
+    """Return whether a group of columns that are encoded alike holds raw ETSI integers.
 
-    They are whole numbers, and one of them cannot be in its unit: 47 can be either unit of a length, but 18 only one of
-    a width. Or the positions are raw and all of them can be, without a decimal point.
+    They do if the values are whole numbers and the median of one column is impossible in its unit: a length of 47 is
+    possible both in metres and in decimetres, but a width of 18 only in decimetres. They also do if the positions are
+    raw and every column of the group is possible as raw integers and has no decimal point.
     """
     known = {quantity: found[np.isfinite(found)] for quantity, found in values.items() if np.isfinite(found).any()}
     if not known or not all(map(_are_whole, known.values())):
@@ -180,8 +181,8 @@ def _look_raw(values: Values, pointed: Collection[Quantity], positions_are_raw: 
 
 
 def _positions_look_raw(values: FloatArray) -> bool:
-    """Return whether they are whole numbers that no angle in degrees can be."""
-    # Zero stands for a position that is not known in either unit.
+    """Return whether latitudes and longitudes are whole numbers too large for degrees."""
+    # In either encoding, zero stands for an unknown position.
     values = values[np.isfinite(values) & (values != 0)]
     return _are_whole(values) and bool(np.median(np.abs(values)) > LONGITUDE.highest)
 

@@ -1,4 +1,4 @@
-"""Logs of Cooperative Awareness Messages in CSV files, with the many ways in which people write them."""
+"""Logs of Cooperative Awareness Messages in CSV files, with the column names, units and codes found in practice."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ def read_cam_csv(path: Path) -> CamRecording:
 
     The columns are ``timestamp``, ``station_id``, ``latitude``, ``longitude``, ``heading``, ``speed``,
     ``vehicle_length`` and ``vehicle_width``, optionally ``altitude``, ``semi_major_95``, ``semi_minor_95`` and
-    ``ellipse_orientation``, and ``position_of`` where that is the ``antenna``; common synonyms are known. Only
-    times and positions are needed. Raw ETSI integers are recognised for the whole file at once.
+    ``ellipse_orientation``, and ``position_of``, which is ``antenna`` where positions are those of an antenna. Common
+    synonyms are recognised. Only times and positions are required. Raw ETSI integers are recognised for the whole file
+    at once.
 
     Raises
     ------
     CamError
-        If it cannot be read, lacks a column, more than a fifth of its rows or values are bad, it has no position at
-        all, or latitude and longitude are exchanged.
+        If the file cannot be read or lacks a required column, more than a fifth of its rows or of a column's values are
+        bad, it has no position at all, or latitude and longitude are exchanged.
     """
     table = read_table(path, REQUIRED, CamError, "message")
     stamps, stations = stamps_ns(table), station_ids(table)

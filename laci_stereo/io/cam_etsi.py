@@ -1,4 +1,4 @@
-"""A CAM's quantities as ETSI TS 102 894-2 sends them, however they were serialised."""
+"""A CAM's quantities as ETSI TS 102 894-2 encodes them, independent of the serialisation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from laci_stereo.io.cam_columns import (
 )
 
 _BACKWARD = 1
-"""What driveDirection says of a vehicle that reverses."""
+"""Value of driveDirection for a vehicle in reverse."""
 
 _PDU_KINDS: Mapping[int, str] = {
     1: "DENM",
@@ -37,19 +37,19 @@ _PDU_KINDS: Mapping[int, str] = {
     14: "CPM",
     16: "VAM",
 }
-"""What messageID says (TS 102 894-2)."""
+"""Kind of message by messageID (TS 102 894-2)."""
 
 
 class OtherKindError(Exception):
-    """Something that is whole and no CAM of a vehicle; the words are its kind."""
+    """An intact message that is not a vehicle's CAM; the text is its kind."""
 
 
 class DamagedError(Exception):
-    """Something that should be a CAM, and cannot be read; the words are the reason."""
+    """A message that should be a CAM but cannot be read; the text is the reason."""
 
 
 class Cam(NamedTuple):
-    """What a vehicle's CAM says, each number as it is sent."""
+    """Content of a vehicle's CAM as raw ETSI integers."""
 
     station_id: int
     delta_ms: int
@@ -80,16 +80,16 @@ _ELEMENTS: Mapping[Quantity, str] = {
 }
 
 UNKNOWN = Cam(0, 0, 900000001, 1800000001, 4095, 4095, 3601, 800001, 3601, 16383, 2, 1023, 62)
-"""A message that tells nothing: all is "unavailable"."""
+"""A message in which every quantity is "unavailable"."""
 
 
 def pdu_kind(message_id: int) -> str:
-    """Return what a message is by the ``messageID`` in its header."""
+    """Return the kind of a message by the ``messageID`` in its header."""
     return _PDU_KINDS.get(message_id, f"ITS message {message_id}")
 
 
 def in_units(cams: Sequence[Cam]) -> Values:
-    """Return the messages' quantities in units, NaN where they are unavailable, or out of range and no accuracy."""
+    """Return the quantities in their units; NaN where unavailable, or out of range unless `Quantity.is_at_least`."""
     raw = np.array(cams, dtype=np.float64).reshape(-1, len(Cam._fields))
     return {quantity: _in_unit(quantity, raw[:, Cam._fields.index(element)]) for quantity, element in _ELEMENTS.items()}
 
@@ -99,14 +99,14 @@ def _in_unit(quantity: Quantity, raw: FloatArray) -> FloatArray:
 
 
 def value_notes(values: Values, good: BoolArray) -> list[str]:
-    """Return in what the quantities are sent, and which of them how often are not.
+    """Return notes on the step of each raw integer, and on how often each quantity is missing or out of range.
 
     Parameters
     ----------
     values : mapping of Quantity to ndarray, shape (n,)
         As from `in_units`.
     good : ndarray of bool, shape (n,)
-        Which of the messages could be read.
+        The messages that could be read.
     """
     sent = ", ".join(f"{quantity.name} {quantity.etsi_text}" for quantity in values)
     missing = {quantity.name: int(np.isnan(found[good]).sum()) for quantity, found in values.items()}
@@ -122,6 +122,6 @@ def value_notes(values: Values, good: BoolArray) -> list[str]:
 
 
 def direction_notes(cams: Sequence[Cam]) -> list[str]:
-    """Return a note on messages of vehicles that say they reverse."""
+    """Return a note on the number of messages that report driving in reverse."""
     reversing = sum(cam.drive_direction == _BACKWARD for cam in cams)
     return [f"{reversing} messages with driveDirection backward"] if reversing else []

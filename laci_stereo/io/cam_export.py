@@ -1,4 +1,4 @@
-"""A log of messages as CSV, in the columns that are read again as they are, and as GeoJSON for maps."""
+"""A log of messages as CSV in the canonical columns, which `read_cam_csv` reads back unchanged, and as GeoJSON."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ def _values(log: CamLog) -> dict[Quantity, FloatArray]:
 
 
 def to_csv(log: CamLog, *, of_antenna: bool = False) -> str:
-    """Return the canonical columns, every number with all its digits, empty where it is missing.
+    """Return the log as CSV in the canonical columns: numbers with all digits, empty cells where a value is missing.
 
-    Positions of an antenna say so in a column of their own, so that they are not taken for a CAM's when read again.
+    With ``of_antenna``, a further column marks the positions as those of an antenna, so that a reader does not take
+    them for positions of the CAM reference point.
     """
     values = [column.tolist() for column in _values(log).values()]
     own = {POSITION_OF: ANTENNA} if of_antenna else {}
@@ -59,7 +60,7 @@ def to_csv(log: CamLog, *, of_antenna: bool = False) -> str:
 
 
 def to_geojson(log: CamLog) -> str:
-    """Return a line for each station, and a point for each message that has a position, with what else it says."""
+    """Return a line for each station, and a point with the other values as properties for each message's position."""
     log = log[np.isfinite(log.latitude_deg) & np.isfinite(log.longitude_deg)]
     places = np.column_stack([log.longitude_deg, log.latitude_deg]).tolist()
     lines: dict[int, list[list[float]]] = {}

@@ -1,4 +1,4 @@
-"""The log of a GNSS receiver taken for messages of the one vehicle that carried it."""
+"""Logs of a GNSS receiver, read as messages of the one vehicle that carried it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ from laci_stereo.io.cam_columns import (
 from laci_stereo.io.cam_recording import CamRecording, Messages, recorded
 
 STATION = 0
-"""A receiver is no station of its own."""
+"""The station number of a receiver, which is no ITS station."""
 
 OF_ANTENNA = (
     "its positions are the antenna's; needed is where that is on the vehicle: --cam-reference X,Y, metres ahead and "
     "left of the vehicle's middle, such as --cam-reference=-0.4,0, or front if they were moved there"
 )
-"""Metres that no result would tell: along a straight road they look like a shift of the sensor."""
+"""Note on the antenna's lever arm: an error of metres that no result reveals, because along a straight road it is
+indistinguishable from a shift of the sensor."""
 
 # WGS84
 _SEMI_MAJOR_AXIS_M = 6_378_137.0
@@ -46,17 +47,17 @@ def gnss_messages(
     fixes: Mapping[int, tuple[int, Mapping[Quantity, float]]],
     problems: Mapping[int, str],
 ) -> Messages:
-    """Put fixes in the form of messages.
+    """Return fixes in the form of messages.
 
     Parameters
     ----------
     path : Path
     noun : str
-        What holds a fix in such a file.
+        The format's noun for the record of a fix.
     fixes : mapping of int to tuple of int and mapping of Quantity to float
-        By their place in the file: Unix time in nanoseconds, and what is known.
+        By record number: Unix time in nanoseconds, and the known quantities.
     problems : mapping of int to str
-        What could not be read, by its place.
+        The records that could not be read, with the reason, by record number.
     """
     places = sorted({*fixes, *problems})
     told = [fixes.get(place, (0, {})) for place in places]
@@ -76,12 +77,12 @@ def gnss_messages(
 
 
 def recorded_drive(messages: Messages, notes: Sequence[str], file_format: str) -> CamRecording:
-    """Make a log of a GNSS receiver's fixes; heading and speed follow from the motion where the file lacks them.
+    """Return the log of a GNSS receiver's fixes; heading and speed follow from the motion where the file lacks them.
 
     Raises
     ------
     CamError
-        As `recorded`, or if there is no fix at all.
+        As in `recorded`, or if there is no fix at all.
     """
     if len(messages) == 0:
         raise CamError(f"{messages.path} is {file_format} and holds no position; needed are at least 2")
@@ -113,7 +114,7 @@ def _with_motion(messages: Messages) -> tuple[Messages, list[str]]:
 
 
 def _motion(stamps_ns: IntArray, latitude_deg: FloatArray, longitude_deg: FloatArray) -> Values:
-    """Return the heading and speed of a point, shape (n,), NaN where it has no neighbour in time."""
+    """Return heading and speed from positions, shape (n,) each, NaN where no neighbour in time exists."""
     heading, speed = np.full(len(stamps_ns), np.nan), np.full(len(stamps_ns), np.nan)
     located = np.flatnonzero(np.isfinite(latitude_deg) & (np.abs(latitude_deg) <= LATITUDE.highest))
     located = located[np.isfinite(longitude_deg[located])]
@@ -133,7 +134,7 @@ def _motion(stamps_ns: IntArray, latitude_deg: FloatArray, longitude_deg: FloatA
 
 
 def _runs(numbers: IntArray) -> list[tuple[int, int]]:
-    """Return where runs of equal numbers begin and end."""
+    """Return the begin and end indices of runs of equal numbers."""
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return list(pairwise(edges))
 
@@ -141,7 +142,7 @@ def _runs(numbers: IntArray) -> list[tuple[int, int]]:
 def _velocity(
     seconds: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the velocity to the north and east, m/s, to second order in the time between positions."""
+    """Return the velocities to the north and to the east, m/s, shape (n,), by second-order finite differences."""
     latitude = np.radians(latitude_deg)
     longitude = np.unwrap(np.radians(longitude_deg))
     squeezed = 1.0 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
@@ -154,7 +155,7 @@ def _velocity(
 
 
 def ellipse_95(covariance_east_north: FloatArray) -> Mapping[Quantity, float]:
-    """Return the 95 % ellipse of a position's covariance, shape (2, 2), m^2; nothing if it is none."""
+    """Return the 95 % ellipse of a horizontal covariance, shape (2, 2), m^2; empty if that is invalid."""
     if not np.isfinite(covariance_east_north).all():
         return {}
     variances, axes = np.linalg.eigh(covariance_east_north)

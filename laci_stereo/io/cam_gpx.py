@@ -1,4 +1,4 @@
-"""GPX tracks of a GNSS receiver or a telephone."""
+"""GPX tracks recorded by a GNSS receiver or a phone."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from laci_stereo.io.text_file import quoted
 _FORMAT = "a GPX track"
 
 _TAGS: dict[str, Quantity] = {"ele": ALTITUDE, "speed": SPEED, "course": HEADING}
-"""In a point (GPX 1.0), or in its extensions, whatever their namespace (GPX 1.1)."""
+"""Tags in a track point (GPX 1.0), or in its extensions in any namespace (GPX 1.1)."""
 
 _MAPS = ("osm", "OpenDRIVE")
 
 _DEEPEST = 3
-"""A point's extensions hold a device's own element, and that its values."""
+"""Levels below a track point that are searched: its extensions, in these a device's own element, in that the values."""
 
 
 class _PointError(Exception):
-    """A point cannot be read; the words are the reason."""
+    """A track point cannot be read; the text is the reason."""
 
 
 def looks_like_xml(text: str) -> bool:
-    """Tell whether a text begins like XML."""
+    """Return whether a text begins like XML."""
     return text.lstrip()[:1] == "<"
 
 
 def read_cam_gpx(path: Path, text: str) -> CamRecording:
-    """Read the points of all tracks.
+    """Read the track points of all tracks.
 
     Raises
     ------
     CamError
-        If it is no GPX, or as `recorded_drive`.
+        If it is no GPX, or as in `recorded_drive`.
     """
     try:
         root = parse_xml(text)
@@ -75,7 +75,7 @@ def _fix(point: Element) -> tuple[int, dict[Quantity, float]]:
 
 
 def _within(element: Element, deep: int) -> Iterator[Element]:
-    """Yield what is in an element, down to some depth: a file may nest points in points without end."""
+    """Yield the elements below one, down to a limited depth, because a file may nest points without end."""
     for inner in element:
         yield inner
         if deep > 1:

@@ -1,4 +1,4 @@
-"""CAMs as lines of hexadecimal digits, each behind the time of its reception; and in bare binary files."""
+"""CAMs as lines of hexadecimal digits, each after its time of reception; and CAMs in bare binary files."""
 
 from __future__ import annotations
 
@@ -17,36 +17,37 @@ from laci_stereo.io.text_file import quoted
 
 _FIRST_LINES = 20
 _LONGEST_LINE = 20_000
-"""Characters: a packet on the air has at most 2,304 bytes."""
+"""Longest line that is read, characters; a packet on the air has at most 2,304 bytes."""
 
 _SEPARATORS = " \t,;|"
 
-# From the end of a line, so that a long line is gone through once: "02 02 de", "02:02:de", "0202de" or "0x0202de".
+# Matched against the reversed line, so that a long line is scanned once: "02 02 de", "02:02:de", "0202de", "0x0202de".
 _BYTES_REVERSED = re.compile(
     r"(?:[0-9a-fA-F]{2}([ :])[0-9a-fA-F]{2}(?:\1[0-9a-fA-F]{2})*|(?:[0-9a-fA-F]{2}){6,})(?:[xX]0)?(?=$|[\s,;|])"
 )
 
 
 def looks_like_hex(text: str) -> bool:
-    """Tell whether one of the first lines ends in the digits of a CAM or a GeoNetworking packet."""
+    """Return whether one of the first lines ends in the digits of a CAM or a GeoNetworking packet."""
     head = (_parts(line) for line in text[: 1 << 16].splitlines()[:_FIRST_LINES])
     return any(data is not None and (is_cam(data) or looks_like_packet(data)) for _, data in head)
 
 
 def read_cam_hex(path: Path, text: str) -> CamRecording:
-    """Read lines that begin with the time of reception, or nothing, and end in the digits of a CAM or a packet of one.
+    """Read lines that end in the digits of a CAM or of its packet, after the time of reception or nothing.
 
-    Times are Unix times, whose size tells the unit, or ISO 8601; without one, that of a signed packet's header is used.
+    Times are Unix times, in a unit that follows from their magnitude, or ISO 8601; where they are missing, the time in
+    the header of a signed packet is used.
 
     Raises
     ------
     CamError
-        As `read_received`.
+        As in `read_received`.
     """
     lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), 1)]
     parts = [(i, *_parts(line)) for i, line in lines if line and not line.startswith("#")]
     if parts and parts[0][2] is None:
-        parts = parts[1:]  # a header
+        parts = parts[1:]  # a header line
     stamps = [_number(head) for _, head, _ in parts]
     unit = unit_of([value for value in stamps if value is not None])
 
@@ -64,29 +65,29 @@ def read_cam_hex(path: Path, text: str) -> CamRecording:
 
 
 def _number(head: str) -> Decimal | None:
-    """Return the number that stands first before the digits, whatever follows it."""
+    """Return the number at the beginning of the text before the digits, or None."""
     return next((value for text in _first(head) if (value := number(text)) is not None), None)
 
 
 def _moment(head: str) -> int | None:
-    """Return the ISO 8601 time that stands first before the digits, whatever follows it."""
+    """Return the ISO 8601 time at the beginning of the text before the digits, Unix nanoseconds, or None."""
     return next((moment.ns for text in _first(head) if (moment := iso_time(text)) is not None), None)
 
 
 def _first(head: str) -> tuple[str, ...]:
-    """Return the whole, the first cell, the first two words (a date and a time), and the first one."""
+    """Return candidates for a time: the whole text, its first cell, its first two words (date, time), its first one."""
     words = head.split()
     texts = (head, re.split(r"[,;|\t]", head)[0], " ".join(words[:2]), *words[:1])
     return tuple(text.strip(" []()") for text in texts)
 
 
 def read_cam_binary(path: Path, content: bytes) -> CamRecording:
-    """Refuse a CAM, or several in a row, without any time, and tell what they are.
+    """Refuse a file of one or several CAMs without times of reception, with a description of its content.
 
     Raises
     ------
     CamError
-        Always: nothing in it tells to which 65.536 s its times belong.
+        Always: the file does not determine in which period of 65.536 s its times lie.
     """
     try:
         cam = decode_cam(content)
@@ -101,7 +102,7 @@ def read_cam_binary(path: Path, content: bytes) -> CamRecording:
 
 
 def _parts(line: str) -> tuple[str, bytes | None]:
-    """Split a line into what stands before the digits, and the bytes that these are; None if there are none."""
+    """Split a line into the text before the digits, and the bytes that the digits encode; None if there are none."""
     found = _BYTES_REVERSED.match(line[::-1].lstrip()) if len(line) <= _LONGEST_LINE else None
     if found is None:
         return "", None

@@ -1,4 +1,4 @@
-"""Topics of messages in JSON, as the V2AIX data set has them: CAMs as ROS names their elements, or GNSS fixes."""
+"""Topics of messages in JSON, as in the V2AIX data set: CAMs with ROS's element names, or GNSS fixes."""
 
 from __future__ import annotations
 
@@ -40,21 +40,21 @@ _ELEMENTS: Mapping[str, tuple[str, ...]] = {
     "length": (f"{_VEHICLE}.vehicle_length.vehicle_length_value",),
     "width": (f"{_VEHICLE}.vehicle_width",),
 }
-"""Where a CAM's elements are: as EN 302 637-2 names them, or as TS 103 900 does."""
+"""Paths of a CAM's elements, by the names of EN 302 637-2 or of TS 103 900."""
 
 
 def looks_like_json(text: str) -> bool:
-    """Tell whether a text begins like JSON."""
+    """Return whether a text begins like JSON."""
     return text.lstrip()[:1] in ("{", "[")
 
 
 def read_cam_json(path: Path, text: str) -> CamRecording:
-    """Read an object of topics, each a list of messages with the time of their recording.
+    """Read an object of topics, each a list of messages with their recording times.
 
     Raises
     ------
     CamError
-        If it is no JSON of this kind, or as `read_received`.
+        If it is no JSON of this structure, or as in `read_received` and `recorded_drive`.
     """
     try:
         topics = json.loads(text)
@@ -145,7 +145,7 @@ def _number(message: object, name: str) -> float:
 
 
 def _at(found: object, path: str) -> object:
-    """Return what is at a path of names with points between, or None."""
+    """Return the value at a path of names separated by dots, or None."""
     for name in path.split("."):
         found = found.get(name) if isinstance(found, dict) else None
     return found

@@ -1,4 +1,4 @@
-"""Logs of Cooperative Awareness Messages in whatever format they were recorded; the content tells which."""
+"""Logs of Cooperative Awareness Messages in any supported format, which is recognised by the file's content."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def read_cam_log(path: Path) -> CamRecording:
     Parameters
     ----------
     path : Path
-        A file, which gzip may have packed, or the folder of a ROS 2 bag.
+        A file, which may be compressed by gzip, or the folder of a ROS 2 bag.
 
     Raises
     ------
     CamError
-        If it is in none of these formats, or unusable.
+        If the file is in none of these formats, or holds no usable log.
     """
     if path.is_dir() and not any(
         entry.name == "metadata.yaml" or entry.suffix in (".mcap", ".db3") for entry in path.iterdir()

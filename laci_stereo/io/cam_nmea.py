@@ -1,4 +1,4 @@
-"""NMEA 0183 sentences of a GNSS receiver: GGA, RMC, VTG, GST, ZDA."""
+"""NMEA 0183 sentences of a GNSS receiver: GGA, RMC, VTG, GST and ZDA."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FORMAT = "a log of NMEA sentences"
 _FIRST_LINES = 20
 _LONGEST_LINE = 1000
 
-# A talker of two characters and a type of three, as in $GNRMC; what is before it is a logger's own.
+# A talker of two characters and a type of three, as in $GNRMC; a logger may write its own text before it.
 _SENTENCE = re.compile(r"\$([A-Z]{2})([A-Z]{3}),([^*$]*)(?:\*([0-9A-Fa-f]{2}))?\s*$")
 _TIME = re.compile(r"([01][0-9]|2[0-3])([0-5][0-9])([0-5][0-9]|60)(?:\.([0-9]{1,9}))?")
 _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
@@ -51,12 +51,12 @@ _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 class _SentenceError(Exception):
-    """A sentence cannot be read; the words are the reason."""
+    """A sentence cannot be read; the text is the reason."""
 
 
 @dataclass
 class _Epoch:
-    """What the sentences of one moment say."""
+    """The content of all sentences with the same time."""
 
     place: int
     of_day_ns: int
@@ -66,13 +66,13 @@ class _Epoch:
 
 @dataclass
 class _Drive:
-    """What was read so far."""
+    """The epochs read so far, and the current date in days since 1970."""
 
     day: int | None = None
     epochs: list[_Epoch] = field(default_factory=list)
 
     def at(self, place: int, time: str) -> _Epoch:
-        """Return the moment of a sentence: the last one, or a new one."""
+        """Return the epoch of a sentence's time: the latest one, or a new one."""
         found = _TIME.fullmatch(time)
         if found is None:
             raise _SentenceError(f"its time is {quoted(time)}; needed is hhmmss.ss")
@@ -87,27 +87,27 @@ class _Drive:
         return self.epochs[-1]
 
     def date(self, epoch: _Epoch, day: int) -> None:
-        """Take a date for that of a moment and of those after it."""
+        """Set the date of an epoch and of those after it."""
         self.day = epoch.day = day
 
 
 def looks_like_nmea(text: str) -> bool:
-    """Tell whether one of the first lines is a sentence."""
+    """Return whether one of the first lines is a sentence."""
     head = text[: _FIRST_LINES * _LONGEST_LINE].splitlines()[:_FIRST_LINES]
     return any(len(line) <= _LONGEST_LINE and _SENTENCE.search(line) for line in head)
 
 
 def read_cam_nmea(path: Path, text: str) -> CamRecording:
-    """Read sentences; those of one time are one position.
+    """Read sentences; those with the same time form one position.
 
     Raises
     ------
     CamError
-        If no sentence tells the date, or as `recorded_drive`.
+        If no sentence contains the date, or as in `recorded_drive`.
     """
     drive, problems = _Drive(), {}
     for place, line in enumerate(text.splitlines(), 1):
-        # Manufacturers' own sentences begin with $P.
+        # Proprietary sentences begin with $P.
         if "$" not in line or "$P" in line:
             continue
         try:
@@ -117,7 +117,7 @@ def read_cam_nmea(path: Path, text: str) -> CamRecording:
     dated = [epoch for epoch in drive.epochs if epoch.day is not None]
     if drive.epochs and not dated:
         raise CamError(f"{path} is {_FORMAT} without a date; needed are RMC or ZDA sentences")
-    # Moments before the first date are on the day that it tells, or the one before.
+    # Epochs before the first dated one are on the same day or, if their time of day is later, on the day before.
     first = next((i for i, epoch in enumerate(drive.epochs) if epoch.day is not None), 0)
     for epoch in drive.epochs[:first]:
         epoch.day = (dated[0].day or 0) - (epoch.of_day_ns - dated[0].of_day_ns > _DAY_NS // 2)
@@ -142,7 +142,7 @@ def _read(drive: _Drive, place: int, line: str) -> None:
         raise _SentenceError(f"the checksum of {quoted(found[0].strip())} is wrong")
     if kind in _KINDS:
         cells = body.split(",")
-        # Newer versions add cells at the end; a receiver that has no fix sends them empty.
+        # Newer versions append cells; a receiver without a fix sends empty ones.
         _KINDS[kind](drive, place, cells + [""] * (_CELLS - len(cells)))
 
 
@@ -166,7 +166,7 @@ def _rmc(drive: _Drive, place: int, cells: list[str]) -> None:
         drive.date(epoch, _day(cells[8][:2], cells[8][2:4], cells[8][4:]))
     if not position:
         return
-    # Some receivers give GGA more digits.
+    # A position from GGA is kept, as some receivers write it with more digits.
     epoch.values.update({**position, **epoch.values})
     _set_motion(epoch, _number(cells[7]), _number(cells[6]), _KNOT_MPS)
 
@@ -236,7 +236,7 @@ def _number(cell: str) -> float | None:
 
 
 def _day(day: str, month: str, year: str) -> int:
-    """Return the days since 1970 of a date, whose year may have two digits."""
+    """Return a date in days since 1970; a year may have two digits, which mean 1980 to 2079."""
     try:
         number = int(year)
         full = number + (0 if len(year) == 4 else 1900 if number >= 80 else 2000)

@@ -30,7 +30,7 @@ def read_cam_capture(path: Path, content: bytes) -> CamRecording:
     Raises
     ------
     CamError
-        As `read_received`.
+        As in `read_received`.
     """
     notes: list[str] = []
     kind = "pcapng" if content[:4] == PCAPNG_MAGIC else "pcap"
@@ -44,7 +44,7 @@ def read_cam_capture(path: Path, content: bytes) -> CamRecording:
         except CaptureError as problem:
             notes.append(f"{path} is damaged or cut off after {place} packets: {problem}; these are used")
 
-    # Of a capture that is cut off, the notes grow while its packets are read.
+    # If the capture is cut off, `packets` appends to the notes while it is consumed.
     return read_received(Source(path, "packet", f"a capture ({kind})"), packets(), notes)
 
 
@@ -54,7 +54,7 @@ def _payload(link_type: int, frame: bytes) -> Payload:
     try:
         ether_type, rest = _LINKS[link_type](frame)
     except DamagedError as problem:
-        # It did not get so far as to claim that it were a CAM.
+        # The frame is too short to identify it as a CAM, so it does not count as a damaged one.
         raise OtherKindError(f"cut-off frame ({problem})") from problem
     if ether_type != ETHER_TYPE:
         raise OtherKindError(_ETHERNET_TYPES.get(ether_type, f"frame of ether type {ether_type:#06x}"))
@@ -81,7 +81,7 @@ def _bare(frame: bytes) -> tuple[int, bytes]:
 
 
 def _wifi(frame: bytes, padded: bool = False) -> tuple[int, bytes]:
-    """Take the header of an IEEE 802.11 frame off, and LLC and SNAP, which 802.11-2016 leaves out at 5.9 GHz."""
+    """Strip the header of an IEEE 802.11 frame, and LLC and SNAP, which 802.11-2016 omits at 5.9 GHz."""
     control, flags = divmod(_number(frame, 0), 256)
     if control >> 2 & 3 != _WIFI_DATA or control & 0x40:
         raise OtherKindError("Wi-Fi frame without data")
@@ -97,7 +97,7 @@ def _wifi(frame: bytes, padded: bool = False) -> tuple[int, bytes]:
 
 
 def _radiotap(frame: bytes) -> tuple[int, bytes]:
-    """Take the header of the receiver off, whose flags tell whether the frame's own is padded."""
+    """Strip the radiotap header of the receiver, whose flags say whether the frame's own header is padded."""
     size = int.from_bytes(_bytes(frame, 2, 2), "little")
     mask = first = int.from_bytes(_bytes(frame, 4, 4), "little")
     place = 8
@@ -129,4 +129,4 @@ _LINKS: Mapping[int, Callable[[bytes], tuple[int, bytes]]] = {
     276: _linux_cooked_2,
     **dict.fromkeys(range(147, 163), _bare),
 }
-"""By link type; those from 147 on are for private use, which stacks make of them for bare GeoNetworking packets."""
+"""Parsers by link type; 147 to 162 are for private use, and some stacks use them for bare GeoNetworking packets."""

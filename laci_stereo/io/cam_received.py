@@ -1,4 +1,4 @@
-"""CAMs as a receiver wrote them down: packets with the time of their reception, some of them of other kinds."""
+"""CAMs in a receiver's log: packets with the time of their reception, among messages of other kinds."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _MOST_KINDS = 10
 
 @dataclass(frozen=True)
 class Packet:
-    """What was received.
+    """A received packet.
 
     Attributes
     ----------
     place : int
-        Its number in the file.
+        Its running number in the file.
     cam : Cam or DamagedError or OtherKindError
-        The message, or why there is none.
+        The message, or the reason why there is none.
     received_ns : int or None
-        Unix time; None where the file does not tell.
+        Unix time of reception; None where the file does not record it.
     is_signed : bool
     """
 
@@ -43,9 +43,9 @@ class Packet:
 
 
 def packet_of(place: int, received_ns: int | None, payload: Callable[[], Payload]) -> Packet:
-    """Return a packet whose payload is a CAM, or what else is found when it is opened.
+    """Return the packet with the CAM in its payload, or with the error that opening the payload raises.
 
-    Without a time of reception, the time when it was signed stands for it.
+    Without a time of reception, the time of signing replaces it.
     """
     try:
         sent = payload()
@@ -57,7 +57,7 @@ def packet_of(place: int, received_ns: int | None, payload: Callable[[], Payload
 
 @dataclass(frozen=True)
 class Source:
-    """Where packets come from: the file, what it calls a packet, and its format in words."""
+    """The source of packets: the file, the format's noun for a packet, and the format's name in words."""
 
     path: Path
     noun: str
@@ -66,7 +66,7 @@ class Source:
 
 @dataclass
 class _Gathered:
-    """What was found so far."""
+    """The CAMs, problems and other kinds of message found so far."""
 
     places: list[int] = field(default_factory=list)
     cams: list[Cam] = field(default_factory=list)
@@ -76,7 +76,7 @@ class _Gathered:
     signed: int = 0
 
     def add(self, packet: Packet) -> None:
-        """Take one more packet."""
+        """Add a packet."""
         if isinstance(packet.cam, OtherKindError):
             self.kinds[str(packet.cam)] += 1
             return
@@ -98,19 +98,19 @@ class _Gathered:
 
 
 def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str] = ()) -> CamRecording:
-    """Make a log of what was received.
+    """Return the log of the CAMs among received packets.
 
     Parameters
     ----------
     source : Source
     packets : iterable of Packet
     notes : sequence of str
-        How the file was understood so far.
+        Notes on how the file was interpreted.
 
     Raises
     ------
     CamError
-        If there is no CAM of a vehicle, or as `recorded`.
+        If there is no CAM of a vehicle, or as in `recorded`.
     """
     found = _Gathered()
     for packet in packets:
@@ -137,7 +137,7 @@ def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str
 
 
 def _stamps(found: _Gathered, stations: IntArray, good: BoolArray) -> tuple[IntArray, Sequence[str]]:
-    """Return when the messages were generated, 0 where that is unknown, and notes."""
+    """Return the messages' generation times, 0 where unknown, and notes."""
     stamps = np.zeros(len(stations), dtype=np.int64)
     if not good.any():
         return stamps, ()

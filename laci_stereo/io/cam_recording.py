@@ -1,4 +1,4 @@
-"""Messages as they were read, whatever the format, made into a log: what is missing, impossible, late or doubled."""
+"""The common last step of all readers: raw messages to a `CamLog` without missing, impossible or repeated values."""
 
 from __future__ import annotations
 
@@ -37,18 +37,19 @@ _SAME_PLACE_DEG = 1e-6
 
 @dataclass(frozen=True)
 class CamRecording:
-    """A log of messages, and how its file was understood.
+    """A log of messages, with notes on how its file was interpreted.
 
     Attributes
     ----------
     log : CamLog
-        Of all stations, in the order of time.
+        The messages of all stations, ordered by time.
     notes : tuple of str
-        One line for each interpretation, and for what was left out or put right.
+        One line for each interpretation of the file, and for each kind of message or value that was left out or
+        corrected.
     format : str
-        What the file is, in words.
+        Name of the file format, for messages to the user.
     is_receiver : bool
-        Whether its positions are those of a GNSS receiver's antenna, and not of the point that CAMs are about.
+        Whether the positions are those of a GNSS receiver's antenna instead of the CAM reference point.
     """
 
     log: CamLog
@@ -59,22 +60,22 @@ class CamRecording:
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages in the order of their file.
+    """Messages in the order of their file, before anything is checked, sorted or merged.
 
     Attributes
     ----------
     path : Path
     noun : str
-        What holds a message in such a file: a row, a line, a packet.
+        What the format calls the container of one message, such as row, line or packet.
     places : sequence of int
-        The number of that of each message, for words about it.
+        The number of each message's row, line or packet in the file; quoted in notes and errors.
     stamps_ns : ndarray of int64, shape (n,)
-        When it was generated, Unix time.
+        Generation time of each message, Unix time.
     station_id : ndarray of int64, shape (n,)
     values : mapping of Quantity to ndarray
-        In the quantities' units, shape (n,), NaN where missing; a quantity may be missing as a whole.
+        Shape (n,), in each quantity's unit, NaN where missing; quantities that the file lacks may be left out.
     problems : mapping of int to str
-        Those that could not be read, each with the reason.
+        The messages that could not be read: index to reason.
     """
 
     path: Path
@@ -90,20 +91,21 @@ class Messages:
 
 
 def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamRecording:
-    """Make a log of what was read.
+    """Return the log of messages that a reader has read.
 
     Parameters
     ----------
     messages : Messages
-        At least one.
+        At least one message.
     notes : sequence of str
-        How they were understood so far.
+        The reader's notes on how it interpreted the file.
     file_format : str
 
     Raises
     ------
     CamError
-        If more than a fifth of the messages or of the values of a quantity are bad, there is no position at all, or
+        If more than a fifth of the messages, or of the values of a quantity, are bad; if more than a fifth of the
+        messages have the time and station of another one but another position; if there is no position at all; or if
         latitude and longitude are exchanged.
     """
     missing = np.full(len(messages), np.nan)
@@ -120,7 +122,7 @@ def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamR
 
 
 def _without_zeros(values: Values) -> tuple[Values, list[str]]:
-    """Take for missing what senders and loggers put where they know nothing: the position 0, 0, a size or error 0."""
+    """Treat placeholders of senders and loggers for unknown values as missing: position 0, 0, and size or axis 0."""
     nowhere = np.all([np.abs(values[quantity]) < _NOWHERE_DEG for quantity in POSITION], axis=0)
     notes = [f"{int(nowhere.sum())} positions are 0, 0; taken as missing"] if nowhere.any() else []
     kept = {
@@ -132,7 +134,7 @@ def _without_zeros(values: Values) -> tuple[Values, list[str]]:
 
 
 def _check_sides(path: Path, values: Values) -> None:
-    """Raise if latitudes are beyond what latitudes can be, and the longitudes are not."""
+    """Raise if the median latitude is possible only as a longitude, and the median longitude as a latitude."""
     latitude, longitude = (values[quantity][np.isfinite(values[quantity])] for quantity in POSITION)
     if len(latitude) == 0 or len(longitude) == 0:
         return
@@ -156,7 +158,7 @@ def _misplaced(values: Values) -> Problems:
 
 
 def _possible(messages: Messages, values: Values) -> tuple[Values, list[str]]:
-    """Return only values that the quantities can have; raise if too many have others."""
+    """Replace values outside a quantity's range by NaN; raise if they are more than a fifth of its values."""
     notes = []
     for quantity, found in values.items():
         impossible = np.flatnonzero(~quantity.possible(found))
@@ -191,7 +193,7 @@ def _log(stamps: IntArray, stations: IntArray, values: Values) -> CamLog:
 
 
 def _in_order(messages: Messages, log: CamLog) -> tuple[CamLog, list[str]]:
-    """Sort the messages by time and merge those of one station at one time."""
+    """Sort the messages by time and merge those that one station sent at one time."""
     late = int((log.stamps_ns < np.maximum.accumulate(log.stamps_ns)).sum())
     log = log[np.lexsort((log.station_id, log.stamps_ns))]
     repeats = np.zeros(len(log), dtype=bool)
@@ -217,12 +219,12 @@ def _differs_from_before(log: CamLog) -> BoolArray:
 
 
 def _merge_repeats(log: CamLog, repeats: BoolArray) -> CamLog:
-    """Keep the first of messages that repeat, and take what it lacks from those that follow."""
+    """Keep the first of repeated messages, and fill its missing values from the later ones."""
     first = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(log))))
     columns = []
     for column in fields(log):
         values = getattr(log, column.name).copy()
-        # Only numbers can be NaN; times and stations of repeats are equal anyway.
+        # Integer columns, times and stations, have no NaN, and are equal in repeats.
         for i in np.flatnonzero(repeats & np.isnan(values[first])):
             if np.isnan(values[first[i]]):
                 values[first[i]] = values[i]
@@ -231,7 +233,7 @@ def _merge_repeats(log: CamLog, repeats: BoolArray) -> CamLog:
 
 
 def _check_positions(messages: Messages, log: CamLog) -> list[str]:
-    """Return a note on messages without a position; raise if none has one, or all have it exchanged."""
+    """Return a note on messages without a position; raise if all lack it, or latitude and longitude are exchanged."""
     missing = int((np.isnan(log.latitude_deg) | np.isnan(log.longitude_deg)).sum())
     if missing == len(log):
         raise CamError(

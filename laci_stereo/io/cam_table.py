@@ -1,4 +1,4 @@
-"""The columns of a table of messages: who sent them, and quantities as ETSI sends them."""
+"""The columns of a table of messages: station numbers, and quantities with ETSI's codes for missing values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from laci_stereo.io.text_file import quoted
 
 
 def column_notes(table: Table) -> list[str]:
-    """Return which columns stand in for others, and which are lacking."""
+    """Return notes on columns that were recognised by a synonym, and on missing heading and speed columns."""
     places = {column: column.find(table.header) for column in COLUMNS}
     notes = [
         f"column {table.header[place]} read as {column.name}"
@@ -24,7 +24,7 @@ def column_notes(table: Table) -> list[str]:
 
 
 def station_ids(table: Table) -> Parsed[IntArray]:
-    """Return who sent each message; without such a column all are from station 0."""
+    """Return the station that sent each message; without such a column, all are from station 0."""
     texts = table.texts(STATION_ID)
     if texts is None or all(is_missing(text) for text in texts):
         note = "no station_id; all rows are taken for those of one station, 0"
@@ -39,7 +39,7 @@ def station_ids(table: Table) -> Parsed[IntArray]:
 
 
 def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:
-    """Return a quantity's numbers, in whatever unit they are; NaN where they are missing, infinite as `in_units`."""
+    """Return a quantity's numbers in the unit of the file: NaN if missing, infinite as `in_units` expects."""
     found = table.numbers(quantity)
     known, notes = found.values, []
     for meaning, code in quantity.codes.items():

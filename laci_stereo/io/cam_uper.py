@@ -1,10 +1,10 @@
-"""CAMs in ASN.1's unaligned packed encoding (UPER), as they go over the air.
+"""CAMs in ASN.1's unaligned packed encoding rules (UPER), as they are transmitted.
 
-What is needed of a CAM stands at its beginning: the header, generationDeltaTime, the basic container, and the first
-five elements of the vehicle's high frequency container. EN 302 637-2 (protocolVersion 1 and 2) and TS 103 900 lay these
-out alike, bit by bit, so that a table of the fields reads them. A compiler of ASN.1 such as asn1tools would add two
-dependencies, take longer, and refuse messages for what is wrong in elements that are not needed; the tests hold this
-reader against it.
+The required elements are at the beginning of a CAM: the header, generationDeltaTime, the basic container, and the first
+five elements of the vehicle's high frequency container. EN 302 637-2 (protocolVersion 1 and 2) and TS 103 900 encode
+these identically, bit by bit, so a table of fields is enough to read them. An ASN.1 compiler such as asn1tools would
+add two dependencies, take longer, and reject messages for errors in elements that are not needed; the tests compare
+this reader with it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FIRST_BYTES = 64
 
 
 class _Field(NamedTuple):
-    """An INTEGER (lowest..highest) or an ENUMERATED from 0, and whether it is kept."""
+    """A field: an INTEGER (lowest..highest) or an ENUMERATED counted from 0."""
 
     name: str
     bits: int
@@ -55,19 +55,19 @@ _VEHICLE = (
 
 
 def is_cam(data: bytes) -> bool:
-    """Tell whether bytes begin like a CAM."""
+    """Return whether the bytes begin with the header of a CAM."""
     return len(data) >= HEADER_BYTES and data[0] in VERSIONS and data[1] == CAM_ID
 
 
 def decode_cam(data: bytes) -> Cam:
-    """Read a CAM (ItsPduHeader and what follows).
+    """Decode a CAM from its ItsPduHeader on.
 
     Raises
     ------
     OtherKindError
-        If it is another message, or not a vehicle's.
+        If it is another kind of message, or the CAM is not a vehicle's.
     DamagedError
-        If it is too short, or an element has a value that it cannot have.
+        If it is too short, or an element is outside its range.
     """
     bits = _Bits(data)
     version, message_id, station_id = bits.take(8), bits.take(8), bits.take(32)
@@ -76,7 +76,7 @@ def decode_cam(data: bytes) -> Cam:
     if version not in VERSIONS:
         raise OtherKindError(f"CAM of protocolVersion {version}")
     delta_ms = bits.take(16)
-    bits.take(3)  # of CamParameters: extended, which optional containers follow the two that are needed
+    bits.take(3)  # CamParameters: extension bit, presence bits of the two optional containers after the required ones
     extended = bits.take(1)
     _, latitude, longitude, major, minor, orientation, altitude, _ = bits.fields(_BASIC)
     if extended:
@@ -91,7 +91,7 @@ def decode_cam(data: bytes) -> Cam:
 
 
 class _Bits:
-    """Bits that are taken from the front."""
+    """A reader that takes bits from the front of some bytes."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -99,7 +99,7 @@ class _Bits:
         self._taken = 0
 
     def take(self, count: int) -> int:
-        """Return the next bits as a number."""
+        """Return the next ``count`` bits as an unsigned number."""
         self._taken += count
         if self._taken > self._length:
             self._load(len(self._data))
@@ -108,7 +108,7 @@ class _Bits:
         return self._value >> (self._length - self._taken) & ((1 << count) - 1)
 
     def fields(self, fields: tuple[_Field, ...]) -> list[int]:
-        """Return the next fields' values."""
+        """Return the values of the next fields."""
         values = [field.lowest + self.take(field.bits) for field in fields]
         for field, value in zip(fields, values, strict=True):
             if value > field.highest:
@@ -116,7 +116,7 @@ class _Bits:
         return values
 
     def skip_additions(self) -> None:
-        """Skip what a later version of the standard has added to a sequence."""
+        """Skip the extension additions that a later version of the standard appended to a sequence."""
         if self.take(1):
             raise DamagedError("it has more than 64 additions; needed are at most 64")
         present = self.take(self.take(6) + 1).bit_count()

@@ -1,4 +1,4 @@
-"""Detections in CSV files, with the many ways in which people write them."""
+"""Detections in CSV files, with the column names and units found in practice."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Measure(Column):
     ----------
     unit : str
     above, highest : float
-        What it can be: more than the one, at most the other.
+        Range of possible values: greater than the first, at most the second.
     """
 
     unit: str
@@ -44,7 +44,7 @@ class Measure(Column):
 
 
 _FAR_M = 1000.0
-"""No roadside sensor sees as far; coordinates of a map are larger."""
+"""Beyond the range of any roadside sensor; map coordinates are larger."""
 
 X = Measure("x", ("xm", "posx", "positionx", "centerx", "centrex", "cx", "tx", "locationx"), "m", -_FAR_M, _FAR_M)
 Y = Measure("y", ("ym", "posy", "positiony", "centery", "centrey", "cy", "ty", "locationy"), "m", -_FAR_M, _FAR_M)
@@ -75,14 +75,14 @@ POSITION = (X, Y, Z)
 
 @dataclass(frozen=True)
 class DetectionRecording:
-    """A log of detections, and how its file was understood.
+    """A log of detections, with notes on how its file was interpreted.
 
     Attributes
     ----------
     log : DetectionLog
-        ``above_ground_m`` is that of the boxes' centres.
+        Its ``above_ground_m`` is the height of the boxes' centres.
     notes : tuple of str
-        One line for each interpretation, and for what was left out or put right.
+        One line for each interpretation, and for each kind of row or value that was left out or corrected.
     """
 
     log: DetectionLog
@@ -93,13 +93,13 @@ def read_detections(path: Path) -> DetectionRecording:
     """Read a log of detections with a header row.
 
     The columns are ``timestamp``, ``x`` and ``y``, optionally ``z``, ``yaw``, ``length``, ``width``, ``height``,
-    ``track_id`` and ``radial_speed``; common synonyms are known. Yaw in degrees is recognised for the whole file.
+    ``track_id`` and ``radial_speed``; common synonyms are recognised. Yaw in degrees is recognised for the whole file.
 
     Raises
     ------
     DetectionError
-        If it cannot be read, lacks a column, more than a fifth of its rows are bad, or objects are at two places at
-        one time.
+        If the file cannot be read, lacks a column, more than a fifth of its rows are bad, or, in more than a fifth, an
+        object is at another position at the same time.
     """
     table = read_table(path, REQUIRED, DetectionError, "detection")
     stamps = stamps_ns(table)
@@ -127,7 +127,7 @@ def read_detections(path: Path) -> DetectionRecording:
 
 
 def _column_notes(table: Table) -> list[str]:
-    """Return which columns stand in for others, and which are not used."""
+    """Return notes on columns that were recognised by a synonym, and on unused columns."""
     places = {column: column.find(table.header) for column in COLUMNS}
     used = {place for place in places.values() if place is not None}
     unused = [title for place, title in enumerate(table.header) if place not in used and title]
@@ -140,7 +140,7 @@ def _column_notes(table: Table) -> list[str]:
 
 
 def _misplaced(table: Table, values: Mapping[Measure, FloatArray]) -> Problems:
-    """Return the rows without a position, or with one that no sensor sees."""
+    """Return the rows whose position is missing or out of range."""
     problems = {}
     for measure in POSITION:
         if measure.find(table.header) is None:
@@ -155,7 +155,7 @@ def _misplaced(table: Table, values: Mapping[Measure, FloatArray]) -> Problems:
 
 
 def _possible(table: Table, values: Mapping[Measure, FloatArray]) -> tuple[dict[Measure, FloatArray], list[str]]:
-    """Return only values that the measures can have, and notes on the others, such as the size 0 of what has none."""
+    """Replace values out of range by NaN, such as size 0 for an unknown one; return them with notes on these values."""
     kept, notes = dict(values), []
     for measure in (LENGTH, WIDTH, HEIGHT, RADIAL_SPEED):
         found = values[measure]
@@ -170,7 +170,7 @@ def _possible(table: Table, values: Mapping[Measure, FloatArray]) -> tuple[dict[
 
 
 def _in_radians(table: Table, yaw: FloatArray) -> tuple[FloatArray, list[str]]:
-    """Convert a column that is in degrees: its title says so, or it holds more than a full turn of radians."""
+    """Convert yaw from degrees if the column's title says so, or a value exceeds a full turn in radians."""
     place = YAW.find(table.header)
     if place is None or np.isnan(yaw).all():
         return yaw, []
@@ -181,19 +181,19 @@ def _in_radians(table: Table, yaw: FloatArray) -> tuple[FloatArray, list[str]]:
 
 
 def _track_ids(table: Table) -> IntArray:
-    """Return a number for each name that the detector gives to an object, -1 where it gives none."""
+    """Return a number for each track name of the detector, -1 where it is missing, shape (n,)."""
     texts = [text.lower() for text in table.texts(TRACK_ID) or [""] * len(table.rows)]
     _, numbers = np.unique(np.array(texts), return_inverse=True)
     return np.where([is_missing(text) for text in texts], -1, numbers.reshape(-1)).astype(np.int64)
 
 
 def _in_order(path: Path, log: DetectionLog) -> tuple[DetectionLog, list[str]]:
-    """Sort detections by time, and drop those that are there twice."""
+    """Sort detections by time; drop repeated ones, and all but the first of a track at one time."""
     late = int((log.stamps_ns < np.maximum.accumulate(log.stamps_ns)).sum())
     log = log[np.argsort(log.stamps_ns, kind="stable")]
     places = np.nan_to_num(log.points_sensor).view(np.int64)
     once = log[_firsts(np.column_stack([log.stamps_ns, log.track_id, places]))]
-    # What has no number gets one of its own here.
+    # Each detection without a track number is its own track here.
     own = np.where(once.track_id >= 0, once.track_id, -1 - np.arange(len(once)))
     single = once[_firsts(np.column_stack([once.stamps_ns, own]))]
     doubled, moved = len(log) - len(once), len(once) - len(single)
@@ -209,7 +209,7 @@ def _in_order(path: Path, log: DetectionLog) -> tuple[DetectionLog, list[str]]:
 
 
 def _firsts(keys: IntArray) -> IntArray:
-    """Return where each key, shape (n, k), is found first, in order."""
+    """Return the index of the first occurrence of each key, shape (n, k), ascending."""
     return np.sort(np.unique(keys, axis=0, return_index=True)[1])
 
 

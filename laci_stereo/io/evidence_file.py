@@ -1,6 +1,7 @@
-"""``evidence.npz``: what a result keeps of its drives, so that it can be estimated again together with others.
+"""``evidence.npz``: the data of a result's drives, from which it can be estimated again together with other results.
 
-Plain arrays and strings, no pickles. Points are in the level frame of the drive's own ground, which is in the file.
+The file holds plain arrays and strings, no pickles. Points are in the level frame of their drive's own ground plane,
+which is stored, too.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ KINDS = ("stereo", "lidar", "detections")
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
 MAX_BYTES = 1 << 28
-"""Of all arrays: thirty drives with 2000 frames each; a damaged file must not ask for all the memory there is."""
+"""Largest size of all arrays, sufficient for thirty drives with 2000 frames each: a damaged file must not exhaust the
+memory."""
 
 LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "name": ("U", ()),
@@ -50,47 +52,47 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "axes": ("f", (2, 3)),  # forward, up
     "ground_plane": ("f", (4,)),  # normal, height
     "ground_covariance": ("f", (4, 4)),
-    "ground_support": ("f", (5,)),  # inlier share, cells, their share, area, unevenness
+    "ground_support": ("f", (5,)),  # fraction of inliers, number and fraction of supporting cells, area, unevenness
     "static_boxes": ("f", ("boxes", 6)),  # centre x and y, length, width, yaw, height
     "static": ("f", (2,)),  # quiet frames, margin
     "station_id": ("i", ()),
     "epoch_ns": ("i", ()),
     "message_stamps_s": ("f", ("messages",)),
     "message_poses": ("f", ("messages", 3)),  # x, y, yaw in the world
-    "message_altitudes_m": ("f", ("messages", 1)),  # NaN: not told
-    "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: not told)
-    "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 where it is not known
-    "turn": ("f", (2,)),  # how long the scanner's lasts, and how it was taken to turn; 0 where points' times are known
-    "window": ("f", ()),  # side of a matcher's, within which points have their noise in common, rad; 0 for none
-    "method": ("U", ()),  # by which its own match and clock offset were estimated
-    "own": ("f", (5,)),  # yaw, x, y and clock offset by this drive alone; clock sigma beforehand
+    "message_altitudes_m": ("f", ("messages", 1)),  # NaN: not reported
+    "vehicle": ("f", (7,)),  # length, width, reference x and y, guessed_m, sigma of the positions (NaN: unknown)
+    "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 if unknown
+    "turn": ("f", (2,)),  # a scanner's period (0: not needed) and estimated sense of rotation (1, -1, 0: none)
+    "window": ("f", ()),  # side of the matching window, within which points share their noise, rad; 0: none
+    "method": ("U", ()),  # that estimated the drive's own match and clock offset
+    "own": ("f", (5,)),  # yaw, x, y and clock offset from this drive alone; a priori clock sigma
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
-    "begins": ("f", ("frames",)),  # azimuth where a turning scanner's scans begin
+    "begins": ("f", ("frames",)),  # azimuth at which a rotating scanner's scans begin
     "middles": ("f", ("frames", 2)),
     "boxes": ("f", ("frames", 5)),  # centre x and y, length, width, yaw
     "noise": ("f", ("frames", 2)),  # sigma of the points, radial speed (NaN: not measured)
-    "borders": ("f", ("frames", 6)),  # outermost points, right and left; the origin, below the sensor, if not known
+    "borders": ("f", ("frames", 6)),  # outermost points, right and left; (0, 0, 0), below the sensor, if unknown
     "counts": ("i", ("frames", 4)),  # points seen, points kept, flaw, low points kept
     "points": ("f", ("points", 3)),
     "sigmas": ("f", ("points", 2)),  # along and across the line of sight
     "low": ("f", ("lows", 5)),  # x, y, z; along and across the line of sight
 }
-"""Each drive's arrays: kind of number, and shape; what has the same name has the same length."""
+"""The arrays of each drive: NumPy kind, and shape; dimensions with the same name have the same length."""
 
 MAY_LACK = ("message_altitudes_m", "vehicle", "noise")
-"""In their last column NaN stands for what is not known."""
+"""Arrays whose last column may hold NaN, for unknown values."""
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What a result keeps of its drives.
+    """The data that a result keeps of its drives.
 
     Attributes
     ----------
     name, kind, frame : str
-        Of the sensor; the frame in words.
+        Of the sensor; the frame is described in words.
     T_sensor_rectified : ndarray, shape (4, 4), or None
-        Of a stereo camera.
+        Only of a stereo camera.
     passages : tuple of Passage
     """
 
@@ -102,9 +104,10 @@ class Kept:
 
 
 def write_evidence(path: Path, kept: Kept) -> None:
-    """Write what a result keeps; points are rounded to single precision, 0.01 mm at 100 m.
+    """Write a result's evidence; points are rounded to single precision, 0.01 mm at 100 m.
 
-    Noise hardly packs: a camera's drives would be a tenth smaller, a scanner's, which are small, a third.
+    The file is not compressed, because noise is hardly compressible: the drives of a camera would shrink by a tenth,
+    those of a scanner, which are small anyway, by a third.
     """
     arrays: Arrays = {
         "format": np.array(FORMAT),
@@ -120,12 +123,12 @@ def write_evidence(path: Path, kept: Kept) -> None:
 
 
 def read_evidence(path: Path) -> Kept:
-    """Read what a result keeps.
+    """Read a result's evidence.
 
     Raises
     ------
     EvidenceError
-        If the file is missing, damaged, of another version, or holds what makes no sense.
+        If the file is missing, damaged, of another version, or inconsistent.
     """
     arrays = _load(path)
     form = _text(path, arrays, "format", ())[0]
@@ -156,11 +159,11 @@ def _load(path: Path) -> Arrays:
         raise EvidenceError(f"{path} cannot be read: {problem}; {needed}") from problem
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # headers are parsed as Python, which warns of some damage
+            warnings.simplefilter("ignore")  # headers are parsed as Python, which emits warnings on some damage
             return _unpacked(path, content)
     except EvidenceError:
         raise
-    except Exception as problem:  # of many kinds: the bytes may be anything
+    except Exception as problem:  # of many types: the bytes may be anything
         what = " ".join(str(problem).split())[:100]
         raise EvidenceError(
             f"{path} is damaged or no evidence file ({what or type(problem).__name__}); {needed}"
@@ -180,7 +183,7 @@ def _unpacked(path: Path, content: io.BytesIO) -> Arrays:
 
 
 def _promised_bytes(members: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """Return how many bytes an array's header promises: NumPy takes memory for them before it reads any."""
+    """Return the size that an array's header states, bytes: NumPy allocates it before it reads any data."""
     with members.open(member) as file:
         first = np.lib.format.read_magic(file) == (1, 0)
         shape, _, dtype = (np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0)(file)
@@ -200,7 +203,7 @@ def _number(
     shape: tuple[int | str, ...],
     lengths: dict[str, int],
 ) -> npt.NDArray[Any]:
-    """Check kind, shape and finiteness of an array; what has no length yet gets it from here."""
+    """Check an array's kind, shape and finiteness; a named dimension without a length yet gets it from this array."""
     words = {"f": "numbers", "i": "whole numbers", "U": "text"}[kind]
     if array is None:
         raise EvidenceError(f"{path} lacks {name}; needed are {words}")
@@ -221,7 +224,7 @@ def _number(
 
 
 def _to_arrays(passage: Passage) -> Arrays:
-    """Return a drive's arrays, as `LAYOUT` has them."""
+    """Return a drive's arrays, as in `LAYOUT`."""
     ground, vehicle, sightings = passage.ground, passage.vehicle, passage.track.sightings
     support = (ground.inlier_share, ground.support_cells, ground.support_share, ground.support_area_m2)
     static = [(*_row(each.box), each.height_m) for each in passage.background.boxes]
@@ -326,9 +329,9 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
     )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is beyond measure becomes infinite, which is refused
+@np.errstate(over="ignore", invalid="ignore")  # values that overflow to infinity are refused
 def _check(path: Path, found: Arrays) -> None:
-    """Hold the numbers of a drive against what they mean.
+    """Check that the numbers of a drive are consistent with their meaning.
 
     Raises
     ------

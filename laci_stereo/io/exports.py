@@ -1,4 +1,4 @@
-"""A calibration in the formats of other tools: what they read, with frames, units and directions told in each."""
+"""A calibration in the formats of other tools, each with a description of frames, units and directions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STREAMS = {"stereo": "camera", "lidar": "lidar"}
 
 @dataclass(frozen=True)
 class ExportedFile:
-    """A file that another tool reads."""
+    """A file in the format of another tool."""
 
     name: str
     text: str
@@ -35,7 +35,7 @@ class ExportFormat:
     ----------
     name : str
     meaning : str
-        What it holds and who reads it, in a line.
+        Its content and the tools that read it, in one line.
     write : callable
     """
 
@@ -45,12 +45,12 @@ class ExportFormat:
 
 
 def export_as(siting: Siting, name: str) -> tuple[ExportedFile, ...]:
-    """Return the files of a format.
+    """Return a calibration as files of the named format.
 
     Raises
     ------
     SettingError
-        If there is no format of that name.
+        If no format has that name.
     """
     for each in FORMATS:
         if each.name == name:
@@ -59,7 +59,7 @@ def export_as(siting: Siting, name: str) -> tuple[ExportedFile, ...]:
 
 
 def frame_id(siting: Siting) -> str:
-    """Return a sensor's name as ROS takes it for a frame: letters, digits and underscores."""
+    """Return a sensor's name as a valid ROS frame name: letters, digits and underscores."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", siting.name).strip("_") or "sensor"
     plain = plain if plain[0].isalpha() else f"sensor_{plain}"
     return f"{plain}_optical_frame" if siting.kind == "stereo" else plain
@@ -121,11 +121,11 @@ def _autoware(siting: Siting) -> tuple[ExportedFile, ...]:
 
 
 def _xyzrpy(T: FloatArray) -> list[float]:
-    """Return the translation, and angles about fixed x, y and z; any that do where pitch is 90 deg."""
+    """Return the translation, and angles about the fixed x, y and z axes; one solution of many if pitch is 90 deg."""
     level = float(np.hypot(T[0, 0], T[1, 0]))
     if level > 1e-9:
         roll, yaw = np.arctan2(T[2, 1], T[2, 2]), np.arctan2(T[1, 0], T[0, 0])
-    else:  # roll and yaw turn about the same axis
+    else:  # roll and yaw rotate about the same axis
         roll, yaw = 0.0, np.arctan2(-T[0, 1], T[1, 1])
     return [*map(float, T[:3, 3]), float(roll), float(np.arctan2(-T[2, 0], level)), float(yaw)]
 
@@ -158,7 +158,7 @@ def _openlabel(siting: Siting) -> tuple[ExportedFile, ...]:
 
 
 def _kitti(siting: Siting) -> tuple[ExportedFile, ...]:
-    # KITTI's files have no comments, but entries of text among those of numbers, which their readers pass over.
+    # KITTI's files have no comments, but text entries among those of numbers, which readers skip.
     T = siting.T_map_sensor
     lines = (
         *words(siting, absolute=False),
@@ -173,7 +173,7 @@ def _kitti(siting: Siting) -> tuple[ExportedFile, ...]:
 def _dair(siting: Siting) -> tuple[ExportedFile, ...]:
     if siting.kind != "stereo":
         return (_dair_world(siting, siting.T_utm_sensor, "the sensor's own frame"),)
-    # Boxes turn about a virtual LiDAR's z only, so it is level; it stands in the camera and looks where that looks.
+    # Boxes rotate about the z axis of a virtual LiDAR only, so it is level: at the camera, with the camera's yaw.
     yaw_rad = np.radians(viewing_angles(siting.T_world_sensor, OPENCV_AXES).yaw_deg)
     T_utm_virtual = rigid(rotation_z(float(yaw_rad)), siting.T_utm_sensor[:3, 3])
     T_sensor_virtual = rigid(siting.T_world_sensor[:3, :3].T @ T_utm_virtual[:3, :3], np.zeros(3))
@@ -211,7 +211,7 @@ def _proj(siting: Siting) -> tuple[ExportedFile, ...]:
     offsets = siting.T_world_sensor[:3, 3] * scale + np.append(siting.world.origin_utm, 0.0)
     entries = [f"+{axis}off={float(value)!r}" for axis, value in zip("xyz", offsets, strict=True)]
     entries += [f"+s{i + 1}{j + 1}={float(linear[i, j])!r}" for i in range(3) for j in range(3)]
-    # A pipeline has no comments, only a title without spaces. Being affine it holds the grid's scale, and is exact.
+    # A pipeline has no comments, only a title without spaces. Being affine, it includes the grid scale, and is exact.
     title = f"sensor_metres_to_{siting.world.crs}_east,north_and_metres_over_the_ground"
     return (
         ExportedFile("sensor_to_utm.proj", f"+proj=pipeline +title={title} +step +proj=affine {' '.join(entries)}\n"),

@@ -1,4 +1,4 @@
-"""The bytes of a file, unpacked if they are gzip's."""
+"""The bytes of a file, unpacked if it is compressed by gzip."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ GZIP_MAGIC = b"\x1f\x8b"
 
 MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
 BAG_MAGICS = (b"#ROSBAG", MCAP_MAGIC, SQLITE_MAGIC)
-"""How ROS 1 bags, MCAP files and ROS 2 bags begin."""
+"""First bytes of ROS 1 bags, MCAP files and ROS 2 bags."""
 
 LARGEST_UNPACKED = 1 << 28
-"""Bytes: an hour of a dozen senders' messages as text; what unpacks to more may be made to fill the memory."""
+"""Bytes: an hour of a dozen senders' messages as text. A file that unpacks to more may be crafted to exhaust the
+memory."""
 
 
 def begins_with(path: Path, magics: tuple[bytes, ...]) -> bool:
-    """Tell whether a file begins with one of some bytes; not if it cannot be read, which whoever reads on will say."""
+    """Return whether a file begins with one of several magic numbers; False if unreadable, which reading reports."""
     try:
         with path.open("rb") as stream:
             return stream.read(max(map(len, magics))).startswith(magics)
@@ -29,12 +30,13 @@ def begins_with(path: Path, magics: tuple[bytes, ...]) -> bool:
 
 
 def read_content(path: Path, error: type[InputError]) -> bytes:
-    """Return the content of a file; of one that gzip packed, what was packed.
+    """Return the content of a file, unpacked if it is compressed by gzip.
 
     Raises
     ------
     InputError
-        Of the class ``error``, if the file is missing, a folder, unreadable, or damaged or too large when unpacked.
+        Of the class ``error``, if the file is missing, a folder or unreadable, or if its packed content is damaged or
+        too large.
     """
     try:
         content = path.read_bytes()

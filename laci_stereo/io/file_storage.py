@@ -1,4 +1,4 @@
-"""OpenCV's FileStorage files, read without OpenCV, whose own reader hangs or crashes on many a malformed one."""
+"""OpenCV's FileStorage files, read without OpenCV, whose own reader hangs or crashes on many malformed ones."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from xml.etree.ElementTree import Element
 from laci_stereo.io.safe_xml import XmlError, parse_xml
 
 Node: TypeAlias = "float | str | list[Node] | dict[str, Node]"
-"""What stands in such a file: a number, a text, a sequence, or a map of names to nodes."""
+"""A node of such a file: a number, a text, a sequence, or a mapping of names to nodes."""
 
 _DEEPEST = 20
-# None of these looks twice at the same characters, so time grows with the length of the text, whatever it holds.
+# None of these patterns backtracks over the same characters, so the time is linear in the text's length.
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?\.?(nan|inf)", re.IGNORECASE)
 _TAG = re.compile(r"!\S*\s*|&\S+\s*")
 _KEY = re.compile(r"""("[^"]*"\s*|'[^']*'\s*|[^\s"'\[\]{},#][^"'\[\]{}:]*):(?:\s+(.*))?""", re.DOTALL)
@@ -28,14 +28,15 @@ class StorageError(ValueError):
 
 
 def parse_file_storage(text: str) -> Mapping[str, Node]:
-    """Read YAML, JSON or XML as OpenCV writes them; which of them it is, the first character tells.
+    """Parse YAML, JSON or XML as OpenCV writes them; the first character determines the syntax.
 
-    Of YAML this is the part that such files use: block and flow maps and sequences of plain scalars, one document.
+    Supported is the part of YAML that such files use: block and flow mappings and sequences of plain scalars, in one
+    document.
 
     Raises
     ------
     StorageError
-        If it is none of these, or nests deeper than such files do.
+        If the text is none of these, or nests deeper than such files do.
     """
     start = text.lstrip()[:1]
     if start == "{":
@@ -97,7 +98,7 @@ def _scalar(word: str) -> Node:
 
 
 class _YamlReader:
-    """Lines of a YAML document with their indents, read from the first to the last."""
+    """A reader of the lines of a YAML document and their indents, from first to last."""
 
     def __init__(self, text: str) -> None:
         self._lines = list(_logical_lines(text))
@@ -129,7 +130,7 @@ class _YamlReader:
                 break
             inner = content[1:].lstrip()
             if inner:
-                # What follows the dash is a block of its own, as if it stood on its own line.
+                # The text after the dash is a block of its own, as if it were on a line of its own.
                 self._lines[self._at] = (line, indent + len(content) - len(inner), inner)
                 items.append(self._block(depth + 1))
             else:
@@ -151,7 +152,7 @@ class _YamlReader:
         return entries
 
     def _value_below(self, indent: int, depth: int) -> Node:
-        # YAML lets a map's sequence stand at the indent of its key.
+        # In YAML, a sequence in a mapping may have the same indent as its key.
         dash = self._at < len(self._lines) and self._lines[self._at][2].startswith("-")
         return self._inner(indent if dash else indent + 1, depth)
 
@@ -162,7 +163,7 @@ class _YamlReader:
 
 
 def _logical_lines(text: str) -> Iterator[tuple[int, int, str]]:
-    """Yield number, indent and content of each line; a flow collection over several lines is one of them."""
+    """Yield number, indent and content of each line; a flow collection over several lines counts as one line."""
     pending: list[str] = []
     start, depth = 0, 0
     for i, raw in enumerate(text.splitlines(), start=1):
@@ -184,7 +185,7 @@ def _logical_lines(text: str) -> Iterator[tuple[int, int, str]]:
 
 
 def _flow(text: str, line: int) -> Node:
-    """Return a scalar, or a sequence or a map in brackets."""
+    """Parse a scalar, or a sequence or mapping in brackets."""
     if text[:1] not in ("[", "{"):
         return _scalar(text)
     words = _FLOW_WORD.findall(text)
@@ -195,7 +196,7 @@ def _flow(text: str, line: int) -> Node:
 
 
 def _flow_node(words: list[str], at: int, depth: int, line: int) -> tuple[Node, int]:
-    """Return the node that begins with a word, and the place of the word after it."""
+    """Return the node that begins at a word, and the index of the word after the node."""
     _check_depth(depth)
     if words[at] not in ("[", "{"):
         return _scalar(words[at].strip()), at + 1
@@ -210,7 +211,7 @@ def _flow_node(words: list[str], at: int, depth: int, line: int) -> tuple[Node, 
             item, at = _flow_node(words, at, depth + 1, line)
             items.append(item)
         else:
-            # "name: value" is one word, and "name: " before a bracket another.
+            # "name: value" is one word, and so is "name: " before a bracket.
             name, _, value = words[at].partition(":")
             inner = not value.strip() and at + 1 < len(words) and words[at + 1] in ("[", "{")
             node, at = _flow_node(words, at + 1, depth + 1, line) if inner else (_scalar(value.strip()), at + 1)

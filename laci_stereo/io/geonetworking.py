@@ -15,13 +15,13 @@ CAM_PORT = 2001
 _PORTS: Mapping[int, str] = dict(
     enumerate(("CAM", "DENM", "MAPEM", "SPATEM", "SAEM", "IVIM", "SREM", "SSEM", "CPM"), start=CAM_PORT)
 ) | {2018: "VAM"}
-"""What BTP's destination ports are for (TS 103 248)."""
+"""Message types by BTP destination port (TS 103 248)."""
 
 _COMMON, _SECURED = 1, 2
 _BTP = (1, 2)
 _BEACON, _LOCATION_SERVICE = 1, 6
 _EXTENDED_BYTES: Mapping[int, int] = {2: 48, 3: 44, 4: 44, 5: 28}
-"""Of the headers of unicast, anycast, broadcast, and single- or multi-hop packets."""
+"""Sizes of the extended headers by header type: unicast, anycast, broadcast, and single- or multi-hop packets."""
 
 _SIGNED_VERSION = 3
 _UNSECURED, _SIGNED = 0x80, 0x81
@@ -31,14 +31,14 @@ _HAS_GENERATION_TIME = 0x40
 
 
 class Payload(NamedTuple):
-    """What was sent to a BTP port.
+    """The payload of a packet for a BTP port.
 
     Attributes
     ----------
     data : bytes
     is_signed : bool
     signed_ns : int or None
-        When it was signed, Unix time, if it says so.
+        Unix time of signing, if the packet contains it.
     """
 
     data: bytes
@@ -47,19 +47,19 @@ class Payload(NamedTuple):
 
 
 def looks_like_packet(data: bytes) -> bool:
-    """Tell whether bytes may be a GeoNetworking packet: its version, next header and reserved byte."""
+    """Return whether the version, next header and reserved byte are those of a GeoNetworking packet."""
     return len(data) >= 12 and data[0] >> 4 <= 1 and data[0] & 15 in (_COMMON, _SECURED) and data[1] == 0
 
 
 def cam_payload(packet: bytes) -> Payload:
-    """Return the CAM in a packet; a signature is not verified.
+    """Return the CAM in a packet, still encoded; a signature is not verified.
 
     Raises
     ------
     OtherKindError
-        If it is a packet for something else, or encrypted.
+        If the packet is for another purpose, or encrypted.
     DamagedError
-        If it is cut off or makes no sense.
+        If it is cut off or inconsistent.
     """
     rest = _Bytes(packet)
     next_header = rest.take(4)[0] & 15
@@ -72,7 +72,7 @@ def cam_payload(packet: bytes) -> Payload:
 
 
 def _to_cam_port(rest: _Bytes) -> bytes:
-    """Take the common and the extended header and BTP's from the front, and return what follows."""
+    """Strip the common, the extended and the BTP header, and return the rest."""
     common = rest.take(8)
     header_type = common[1] >> 4
     if header_type == _BEACON:
@@ -89,7 +89,7 @@ def _to_cam_port(rest: _Bytes) -> bytes:
 
 
 def _signed_data(rest: _Bytes) -> tuple[bytes, int | None]:
-    """Return what was signed and when: Ieee1609Dot2Data in octet encoding (COER)."""
+    """Return the signed data and the time of signing from Ieee1609Dot2Data in octet encoding rules (COER)."""
     version, content = rest.take(2)
     if version != _SIGNED_VERSION:
         raise OtherKindError(f"secured packet of version {version}")
@@ -116,14 +116,14 @@ def _generation_time(header: _Bytes) -> int | None:
 
 
 class _Bytes:
-    """Bytes that are taken from the front."""
+    """A reader that takes bytes from the front."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._taken = 0
 
     def take(self, count: int) -> bytes:
-        """Return the next bytes."""
+        """Return the next ``count`` bytes."""
         end = self._taken + count
         if end > len(self._data):
             raise DamagedError(f"the packet has {len(self._data)} bytes; needed are at least {end}")
@@ -132,10 +132,10 @@ class _Bytes:
         return taken
 
     def length(self) -> int:
-        """Take a length determinant."""
+        """Read a length determinant."""
         first = self.take(1)[0]
         return int.from_bytes(self.take(first & 0x7F), "big") if first & 0x80 else first
 
     def rest(self) -> bytes:
-        """Return all that is left."""
+        """Return the remaining bytes."""
         return self._data[self._taken :]

@@ -1,4 +1,4 @@
-"""What decoders let pass: an image that was cut off decodes into grey garbage with no more than a warning."""
+"""Damage that image decoders tolerate: a truncated image decodes to grey areas with no more than a warning."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from laci_stereo.io.image_size import JPEG_END, PNM_HEADER, jpeg_segments, state
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _JPEG_PIXELS_PER_BYTE = 512
-"""A block of 8 x 8 pixels takes a bit at least, as Huffman's codes have one; a header that promises more is wrong."""
+"""A block of 8 x 8 pixels takes at least one bit, the shortest Huffman code; a header that states more pixels is
+wrong."""
 _CUT_OFF = "is cut off"
 
 
 def damage(content: bytes) -> str | None:
-    """Return what is wrong with the content of an image file, or None if that can only be told by decoding it."""
+    """Return what is wrong with an image file's content; None if it looks intact, which only decoding can confirm."""
     if not content:
         return "is empty"
     if content.startswith(_PNG):
@@ -46,7 +47,7 @@ def _png_damage(content: bytes) -> str | None:
 
 
 def _jpeg_damage(content: bytes) -> str | None:
-    # A thumbnail in the EXIF data has an end marker of its own, so the segments must be walked.
+    # A thumbnail in the EXIF data has its own end marker, so a search for the marker is not enough.
     width, height = stated_size(content) or (0, 0)
     if width * height > _JPEG_PIXELS_PER_BYTE * len(content):
         return f"promises {width} x {height} pixels in {len(content)} bytes (a JPEG)"
@@ -75,7 +76,7 @@ def _pnm_damage(content: bytes) -> str | None:
         return None
     kind, width, height = (int(match[i]) for i in (1, 2, 3))
     if kind == 4:
-        # A bitmap has no largest value, so what follows its height is already pixels.
+        # A PBM has no maximum value, so the pixels follow its height.
         return _short(content, match.end(3) + 1 + (width + 7) // 8 * height, "PBM")
     if match[4] is None:
         return None

@@ -1,4 +1,4 @@
-"""How large an image file says that it is, before anything of it is decoded."""
+"""Width, height and bit depth that an image file's header states, read before anything is decoded."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ PNM_HEADER = re.compile(
 )
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS = 256, 257, 258
 _TIFF_WHOLE_NUMBERS = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
-"""Types of a TIFF's entries, and how struct names them."""
+"""Integer types of TIFF entries, and their struct format characters."""
 _MOST_SAMPLES = 16
-"""Of a pixel, whose bits are looked at: colours and alpha are five at most."""
+"""Most samples per pixel whose bits are checked; colours and alpha are at most five."""
 _TIFF = rb"II[*+]\0|MM\0[*+]"
 
 
@@ -29,22 +29,22 @@ def stated_size(content: bytes) -> Size | None:
     Parameters
     ----------
     content : bytes
-        Of a PNG, JPEG, TIFF, BMP, WebP or portable anymap file; its first bytes tell which.
+        A PNG, JPEG, TIFF, BMP, WebP or portable anymap file, recognised by its first bytes.
 
     Returns
     -------
     tuple of int or None
-        None if it is none of them, or its header is cut off.
+        None if the content is in none of these formats, or its header is cut off.
     """
     read = next((read for start, read in _HEADERS if re.match(start, content, re.DOTALL)), None)
     try:
         return None if read is None else read(content)
-    except (struct.error, OverflowError):  # it is shorter than where its header leads
+    except (struct.error, OverflowError):  # an offset in the header is beyond the end of the file
         return None
 
 
 def stated_bits(content: bytes) -> int:
-    """Return how many bits a TIFF states for a sample; 0 for none, and other formats, which have 16 at the most."""
+    """Return the bits per sample that a TIFF states, 0 if none; 0 for other formats, which have at most 16."""
     try:
         return _tiff_entries(content).get(_TIFF_BITS, 0) if re.match(_TIFF, content) else 0
     except (struct.error, OverflowError):
@@ -52,7 +52,7 @@ def stated_bits(content: bytes) -> int:
 
 
 def jpeg_segments(content: bytes) -> Iterator[tuple[int, int]]:
-    """Yield each segment's marker and where its length stands; at its end marker a JPEG is over."""
+    """Yield the marker of each segment and the position of its length, up to the end marker."""
     at = 2
     while (match := _JPEG_MARKER.search(content, at)) is not None:
         marker = content[match.start() + 1]
@@ -82,7 +82,7 @@ def _tiff(content: bytes) -> Size | None:
 
 
 def _tiff_entries(content: bytes) -> dict[int, int]:
-    """Return what a TIFF states of its size and samples, by tag; of several values the greatest."""
+    """Return a TIFF's width, height and bits per sample by tag, as far as stated; of several values the greatest."""
     order = "<" if content.startswith(b"I") else ">"
     big = content[2:4] in (b"+\0", b"\0+")
     offset, count, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
@@ -95,7 +95,7 @@ def _tiff_entries(content: bytes) -> dict[int, int]:
         if tag in (_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS) and kind in _TIFF_WHOLE_NUMBERS:
             form = f"{order}{min(max(values, 1), _MOST_SAMPLES)}{_TIFF_WHOLE_NUMBERS[kind]}"
             place = at + (12 if big else 8)
-            if struct.calcsize(form) > struct.calcsize(order + offset):  # they stand elsewhere
+            if struct.calcsize(form) > struct.calcsize(order + offset):  # the entry holds an offset instead
                 (place,) = struct.unpack_from(order + offset, content, place)
             found[tag] = max(*struct.unpack_from(form, content, place), found.get(tag, 0))
         at += entry

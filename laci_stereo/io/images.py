@@ -1,4 +1,4 @@
-"""Folders of images, their times, and the images themselves."""
+"""Folders of images with their times, pairs of images, and reading and writing images."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ IMAGES = FileKind(
 )
 
 MOST_PIXELS = 100_000_000
-"""Of an image: four times what cameras beside roads have. With four channels of 16 bit it decodes into 0.8 GB; a header
-may promise any size in a few bytes."""
+"""Most pixels of an image, four times as many as roadside cameras have. With four channels of 16 bits, such an image
+decodes to 0.8 GB, and a header of a few bytes may state any size."""
 
 MOST_BITS = 16
-"""Of a pixel's channel; TIFFs may have 64."""
+"""Most bits per channel; TIFFs may have 64."""
 
-# A damaged image is one line of ours; OpenCV's own warnings say the same once more, with its source lines.
+# We report a damaged image in one line; OpenCV's own warnings would repeat it with its source lines.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 @dataclass(frozen=True)
 class ImageFolder:
-    """The images of one camera, none of them read yet, in the order of time.
+    """The image files of one camera, ordered by time; no image has been read yet.
 
     Attributes
     ----------
@@ -61,24 +61,24 @@ class ImageFolder:
 
     @classmethod
     def open(cls, path: Path) -> ImageFolder:
-        """List the images in a folder. Hidden files and files that are no images are left out.
+        """List the images in a folder, without hidden files and files in other formats.
 
         Raises
         ------
         ImageError
-            If the folder is missing, holds no image, or an image has no time or the time of another one.
+            If the folder is missing or holds no image, or an image has no time or the same time as another one.
         """
         return cls(path, *in_time(path, names_in(path, IMAGES), IMAGES))
 
     @property
     def period_ns(self) -> float:
-        """The median time between two images, nanoseconds."""
+        """The median interval between two images, nanoseconds."""
         return float(np.median(np.diff(self.stamps_ns)))
 
 
 @dataclass(frozen=True)
 class StereoPair:
-    """Two images that were taken together, at the time of the left one (Unix, nanoseconds)."""
+    """Two images that were taken together, with the time of the left one (Unix, nanoseconds)."""
 
     stamp_ns: int
     left: Path
@@ -87,15 +87,15 @@ class StereoPair:
 
 @dataclass(frozen=True)
 class Pairs:
-    """The pairs of a stereo recording in the order of time.
+    """The image pairs of a stereo recording, ordered by time.
 
     Attributes
     ----------
     pairs : tuple of StereoPair
     apart_ns : ndarray of int64, shape (n,)
-        How far apart the times of their images are.
+        Absolute time difference between the images of each pair.
     unpaired_left, unpaired_right : int
-        How many images have no partner.
+        Numbers of images without a partner.
     """
 
     pairs: tuple[StereoPair, ...]
@@ -108,12 +108,12 @@ class Pairs:
 
 
 def pair_images(left: ImageFolder, right: ImageFolder) -> Pairs:
-    """Pair the images of two cameras by the nearest time within half a frame period, one to one.
+    """Pair the images of two cameras one to one by nearest time, within half a frame period.
 
     Raises
     ------
     ImageError
-        If both folders are one, one holds less than two images, or less than half of the images find a partner.
+        If both folders are the same, one holds fewer than two images, or fewer than half of the images find a partner.
     """
     if left.path.resolve() == right.path.resolve():
         raise ImageError(f"{left.path} is given for the left and the right images; needed are two folders")
@@ -136,7 +136,7 @@ def pair_images(left: ImageFolder, right: ImageFolder) -> Pairs:
 
 
 def write_picture(path: Path, picture: Raster) -> None:
-    """Write a picture as a whole, in the format that the file's name says.
+    """Write a picture completely or not at all, in the format that the file's name determines.
 
     Raises
     ------
@@ -149,12 +149,12 @@ def write_picture(path: Path, picture: Raster) -> None:
 
 
 def read_image(path: Path) -> Image:
-    """Read an image as it was stored: 8 or 16 bit, grey or colour, without alpha, not turned by its EXIF data.
+    """Read an image as stored: 8 or 16 bits, grey or colour, without alpha, not rotated by its EXIF data.
 
     Raises
     ------
     ImageError
-        If it is missing, no image, larger than `MOST_PIXELS`, cut off or otherwise damaged.
+        If the file is missing, no image, larger than `MOST_PIXELS`, cut off or otherwise damaged.
     """
     try:
         content = path.read_bytes()
@@ -196,7 +196,7 @@ def first_size(files: Iterable[Path]) -> tuple[int, int]:
     Raises
     ------
     ImageError
-        The first image's, if none can be.
+        The error of the first image, if none can be read.
     """
     problem: ImageError | None = None
     for path in files:
@@ -217,7 +217,7 @@ def _without_alpha(image: npt.NDArray[np.generic]) -> Image:
 
 
 def _nearest(stamps_ns: IntArray, among_ns: IntArray) -> IntArray:
-    """Return for each stamp the index of the nearest one among the others, the earlier of two as near."""
+    """Return for each stamp the index of the nearest of the others; of two equally near ones, the earlier."""
     after = np.searchsorted(among_ns, stamps_ns).clip(1, len(among_ns) - 1)
     before = after - 1
     nearer_before = stamps_ns - among_ns[before] <= among_ns[after] - stamps_ns

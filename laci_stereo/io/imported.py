@@ -1,4 +1,4 @@
-"""Transforms of other tools as results of our own: what can be known of them, and what cannot."""
+"""Transforms of other tools, imported as results of this project, with null for what they leave unknown."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ from laci_stereo.io.text_file import quoted, shortened
 from laci_stereo.io.written_pose import WrittenPose, read_pose
 
 HIGHEST_M = 100.0
-"""Above the ground: the tallest masts along roads are half of it, so more is another unit, or an altitude."""
+"""Largest height of a sensor above the ground: the tallest masts beside roads have half of it, so a greater value is in
+another unit, or an altitude."""
 
 MOST_UP_DEG = 45.0
-"""Of a camera's line of sight: farther up, no lens that opens to 90 deg sees the ground. One that is tilted down by 0
-to 35 deg would look 55 to 90 deg up if its axes were x forward, z up."""
+"""Largest elevation of a camera's line of sight: beyond it, no lens with a field of view of 90 deg sees the ground. A
+camera tilted down by 0 to 35 deg appears to look 55 to 90 deg up if its pose is that of axes with x forward, z up."""
 
 FARTHEST_CENTRE_M = 1000.0
-"""From the sensor, which sees no farther; between both, the grid's scale makes 0.4 m of that."""
+"""Largest distance of the centre from the sensor, which sees no farther; over this distance, the grid scale makes a
+difference of 0.4 m."""
 
 DAIR_WORLD, DAIR_CAMERA = "virtuallidar_to_world.json", "virtuallidar_to_camera.json"
 
@@ -44,27 +46,28 @@ Direction = Literal["sensor-to-map", "map-to-sensor"]
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """What a user says about a transform of another tool.
+    """A user's statements about a transform of another tool.
 
     Attributes
     ----------
     kind : str or None
-        Of the sensor: stereo or lidar; None where the file says it.
+        Of the sensor: stereo or lidar; None: as the file states.
     crs : str or None
-        The UTM zone of the map; None where the file says it.
+        The UTM zone of the map; None: as the file states.
     origin : tuple of float or None
-        UTM east and north of the map frame's origin, and the ground's z in it; None for what the file says, or 0, 0, 0.
+        UTM east and north of the map frame's origin, and the ground's z in the map; None: as the file states, else
+        zeros.
     direction : str or None
-        None for what the file's names say, else from sensor to map.
+        Direction of the transform; None: as the names in the file imply, or from sensor to map.
     centre : tuple of float or None
-        UTM east and north where a rigid transform is true to scale; None for what the file says, or the sensor's place.
+        UTM east and north at which the rigid transform is true to scale; None: as the file states, or at the sensor.
     rectified : bool
-        It is of a camera whose images were rectified already; an export of ours says that itself.
+        Whether it is the pose of a camera for already rectified images; an export of this project states that itself.
     name : str or None
     entry : str or None
-        Which of several transforms in the file.
+        Name of the transform, if the file holds several.
     form : str or None
-        How the file is written; None finds it by the content.
+        Format of the file; None: recognised by its content.
     """
 
     kind: str | None = None
@@ -80,7 +83,7 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class Imported:
-    """A transform of another tool in our frames, and how it was understood."""
+    """A transform of another tool in our frames, with notes on its interpretation."""
 
     siting: Siting
     notes: tuple[str, ...]
@@ -92,15 +95,15 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
     Parameters
     ----------
     path : Path
-        A file; or a folder with DAIR-V2X's two of a camera.
+        A file, or a folder with DAIR-V2X's two files of a camera.
     options : ImportOptions
 
     Raises
     ------
     CalibrationFileError
-        If it cannot be read, is no rigid transform, or puts the sensor where none can be.
+        If the file cannot be read, holds no rigid transform, or puts the sensor at an impossible position.
     SettingError
-        If something that the file does not say was not said either.
+        If neither the file nor the options state a required quantity, or they contradict each other.
     """
     pose, told = _read(path, options)
     kind = _said("the sensor's kind", "--kind stereo or lidar", options.kind, told.kind if told else None, path)
@@ -108,7 +111,7 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
         raise CalibrationFileError(f"{path}: the sensor's kind is {quoted(kind)}; needed is {', '.join(_KIND_AXES)}")
     told_crs = told.world.crs if told else None
     crs = utm_code(shortened(_said("its UTM zone", "--crs EPSG:326..", options.crs, told_crs, path)))
-    if told is not None and pose.from_map is None:  # the other exports of ours say it by a name
+    if told is not None and pose.from_map is None:  # in our other exports, a name states the direction
         pose = replace(pose, from_map=False)
     T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
     T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, told)
@@ -141,7 +144,7 @@ def _read(path: Path, options: ImportOptions) -> tuple[WrittenPose, Statement | 
 
 
 def _check_foreign(path: Path, file: Path) -> None:
-    """Refuse a result of our own, which needs no import."""
+    """Raise if a file is a result of this project, which needs no import."""
     if file.is_file() and b'"schema": "laci-calibration/' in read_content(file, CalibrationFileError)[:1000]:
         raise CalibrationFileError(
             f"{path} is a result already; needed is a file of another tool: check, compare and export take a result as "
@@ -161,7 +164,7 @@ def _said(what: str, option: str, asked: str | None, told: str | None, path: Pat
 
 
 def _frame(path: Path, kind: str, told: str | None, rectified: bool) -> str:
-    """Return the words for the sensor's frame."""
+    """Return the description of the sensor's frame."""
     if rectified and (kind != "stereo" or told not in (None, RECTIFIED_FRAME)):
         what = kind if told is None else f"{kind}, its frame {quoted(told)}"
         raise SettingError(
@@ -171,7 +174,7 @@ def _frame(path: Path, kind: str, told: str | None, rectified: bool) -> str:
 
 
 def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, axes: Axes) -> tuple[FloatArray, str]:
-    """Return the transform from sensor to map, and how its direction is known."""
+    """Return the transform from sensor to map, and a note on how its direction is known."""
     asked, ground = options.direction, (*(options.origin or ()), 0.0, 0.0, 0.0)[2]
     from_map = asked == "map-to-sensor" if asked is not None else bool(pose.from_map)
     T, other = (invert(pose.T), pose.T) if from_map else (pose.T, invert(pose.T))
@@ -191,14 +194,14 @@ def _way(from_map: bool) -> Direction:
 
 
 def _stands(T_map_sensor: FloatArray, axes: Axes, ground: float) -> bool:
-    """Tell whether a sensor hangs above the ground, which is at that z of the map, with its upper side up."""
+    """Return whether a sensor is upright and above the ground, which is at z = ``ground`` in the map."""
     return bool(0.0 < T_map_sensor[2, 3] - ground <= HIGHEST_M and (T_map_sensor[:3, :3] @ np.array(axes.up))[2] > 0.0)
 
 
 def _in_utm(
     path: Path, T_map_sensor: FloatArray, origin: tuple[float, ...] | None, told: Statement | None
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Add the origin of the map frame, where the numbers are no UTM coordinates already."""
+    """Add the map frame's origin, unless the numbers are UTM coordinates already; return the result with notes."""
     T = T_map_sensor.copy()
     east, north = T[:2, 3]
     if told is not None:
@@ -227,18 +230,18 @@ def _in_utm(
 
 
 def _is_utm(east: float, north: float) -> bool:
-    """Tell whether coordinates are UTM's: no zone, even a widened one, is more than 4 deg to either side of 500 km."""
+    """Return whether coordinates are plausible in UTM: zones, even widened ones, lie within 450 km of 500 km east."""
     return 5e4 <= east <= 9.5e5 and 0.0 <= north <= 1e7
 
 
 def _is_of_grid(east: float, north: float, origin: tuple[float, float]) -> bool:
-    """Tell whether coordinates are in a grid itself, and do not count from its point ``origin``, which is near."""
+    """Return whether coordinates are in the grid itself, not relative to its point ``origin``, which is near."""
     return math.hypot(east - origin[0], north - origin[1]) < math.hypot(east, north)
 
 
 def _check_place(path: Path, T_utm_sensor: FloatArray, told: Statement | None) -> None:
     east, north, height = T_utm_sensor[:3, 3]
-    # A file of ours says where its grid begins, which may go on into the zone beside its own.
+    # A file of ours states the origin of its grid, and may extend into the neighbouring zone.
     if not (_is_utm(east, north) if told is None else _is_of_grid(east, north, told.world.origin_utm)):
         raise CalibrationFileError(
             f"{path}: the sensor would stand at UTM {east:.6g}, {north:.6g}; needed are metres in a UTM zone: look at "
@@ -252,7 +255,7 @@ def _check_place(path: Path, T_utm_sensor: FloatArray, told: Statement | None) -
 
 
 def _check_sight(path: Path, T_utm_sensor: FloatArray) -> None:
-    """Refuse a camera's pose in another frame than its optical one."""
+    """Raise if a camera's pose is in another frame than its optical one."""
     up_deg = -viewing_angles(T_utm_sensor, OPENCV_AXES).down_deg
     if up_deg > MOST_UP_DEG:
         raise CalibrationFileError(
@@ -289,7 +292,7 @@ def _centre(
 def _in_world(
     world: World, T_utm_sensor: FloatArray, grid_scale: float | None, centre_world: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ``T_world_sensor`` and the centre; a transform that holds the grid's scale is exact everywhere."""
+    """Return ``T_world_sensor`` and the centre; a transform that includes the grid scale is exact everywhere."""
     T_map_sensor = T_utm_sensor.copy()
     T_map_sensor[:2, 3] -= world.origin_utm
     if grid_scale is None:
@@ -299,12 +302,12 @@ def _in_world(
 
 
 def imported_document(imported: Imported, inputs: dict[str, str], options: dict[str, object]) -> Document:
-    """Write it as a result; what nobody knows of it is null.
+    """Return an imported transform as a result document, with null for unknown quantities.
 
     Raises
     ------
     CalibrationFileError
-        If that does not fit the schema.
+        If the document does not conform to the schema.
     """
     siting = imported.siting
     angles = viewing_angles(siting.T_world_sensor, _KIND_AXES[siting.kind])

@@ -1,4 +1,4 @@
-"""ETSI's clock, which counts milliseconds since 2004-01-01 UTC and no leap second away, and what CAMs send of it."""
+"""ETSI's clock: milliseconds since 2004-01-01 UTC, leap seconds included; and generationDeltaTime, derived from it."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ ITS_EPOCH_NS = 1_072_915_200 * 10**9
 """Unix time of 2004-01-01T00:00:00Z."""
 
 LEAP_SECONDS_FROM_S = (1_136_073_600, 1_230_768_000, 1_341_100_800, 1_435_708_800, 1_483_228_800)
-"""Unix times at which a leap second had just been inserted since then (2006, 2009, 2012, 2015, 2017)."""
+"""Unix times right after the leap seconds that were inserted since 2004 (2006, 2009, 2012, 2015, 2017)."""
 
 DELTA_PERIOD_MS = 1 << 16
 
 SAME_CLOCK_NS = 10**9
-"""A message takes some 0.1 s from its position to the receiver, and people's clocks agree to some tenths; a second is a
-fifth of what a sender is off that forgets the leap seconds."""
+"""Largest difference between clocks that count as synchronous: a message is received some 0.1 s after its position was
+measured, and users' clocks agree to some tenths of a second. A sender that ignores the leap seconds is off by five
+times as much."""
 
 
 @dataclass(frozen=True)
 class GenerationTimes:
-    """When messages were generated.
+    """Generation times of messages.
 
     Attributes
     ----------
     stamps_ns : ndarray of int64, shape (n,)
         Unix time.
     notes : tuple of str
-        How the clocks compare.
+        How the clocks of senders and receiver differ.
     """
 
     stamps_ns: IntArray
@@ -39,23 +40,25 @@ class GenerationTimes:
 
 
 def unix_ns(its_us: int) -> int:
-    """Return the Unix time of microseconds on ETSI's clock."""
+    """Return the Unix time, nanoseconds, of a time in microseconds on ETSI's clock."""
     ns = ITS_EPOCH_NS + its_us * 1000
     return ns - 10**9 * int(_leap_seconds(np.array([min(ns, 2**63 - 1)]))[0])
 
 
 def generation_times(received_ns: IntArray, delta_ms: IntArray, stations: IntArray) -> GenerationTimes:
-    """Return when messages were generated: the time nearest to their reception whose remainder they send.
+    """Return generation times: those nearest to the reception that agree with generationDeltaTime.
 
-    ``generationDeltaTime`` is ETSI's time in milliseconds modulo 65,536 (EN 302 637-2, B.3).
+    ``generationDeltaTime`` is the time of ETSI's clock in milliseconds modulo 65,536 (EN 302 637-2, B.3).
 
     Parameters
     ----------
     received_ns : ndarray of int64, shape (n,)
-        Unix time.
+        Time of reception, Unix time.
     delta_ms : ndarray of int64, shape (n,)
+        Each message's ``generationDeltaTime``.
     stations : ndarray of int64, shape (n,)
-        A sender that leaves the leap seconds out is recognised by its messages' delay, and put right.
+        Each message's sender. A sender whose clock omits the leap seconds is recognised by the median delay of its
+        messages, and its times are corrected.
     """
     leap_ns = 10**9 * _leap_seconds(received_ns)
     its_ms = (received_ns - ITS_EPOCH_NS + leap_ns) // 10**6
@@ -85,13 +88,13 @@ def _delay_note(delay_ns: IntArray) -> str:
 
 
 def _leap_seconds(stamps_ns: IntArray) -> IntArray:
-    """Return how many leap seconds there were between 2004 and Unix times."""
+    """Return the number of leap seconds inserted between 2004 and each Unix time."""
     inserted = np.searchsorted(np.array(LEAP_SECONDS_FROM_S) * 10**9, stamps_ns, side="right")
     return inserted.astype(np.int64)
 
 
 def _medians(values: IntArray, groups: Sequence[int] | IntArray) -> IntArray:
-    """Return for each value the median of its group, shape (n,)."""
+    """Return for each value the median of its group (of an even number, the upper one), shape (n,)."""
     _, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
     ordered = values[np.lexsort((values, group))]
     medians: IntArray = ordered[np.cumsum(counts) - counts + counts // 2][group]

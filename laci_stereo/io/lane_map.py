@@ -1,4 +1,4 @@
-"""Lane maps: the lines that a map's file holds, in the world frame."""
+"""Lane maps: the lines of a map's file, in the world frame."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class LaneLine:
     Attributes
     ----------
     kind : str
-        Lanelet2's type, such as ``line_thin``, ``curbstone``, ``stop_line`` or ``virtual``; empty if it has none.
+        Lanelet2's type, such as ``line_thin``, ``curbstone``, ``stop_line`` or ``virtual``; empty if there is none.
     subtype : str
-        Such as ``solid`` or ``dashed``; empty if it has none.
+        Such as ``solid`` or ``dashed``; empty if there is none.
     xy : ndarray, shape (n, 2)
-        At least two points in the world.
+        At least two points, world frame.
     id : str
-        Its name in the file.
+        Its identifier in the file.
     """
 
     kind: str
@@ -53,20 +53,20 @@ class LaneLine:
 
 @dataclass(frozen=True)
 class LaneMap:
-    """The lines of a lane map, and a note on everything in its file that is none of them."""
+    """The lines of a lane map, and notes on all parts of its file that are not among them."""
 
     lines: tuple[LaneLine, ...]
     notes: tuple[str, ...]
 
 
 def find_lane_map(recording: Path) -> Path | None:
-    """Return the map that lies beside a folder of left images or scans, or a file, if there is one."""
+    """Return the map beside a folder of left images or scans, or beside a file; None if there is none."""
     beside = recording.absolute().parent
     return next((beside / name for name in MAP_FILES if (beside / name).is_file()), None)
 
 
 def read_lane_map(path: Path, to_world: World, crs: str | None = None) -> LaneMap:
-    """Read a lane map; its content tells its format.
+    """Read a lane map; its format is recognised by its content.
 
     Parameters
     ----------
@@ -74,15 +74,15 @@ def read_lane_map(path: Path, to_world: World, crs: str | None = None) -> LaneMa
         Lanelet2, OpenDRIVE, GeoJSON, DXF or CSV.
     to_world : World
     crs : str or None
-        The system of its coordinates where the file does not state it, as ``EPSG:25832``, or as ``EPSG:25832@E,N``
-        where they are counted from there; None takes the world's if the lines then lie near the track.
+        The map's coordinate system where the file does not state it, such as ``EPSG:25832``, or ``EPSG:25832@E,N`` for
+        coordinates relative to E, N. None: the world's, if the lines then lie near the track.
 
     Raises
     ------
     MapError
-        If it cannot be read, holds no lines, or lies more than 5 km from the world's origin.
+        If the map cannot be read, holds no lines, or lies more than 5 km from the world's origin.
     SettingError
-        If ``crs`` is not known.
+        If ``crs`` is unknown.
     """
     asked = None if crs is None else parse_map_frame(crs)
     drawn = to_degrees(path, _with_lines(path, _read(path, prefer_local=asked is not None)), to_world, asked)
@@ -117,7 +117,7 @@ def _read_xml(path: Path, text: str, *, prefer_local: bool) -> DrawnMap:
 
 
 def _with_lines(path: Path, drawn: DrawnMap) -> DrawnMap:
-    """Leave out what is a point only."""
+    """Drop lines of fewer than two points."""
     lines = tuple(line for line in drawn.lines if len(line.xy) > 1)
     if not lines:
         raise MapError(f"{path} holds no lines; needed are lane lines ({listed(list(drawn.notes)) or 'it is empty'})")

@@ -1,4 +1,4 @@
-"""Lanes of a Lanelet2 map: which of its lines bound a lane, and which way traffic drives in it."""
+"""Lanes of a Lanelet2 map: the lines that bound each lane, and its direction of travel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FOR_PEOPLE = frozenset({"crosswalk", "walkway", "shared_walkway", "stairs"})
 """Subtypes of lanelets that no vehicle drives on."""
 
 STEP_M = 1.0
-"""Spacing of a centre line's points: in a bend with a radius of 10 m the chord is 1 cm off the arc."""
+"""Spacing of points along a lane: in a bend with a radius of 10 m, the chord deviates by 1 cm from the arc."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Lane:
     Attributes
     ----------
     id : str
-        Of the relation in the file.
+        Identifier of the relation in the file.
     left, right : ndarray, shape (n, 2)
-        Boundaries, in the direction of travel, at the same shares of their lengths; n >= 2.
+        Boundaries in the direction of travel, sampled at the same fractions of their lengths; n >= 2.
     one_way : bool
-        Whether traffic drives in that direction only.
+        Whether traffic drives in this direction only.
     """
 
     id: str
@@ -44,25 +44,25 @@ class Lane:
 
     @property
     def centre(self) -> FloatArray:
-        """The line in the middle, shape (n, 2)."""
+        """The centre line, shape (n, 2)."""
         middle: FloatArray = (self.left + self.right) / 2
         return middle
 
 
 def read_lanelets(path: Path, lane_map: LaneMap) -> tuple[Lane, ...]:
-    """Read which lanes the lines of a map bound.
+    """Read the lanes that a map's lines bound.
 
     Parameters
     ----------
     path : Path
-        The map's file. What is no Lanelet2 has no lanes.
+        The map's file. Maps in other formats than Lanelet2 have no lanes.
     lane_map : LaneMap
-        As it was read from that file: its lines have the names of the file's ways.
+        The map that was read from this file: its lines have the identifiers of the file's ways.
 
     Returns
     -------
     tuple of Lane
-        Those that vehicles drive on, whose boundaries the map has.
+        The lanes for vehicles whose boundaries are in the map.
 
     Raises
     ------
@@ -94,9 +94,9 @@ def _lane(relation: Element, lines: dict[str, FloatArray]) -> Lane | None:
 
 
 def lane_between(name: str, left: FloatArray, right: FloatArray, *, one_way: bool) -> Lane | None:
-    """Lay a lane between two boundaries, shape (n, 2) each, whichever way each of them runs.
+    """Return the lane between two boundaries, shape (n, 2) each, which may run in either direction.
 
-    Its direction is the one that has the left boundary on its left. None where they have no length.
+    The lane's direction is the one that has the left boundary on its left. None if a boundary has no length.
     """
     if np.linalg.norm(left[[0, -1]] - right[[0, -1]], axis=1).sum() > (
         np.linalg.norm(left[[0, -1]] - right[[-1, 0]], axis=1).sum()
@@ -114,7 +114,7 @@ def lane_between(name: str, left: FloatArray, right: FloatArray, *, one_way: boo
 
 
 def _joined(pieces: Sequence[FloatArray]) -> FloatArray:
-    """Put pieces of a boundary, shape (n, 2) each, one behind the other, each turned to where it meets the last."""
+    """Join pieces of a boundary, shape (n, 2) each, end to end, each reversed if its end is nearer to the last one."""
     line, *others = pieces
     if others and _gap(line[-1], others[0]) > _gap(line[0], others[0]):
         line = line[::-1]
@@ -133,7 +133,7 @@ def _length_m(line: FloatArray) -> float:
 
 
 def _resampled(line: FloatArray, count: int) -> FloatArray:
-    """Return so many points at equal shares of a line's length, shape (count, 2)."""
+    """Return ``count`` points at equal distances along a line, shape (count, 2)."""
     along = along_line(line)
     places = np.linspace(0.0, along[-1], count)
     return np.column_stack([np.interp(places, along, line[:, axis]) for axis in (0, 1)])

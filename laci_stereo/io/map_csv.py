@@ -1,4 +1,4 @@
-"""Lane maps in tables: a row for each point, in the order of the line."""
+"""Lane maps in CSV tables: a row for each point, in the order of its line."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ SUBTYPE = Column("subtype", ("style", "linestyle"))
 
 
 def read_csv_map(path: Path) -> DrawnMap:
-    """Read polylines: x and y, or latitude and longitude, and the name of the line that a row's point belongs to.
+    """Read polylines from columns of x and y, or latitude and longitude, and of the name of each point's line.
 
     Raises
     ------
     MapError
-        If it cannot be read, lacks a column, or is the log of a drive.
+        If the file cannot be read, lacks a column, or is the log of a drive.
     """
     table = read_table(path, (), MapError, "point")
     if TIMESTAMP.find(table.header) is not None and HEADING.find(table.header) is not None:
@@ -57,7 +57,7 @@ def read_csv_map(path: Path) -> DrawnMap:
 
 
 def _lines(table: Table, xy: FloatArray, bad: set[int]) -> tuple[DrawnLine, ...]:
-    """Return the points of each name as a line, in the order of the rows."""
+    """Return the points with the same name as a line, in the order of the rows."""
     blank = [""] * len(xy)
     names, kinds, subtypes = (table.texts(column) or blank for column in (ID, KIND, SUBTYPE))
     rows: dict[str, list[int]] = {}

@@ -1,4 +1,4 @@
-"""Lane maps in DXF: lines, polylines, arcs and splines of the model, their layers as tags."""
+"""Lane maps in DXF: lines, polylines, arcs and splines in model space, with their layers as types."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _LANELET2 = {"", "line_thin", "line_thick", "stop_line", "pedestrian_marking", "
 
 _MOST_POINTS = 5_000_000
 _METRES = {0: 1.0, 1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 7: 1000.0, 14: 0.1}
-"""Per unit of the drawing, by the code of its header's $INSUNITS; where that says nothing (0), metres."""
+"""Metres per drawing unit, by the code in the header's $INSUNITS; unspecified units (0) are metres."""
 
 
 def read_dxf(path: Path) -> DrawnMap:
     """Read the lines in a drawing's model space.
 
-    A layer named as one of Lanelet2's types, or as type and subtype with a hyphen between them such as
-    ``line_thin-dashed``, tells what its lines are.
+    A layer that is named like a Lanelet2 type, or like type and subtype with a hyphen between them, such as
+    ``line_thin-dashed``, determines the type of its lines.
 
     Raises
     ------
     MapError
-        If ezdxf is not installed, or the file is no drawing.
+        If ezdxf is not installed, or the file is no valid drawing.
     """
     code, entities = _model(path)
     if code not in _METRES:
@@ -64,7 +64,7 @@ def read_dxf(path: Path) -> DrawnMap:
 
 
 def _model(path: Path) -> tuple[Any, list[Any]]:
-    """Return a drawing's unit and entities; whatever ezdxf raises over a damaged one is the drawing's fault."""
+    """Return a drawing's unit code and entities; any exception of ezdxf means that the drawing is damaged."""
     try:
         from ezdxf.filemanagement import readfile
     except ImportError as missing:
@@ -87,7 +87,7 @@ def _tags(layer: str) -> tuple[str, str]:
 
 
 def _polylines(path: Path, entity: Any, unit_m: float) -> Iterator[np.ndarray[Any, np.dtype[np.float64]]]:
-    """Yield what an entity draws, as polylines in metres, shape (n, 2)."""
+    """Yield the polylines that an entity consists of, in metres, shape (n, 2)."""
     try:
         _check_size(entity, LARGEST / unit_m)
         parts = [_vertices(part) * unit_m for part in _parts(entity, CHORD_M / unit_m)]
@@ -116,7 +116,7 @@ def _parts(entity: Any, chord: float) -> Iterator[Iterable[Any]]:
 
 
 def _check_size(entity: Any, largest: float) -> None:
-    """Raise before curves are cut that are so large that it would take for ever."""
+    """Raise if a curve is so large that flattening it would take forever."""
     attributes = entity.dxf.all_existing_dxf_attribs()
     sizes = [attributes.get("radius", 0.0), *attributes.get("major_axis", ())]
     sizes += [value for point in getattr(entity, "control_points", ()) for value in point]
@@ -125,7 +125,7 @@ def _check_size(entity: Any, largest: float) -> None:
 
 
 def _bulged(points: list[tuple[float, float, float]], error: float, *, closed: bool) -> Iterator[tuple[float, float]]:
-    """Yield the corners of a polyline, and points between two of them where it bulges: by the tangent of a quarter."""
+    """Yield a polyline's vertices, and points on its arcs; a bulge is the tangent of a quarter of an arc's angle."""
     following = points[1:] + (points[:1] if closed else [])
     for (x, y, bulge), (to_x, to_y, _) in zip(points, following, strict=False):
         yield x, y

@@ -1,4 +1,4 @@
-"""Lane maps in GeoJSON: lines and borders of areas, with properties ``type`` and ``subtype`` as in Lanelet2."""
+"""Lane maps in GeoJSON: lines and outlines of areas, with Lanelet2's ``type`` and ``subtype`` as properties."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COLLECTIONS: Mapping[object, str] = {"FeatureCollection": "features", "Geometry
 
 @dataclass(frozen=True)
 class _Shape:
-    """A geometry in a GeoJSON file, with the properties of its feature."""
+    """A geometry of a GeoJSON file, with the properties and identifier of its feature."""
 
     kind: str
     coordinates: object
@@ -34,13 +34,13 @@ class _Shape:
 def read_geojson(path: Path, text: str) -> DrawnMap:
     """Read the lines of a GeoJSON file.
 
-    Degrees are what its standard asks for. Other systems it named in a member ``crs`` until 2016; where that is missing
-    and the numbers are no degrees, the system is not stated.
+    The standard requires degrees. Until 2016 it allowed other systems, named in a member ``crs``; where that is missing
+    and the numbers cannot be degrees, the coordinate system is unknown.
 
     Raises
     ------
     MapError
-        If it is no GeoJSON.
+        If the text is no GeoJSON.
     """
     try:
         root = json.loads(text)

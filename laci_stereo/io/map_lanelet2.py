@@ -1,4 +1,4 @@
-"""Lanelet2 maps: OpenStreetMap's XML, with positions in degrees or in local metres."""
+"""Lanelet2 maps: OpenStreetMap XML, with positions in degrees or in local metres."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def read_lanelet2(path: Path, root: Element, *, prefer_local: bool) -> DrawnMap:
     path : Path
     root : Element
     prefer_local : bool
-        Take ``local_x`` and ``local_y`` where both these and degrees are there.
+        Use ``local_x`` and ``local_y`` where the nodes have both these and degrees.
 
     Raises
     ------
     MapError
-        If a node is at no position, or none of them is at any.
+        If a node's position is invalid, or no node has a position.
     """
     nodes = {node.get("id", ""): _degrees(path, node) for node in root.iterfind("node")}
     local = {node.get("id", ""): _local(path, node) for node in root.iterfind("node")}
@@ -64,7 +64,7 @@ def _tags(element: Element) -> dict[str, str]:
 
 
 def _degrees(path: Path, node: Element) -> tuple[float, float] | None:
-    """Return a node's longitude and latitude, or None if it has none, which maps with local coordinates write as 0."""
+    """Return a node's longitude and latitude; None if missing or 0, as written by maps with local coordinates."""
     longitude, latitude = (node.get(key) or "0" for key in ("lon", "lat"))
     values = tuple(number(text) for text in (longitude, latitude))
     if not all(value is not None and abs(value) <= limit for value, limit in zip(values, (180, 90), strict=True)):

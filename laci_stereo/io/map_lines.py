@@ -1,4 +1,4 @@
-"""Lines of a map as its file has them, and the way from there to latitude and longitude."""
+"""Lines of a map in the coordinate system of its file, and their conversion to longitude and latitude."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from laci_stereo.core.world import World
 from laci_stereo.io.text_file import listed, quoted
 
 FARTHEST_M = 5000.0
-"""From the track: a map whose nearest point is farther away is of another place."""
+"""Largest distance from the track: a map whose nearest point is farther away is of another place."""
 
 GEODETIC = "EPSG:4326"
-"""WGS84, which in map files is longitude, then latitude, in degrees."""
+"""WGS84; in map files, longitude precedes latitude, in degrees."""
 
 LARGEST = 1e9
-"""Degrees or metres: a coordinate beyond is a mistake, in any system."""
+"""Largest coordinate, degrees or metres: larger ones are a mistake in any coordinate system."""
 
 _COUNTED_FROM = re.compile(r"(.+?)@([+-]?\d+(?:\.\d*)?),([+-]?\d+(?:\.\d*)?)", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class DrawnLine:
-    """A line as its file has it.
+    """A line in the coordinates of its file.
 
     Attributes
     ----------
     kind, subtype : str
-        Lanelet2's; empty if it has none.
+        Lanelet2's; empty if there is none.
     xy : ndarray, shape (n, 2)
         In the map's coordinate system: east before north, longitude before latitude.
     id : str
@@ -48,7 +48,7 @@ class DrawnLine:
 
 @dataclass(frozen=True)
 class DrawnMap:
-    """The lines of a file, notes on what of it was left out, and the coordinate system that it states, if it does."""
+    """The lines of a file, notes on parts of it that were left out, and the coordinate system if the file states it."""
 
     lines: tuple[DrawnLine, ...]
     notes: tuple[str, ...]
@@ -57,19 +57,19 @@ class DrawnMap:
 
 @dataclass(frozen=True)
 class MapFrame:
-    """What a user says about a map's coordinates: their system, and where in it they are counted from."""
+    """A user's statement about a map's coordinates: their system, and the point in it that they are relative to."""
 
     crs: CRS
     origin: tuple[float, float]
 
 
 def parse_map_frame(text: str) -> MapFrame:
-    """Read ``CRS`` or ``CRS@E,N``, where CRS is anything that PROJ knows.
+    """Parse ``CRS`` or ``CRS@E,N``, where CRS is any text that PROJ accepts.
 
     Raises
     ------
     SettingError
-        If it is not known.
+        If PROJ does not know the system.
     """
     counted = _COUNTED_FROM.fullmatch(text)
     name, origin = (counted[1], (float(counted[2]), float(counted[3]))) if counted else (text, (0.0, 0.0))
@@ -83,10 +83,10 @@ def parse_map_frame(text: str) -> MapFrame:
 
 
 def to_degrees(path: Path, drawn: DrawnMap, world: World, asked: MapFrame | None) -> DrawnMap:
-    """Bring the lines of a map to longitudes and latitudes (WGS84).
+    """Convert the lines of a map to longitude and latitude (WGS84).
 
-    The system is the one that the file states, else the one that was asked for, else the world's, if only that can be
-    meant because the lines lie within its reach.
+    Their coordinate system is the one that the file states, else the one that the user states, else the world's,
+    provided that the lines then lie near the track.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def to_degrees(path: Path, drawn: DrawnMap, world: World, asked: MapFrame | None
     Raises
     ------
     MapError
-        If the system is not known, or has no such coordinates.
+        If the system is unknown, or a coordinate is invalid in it.
     """
     check_numbers(path, drawn.lines)
     crs, origin, note = _system(path, drawn, world, asked)
@@ -121,14 +121,14 @@ def to_degrees(path: Path, drawn: DrawnMap, world: World, asked: MapFrame | None
 
 
 def check_numbers(path: Path, lines: tuple[DrawnLine, ...]) -> None:
-    """Raise if a coordinate is no number that can be one.
+    """Raise if a coordinate is not finite, or too large for any coordinate system.
 
     Raises
     ------
     MapError
     """
     for line in lines:
-        off = np.flatnonzero(~(np.abs(line.xy) < LARGEST).all(axis=1))  # which NaN is not, either
+        off = np.flatnonzero(~(np.abs(line.xy) < LARGEST).all(axis=1))  # true for NaN, too
         if len(off):
             raise MapError(
                 f"{path}: line {quoted(line.id)} has a point at {quoted(str(line.xy[off[0]].tolist()))}; needed are "
@@ -139,7 +139,7 @@ def check_numbers(path: Path, lines: tuple[DrawnLine, ...]) -> None:
 def _system(
     path: Path, drawn: DrawnMap, world: World, asked: MapFrame | None
 ) -> tuple[CRS, tuple[float, float], tuple[str, ...]]:
-    """Return the coordinate system of the lines, where they are counted from, and how that is known."""
+    """Return the lines' coordinate system, the origin of their coordinates in it, and notes on how these are known."""
     if drawn.crs == GEODETIC:
         return CRS(GEODETIC), (0.0, 0.0), ()
     if drawn.crs is not None:
@@ -162,7 +162,7 @@ def _system(
 
 def _known(path: Path, name: str) -> CRS:
     try:
-        # Heights are not used, and the grids that they would need are seldom installed.
+        # Heights are not used, and the geoid grids that they require are seldom installed.
         return CRS.from_user_input(re.sub(r"\+(geoidgrids|vunits)=\S+", "", name).strip())
     except CRSError as problem:
         raise MapError(f"{path}: crs is {quoted(name)}; needed is a name that PROJ knows, as EPSG:25832") from problem

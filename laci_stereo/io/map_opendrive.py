@@ -1,4 +1,4 @@
-"""ASAM OpenDRIVE maps: the borders of lanes and their road marks, as lines."""
+"""ASAM OpenDRIVE maps: the borders of lanes with their road marks, as lines."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _THIN, _THICK = "line_thin", "line_thick"
 _OTHER_KINDS = {"none": ("virtual", ""), "curb": ("curbstone", "high"), "edge": ("road_border", "")}
 
 _MOST_POINTS = 5_000_000
-"""Of a map: some 10,000 km of road; each costs 16 bytes."""
+"""Most points in a map: some 10,000 km of road; each point takes 16 bytes."""
 
 
 @dataclass(frozen=True)
 class _Cubics:
-    """A piecewise cubic along a road: where its pieces start, shape (n,), and their coefficients, shape (n, 4)."""
+    """A piecewise cubic along a road: the start of each piece, shape (n,), and its coefficients, shape (n, 4)."""
 
     starts: FloatArray
     coefficients: FloatArray
@@ -45,7 +45,7 @@ class _Cubics:
     def __call__(self, s: FloatArray) -> FloatArray:
         if not len(self.starts):
             return np.zeros(len(s))
-        # Before its first piece it is not defined; that piece is continued, as most readers do.
+        # The cubic is undefined before its first piece, which is extrapolated, as most readers do.
         owner = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, None)
         a, b, c, d = self.coefficients[owner].T
         along = s - self.starts[owner]
@@ -55,7 +55,7 @@ class _Cubics:
 
 @dataclass(frozen=True)
 class _Lane:
-    """A lane of a section: its number, its width or else its border, and its element."""
+    """A lane of a section: its number, its width or else its border, and its XML element."""
 
     number: int
     width: _Cubics
@@ -65,7 +65,7 @@ class _Lane:
 
 @dataclass(frozen=True)
 class _Section:
-    """A stretch of a road with the same lanes, from ``start`` to ``end`` along it."""
+    """A part of a road with the same lanes, from ``start`` to ``end`` along the road, metres."""
 
     start: float
     end: float
@@ -76,7 +76,7 @@ class _Section:
         return {lane.number: lane for lane in self.lanes}
 
     def offset(self, number: int, s: FloatArray) -> FloatArray:
-        """Return how far left of the lanes' middle the outer border of a lane is."""
+        """Return the lateral offset of a lane's outer border from the lanes' centre, to the left, metres, (n,)."""
         side = int(math.copysign(1, number))
         left = np.zeros(len(s))
         for each in range(side, number + side, side) if number else ():
@@ -88,7 +88,7 @@ class _Section:
 
 @dataclass(frozen=True)
 class _Road:
-    """A road: its name, its reference line, where its lanes' middle is beside that, and its sections."""
+    """A road: its name, its reference line, the lateral offset of its lanes' centre from that, and its sections."""
 
     name: str
     line: ReferenceLine
@@ -96,16 +96,16 @@ class _Road:
     sections: tuple[_Section, ...]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what overflows is no coordinate, and refused as such
+@np.errstate(over="ignore", invalid="ignore")  # overflowing values are refused as coordinates
 def read_opendrive(path: Path, root: Element) -> DrawnMap:
-    """Read the borders of all lanes of an OpenDRIVE map, cut where their road marks change.
+    """Read the borders of all lanes of an OpenDRIVE map, split where their road marks change.
 
-    Heights, superelevation, objects and signals are left aside.
+    Heights, superelevation, objects and signals are ignored.
 
     Raises
     ------
     MapError
-        If a road cannot be.
+        If the geometry of a road, or the header, is invalid, or the map is too large.
     """
     lines: list[DrawnLine] = []
     points = 0
@@ -131,7 +131,7 @@ def read_opendrive(path: Path, root: Element) -> DrawnMap:
 
 
 def _reference(root: Element) -> tuple[str | None, tuple[str, ...]]:
-    """Return the coordinate system that the header states, and a note where that cannot be."""
+    """Return the coordinate system that the header states, and a note if metric coordinates cannot be in it."""
     stated = (root.findtext("header/geoReference") or "").strip()
     if not stated:
         return None, ()
@@ -144,7 +144,7 @@ def _reference(root: Element) -> tuple[str | None, tuple[str, ...]]:
 
 
 def _shifted(lines: tuple[DrawnLine, ...], root: Element) -> tuple[DrawnLine, ...]:
-    """Turn and shift the lines by the header's offset, as the standard says: first the turn."""
+    """Rotate and then translate the lines by the header's offset, in the order that the standard prescribes."""
     offset = root.find("header/offset")
     if offset is None:
         return lines
@@ -194,7 +194,7 @@ def _sections(road: Element, length: float) -> Iterator[_Section]:
             _Lane(
                 _whole(lane, "id"),
                 _cubics(lane.iterfind("width"), "sOffset", start),
-                # A border is only looked at where there is no width.
+                # A border is used only where there is no width.
                 _cubics(() if lane.find("width") is not None else lane.iterfind("border"), "sOffset", start),
                 lane,
             )
@@ -225,7 +225,7 @@ def _lines_of(road: _Road) -> Iterator[DrawnLine]:
 
 
 def _stretches(section: _Section, lane: _Lane) -> Iterator[tuple[float, float, Element | None]]:
-    """Yield where along the road each road mark of a lane's border begins and ends."""
+    """Yield begin and end along the road, metres, of each road mark of a lane's border, and the mark's element."""
     marks = sorted(lane.element.iterfind("roadMark"), key=lambda each: _number(each, "sOffset", 0.0))
     starts = [section.start + _number(each, "sOffset", 0.0) for each in marks]
     if not starts or starts[0] > section.start:
@@ -247,7 +247,7 @@ def _beside(road: _Road, section: _Section, number: int, s: FloatArray) -> Float
 
 
 def _kind_of(mark: Element | None) -> tuple[str, str]:
-    """Return a road mark's type and subtype in Lanelet2's words."""
+    """Return the Lanelet2 type and subtype of a road mark."""
     if mark is None:
         return "virtual", ""
     kind = mark.get("type", "none")

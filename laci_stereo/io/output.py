@@ -1,4 +1,4 @@
-"""A result folder that is there as a whole or not at all."""
+"""Result folders and files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from pathlib import Path
 from laci_stereo.core.errors import OutputError
 
 RESULT_FILE = "calibration.json"
-"""What makes a folder a result; nothing else is ever replaced."""
+"""The file that marks a folder as a result; no other folder is ever replaced."""
 
 EVIDENCE_FILE = "evidence.npz"
-"""What a result keeps of its drive, so that it can be estimated again together with others."""
+"""The data of a result's drive, from which it can be estimated again together with others."""
 
 RESULT_FILES = (RESULT_FILE, EVIDENCE_FILE, "check.png", "overlay_*.png", "report.html", "topdown.png")
-"""All that a result holds; a folder that holds more is not replaced either, or that would be lost."""
+"""All files of a result; a folder with other files is not replaced either, since these would be lost."""
 
 
 def check_output(out: Path, *, overwrite: bool) -> None:
-    """Find out before any work is done whether the result can be written.
+    """Check before any work is done that the result can be written.
 
     Raises
     ------
     OutputError
-        If there is something at ``out`` that must not be replaced, or its parent cannot be written to.
+        If ``out`` exists and must not be replaced, or its parent folder is not writable.
     """
     try:
         if out.exists() or out.is_symlink():
@@ -61,12 +61,12 @@ def _check_replaceable(out: Path, *, overwrite: bool) -> None:
 
 
 def check_files(paths: Iterable[Path], *, overwrite: bool) -> None:
-    """Find out before any work is done whether files can be written.
+    """Check before any work is done that files can be written.
 
     Raises
     ------
     OutputError
-        If one is there already, is a folder, has none to lie in, or has the name of another one.
+        If a file exists already, is a folder, is in no existing folder, or is named twice.
     """
     known: set[Path] = set()
     for path in paths:
@@ -82,7 +82,7 @@ def check_files(paths: Iterable[Path], *, overwrite: bool) -> None:
 
 
 def check_png(picture: Path) -> None:
-    """Refuse a name that says that a picture is something else.
+    """Raise if a picture's file name does not end in ``.png``.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def check_png(picture: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for files, where there is none.
+    """Make a folder, with its parents, unless it exists.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file as a whole, or leave what stood there.
+    """Write a file completely, or leave the previous one unchanged.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def write_document(path: Path, document: Mapping[str, object]) -> None:
-    """Write a JSON file as a whole, or leave what stood there.
+    """Write a JSON file completely, or leave the previous one unchanged.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def write_document(path: Path, document: Mapping[str, object]) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary file beside ``path`` that takes its place when the block ends well, else leave what stood there.
+    """Yield a temporary file beside ``path`` that replaces it if the block succeeds; else ``path`` stays unchanged.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             temporary = Path(stream.name)
         try:
             yield temporary
-            temporary.chmod(0o644)  # the temporary file's own is for the user alone
+            temporary.chmod(0o644)  # temporary files are accessible by the user only
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
@@ -156,14 +156,14 @@ def _existing_parent(out: Path) -> Path:
 
 @contextmanager
 def result_folder(out: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Give a temporary folder beside ``out`` that takes its place when the block ends well.
+    """Yield a temporary folder beside ``out`` that takes its place if the block succeeds.
 
-    Whatever goes wrong in the block, the temporary folder is removed and what stood at ``out`` before stays.
+    On any error in the block, the temporary folder is removed, and the previous content of ``out`` stays.
 
     Raises
     ------
     OutputError
-        As `check_output`, or if writing fails, as on a full disk.
+        As in `check_output`, or if writing fails, for instance on a full disk.
     """
     check_output(out, overwrite=overwrite)
     out = out.absolute()
@@ -172,7 +172,7 @@ def result_folder(out: Path, *, overwrite: bool) -> Iterator[Path]:
         temporary = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
         try:
             yield temporary
-            temporary.chmod(0o755)  # mkdtemp's own is for the user alone
+            temporary.chmod(0o755)  # mkdtemp's folders are accessible by the user only
             _take_place(temporary, out)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -181,7 +181,7 @@ def result_folder(out: Path, *, overwrite: bool) -> Iterator[Path]:
 
 
 def _take_place(temporary: Path, out: Path) -> None:
-    """Rename, with what stood there set aside until the new result is in its place."""
+    """Rename the new result to ``out``, with the previous one set aside until the new one is in place."""
     if not out.exists():
         temporary.rename(out)
         return
@@ -189,7 +189,7 @@ def _take_place(temporary: Path, out: Path) -> None:
     try:
         out.rename(aside / out.name)
         temporary.rename(out)
-    finally:  # an interrupt can fall between any two lines
+    finally:  # an interrupt can occur between any two lines
         if not out.exists():
             (aside / out.name).rename(out)
         shutil.rmtree(aside, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Whether messages and recording are of the same time, and if not, which clock is the likely reason."""
+"""Whether messages and recording overlap in time and, if not, which clock error is the likely cause."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _GPS_AHEAD_S = 18
 _TAI_AHEAD_S = 37
 _GPS_EPOCH_S = 315_964_800
 _ETSI_EPOCH_S = 1_072_915_200
-# ETSI's clock has counted on through the leap seconds since 2004.
+# ETSI's clock has counted the leap seconds since 2004.
 _ETSI_AHEAD_S = 5
 _FARTHEST_ZONE_H = 14
 
 
 @dataclass(frozen=True)
 class _ClockError:
-    """A way in which clocks differ: by how much the messages are ahead of the recording, and what to do about it."""
+    """A clock error: how far the messages are ahead of the recording, and its cause with a remedy."""
 
     ahead_s: int
     cause: str
@@ -64,19 +64,19 @@ _CLOCK_ERRORS = (
 
 
 def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
-    """Check that messages were sent while the sensor recorded.
+    """Raise if no message was sent while the sensor recorded.
 
     Parameters
     ----------
     log : CamLog
         At least one message.
     first_ns, last_ns : int
-        When the recording begins and ends (Unix, nanoseconds).
+        Begin and end of the recording (Unix time, nanoseconds).
 
     Raises
     ------
     CamError
-        If none was; it names both intervals, their difference, and the clock error that would explain it.
+        If none was; the message states both intervals, their difference, and the clock error that would explain it.
     """
     first_cam, last_cam = int(log.stamps_ns[0]), int(log.stamps_ns[-1])
     if first_cam <= last_ns and last_cam >= first_ns:
@@ -93,7 +93,7 @@ def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
 
 
 def _explanation(first_cam: int, last_cam: int, first_ns: int, last_ns: int) -> _ClockError | None:
-    """Return the clock error without which the two would overlap, the one that brings their middles nearest."""
+    """Return the clock error whose correction makes both overlap; of several, the one that best aligns the middles."""
     fitting = [
         error
         for error in _CLOCK_ERRORS

@@ -1,7 +1,7 @@
-"""The containers of packet captures, pcap and pcapng: frames with their link type and time.
+"""The file formats of packet captures, pcap and pcapng: frames with their link type and time.
 
-Only these two are needed, and little of them, so they are read here; dpkt, which also reads them, takes the clock of a
-pcapng file's first interface for that of all, and its last release is of 2022.
+Only these two are needed, and little of them, so they are read here; dpkt, which also reads them, applies the clock of
+a pcapng file's first interface to all interfaces, and its latest release is from 2022.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PCAP_FORMATS: Mapping[bytes, tuple[str, int]] = {
     b"\x4d\x3c\xb2\xa1": ("<", 1),
     b"\xa1\xb2\x3c\x4d": (">", 1),
 }
-"""Byte order, and nanoseconds in the fraction of a time stamp."""
+"""By magic number: byte order, and nanoseconds per unit of a time stamp's fraction."""
 
 PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
 
@@ -27,7 +27,7 @@ _TIME_RESOLUTION, _TIME_OFFSET = 9, 14
 
 
 class Frame(NamedTuple):
-    """What an interface received; ``stamp_ns`` is Unix time, None where the file does not tell."""
+    """A frame that an interface received; ``stamp_ns`` is Unix time, None where the file does not record it."""
 
     link_type: int
     stamp_ns: int | None
@@ -35,12 +35,12 @@ class Frame(NamedTuple):
 
 
 class CaptureError(Exception):
-    """A capture cannot be read any further."""
+    """A capture cannot be read beyond this point."""
 
 
 @dataclass(frozen=True)
 class _Interface:
-    """How an interface's frames are laid out, and its clock: ticks of ``1 / per_second`` s since ``offset_s``."""
+    """An interface: the link type of its frames, and its clock, in ticks of ``1 / per_second`` s since ``offset_s``."""
 
     link_type: int
     per_second: int = 1_000_000
@@ -51,7 +51,7 @@ class _Interface:
 
 
 def is_capture(content: bytes) -> bool:
-    """Tell whether a file is a capture by its first bytes."""
+    """Return whether a file is a capture, by its first bytes."""
     return content[:4] in PCAP_FORMATS or content[:4] == PCAPNG_MAGIC
 
 
@@ -61,7 +61,7 @@ def frames(content: bytes) -> Iterator[Frame]:
     Raises
     ------
     CaptureError
-        Where it is damaged or cut off, after what is whole.
+        Where it is damaged or cut off, after the intact frames.
     """
     return _pcapng(content) if content[:4] == PCAPNG_MAGIC else _pcap(content)
 

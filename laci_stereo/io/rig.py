@@ -1,4 +1,4 @@
-"""What every stereo calibration comes to, whatever its format: two lenses, and where one is seen from the other."""
+"""Stereo calibrations independent of their file format: two lenses, the transform between them, and checks of both."""
 
 from __future__ import annotations
 
@@ -22,34 +22,39 @@ Model: TypeAlias = Literal["pinhole", "fisheye"]
 RAW_FRAME, RECTIFIED_FRAME = (
     f"{which} left camera: origin in the lens, x right, y down, z forward" for which in ("raw", "rectified")
 )
-"""Of results from raw images, and from images that were rectified already, which lie a turn apart."""
+"""Descriptions of the sensor frame of results from raw images and from already rectified images; these two frames
+differ by a rotation."""
 
 MIN_BASELINE_M = 0.02
 MAX_BASELINE_M = 10.0
 
 NARROWEST, WIDEST = 100.0, 0.1
-"""Focal lengths in image widths: 0.6 deg across, and twice as wide as the widest fisheye (180 deg in 0.32)."""
+"""Limits of the focal length, in image widths. At 100, an image covers 0.6 deg; 0.1 is half the value of the widest
+fisheye lenses (0.32 covers 180 deg)."""
 
 LARGEST_COEFFICIENT = 1e4
-"""Of a distortion: it multiplies powers of a position in focal lengths, of which a wide image reaches one; those of the
-rational model, which nearly cancel, come to some hundred."""
+"""Largest plausible distortion coefficient: coefficients multiply powers of an image position in focal lengths, which
+reaches about one in a wide image. Those of the rational model, whose numerator and denominator nearly cancel, reach
+some hundred."""
 
 OFF_MIDDLE = 0.1
-"""Of half an image: lenses sit nearer to the middle of their sensors."""
+"""Largest distance of a principal point from the image centre, as a fraction of half the image size; the lenses of real
+cameras are centred better."""
 
 _MAX_ROTATION_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
 class Lens:
-    """How one camera projects, in OpenCV's conventions.
+    """The projection of one camera, in OpenCV's conventions.
 
     Attributes
     ----------
     K : ndarray, shape (3, 3)
         Camera matrix, pixels.
     distortion : ndarray, shape (k,)
-        Of the pinhole model 4, 5, 8, 12 or 14 coefficients (k1, k2, p1, p2, k3, ...), of the fisheye model 4.
+        Distortion coefficients: 4, 5, 8, 12 or 14 of the pinhole model (k1, k2, p1, p2, k3, ...), 4 of the fisheye
+        model.
     size : tuple of int
         Width and height of the image, pixels.
     model : {"pinhole", "fisheye"}
@@ -63,18 +68,18 @@ class Lens:
 
 @dataclass(frozen=True)
 class StereoRig:
-    """Two cameras and where the left one is seen from the right one: ``p_right = R_right_left p_left + t``.
+    """Two cameras and the transform from the left to the right one: ``p_right = R_right_left p_left + t_right_left_m``.
 
     Attributes
     ----------
     left, right : Lens
     R_right_left : ndarray, shape (3, 3)
     t_right_left_m : ndarray, shape (3,)
-        OpenCV's ``T``, metres: about ``(-baseline, 0, 0)``.
+        OpenCV's ``T``, metres: approximately ``(-baseline, 0, 0)``.
     notes : tuple of str
-        How the file was understood, where it could be understood otherwise.
+        How the file was interpreted, where other interpretations are possible.
     rectified : StereoRig or None
-        The same cameras for images that the calibration's own tool has rectified, where the file describes these.
+        The same cameras for images that were rectified by the calibration's own tool, where the file describes these.
     """
 
     left: Lens
@@ -92,16 +97,16 @@ class StereoRig:
 
 @dataclass(frozen=True)
 class ForImages:
-    """The images that a calibration is read for: what a file leaves open, they or their user may tell.
+    """The images that a calibration is read for; these and the user complete what a file does not state.
 
     Attributes
     ----------
     size : tuple of int or None
         Width and height, pixels.
     left : Path or None
-        The folder of the left ones.
+        The folder of the left images.
     baseline_m : float or None
-        How far apart the cameras stand, where the user says it: files tell lengths in units that they do not name.
+        The distance between the cameras, where the user states it: the unit of a file's lengths may be unknown.
     """
 
     size: Size | None = None
@@ -110,14 +115,14 @@ class ForImages:
 
     @property
     def left_camera(self) -> int | None:
-        """The number in the folder's name or the name above it, as in ``image_02/data``; None without one."""
+        """The camera number in the name of the left folder or its parent, as in ``image_02/data``; None without one."""
         parts = () if self.left is None else self.left.absolute().parts[-2:]
         found = [re.fullmatch(r"(?:image|cam|camera)_?0*(\d{1,2})", part) for part in reversed(parts)]
         return next((int(match[1]) for match in found if match), None)
 
 
 def rectified_pair(left_P: FloatArray, right_P: FloatArray, size: Size, notes: tuple[str, ...]) -> StereoRig:
-    """Return the rig of rectified images from their projections.
+    """Return the rig of rectified images from their projection matrices.
 
     Parameters
     ----------
@@ -132,19 +137,19 @@ def rectified_pair(left_P: FloatArray, right_P: FloatArray, size: Size, notes: t
 
 
 def projection_shift(P: FloatArray) -> FloatArray:
-    """Return t, shape (3,), of a projection ``K (I | t)``, shape (3, 4), whose K is upper triangular."""
+    """Return t, shape (3,), of a projection matrix ``K (I | t)``, shape (3, 4), with an upper triangular K."""
     z = P[2, 3] / P[2, 2]
     y = (P[1, 3] - P[1, 2] * z) / P[1, 1]
     return np.array([(P[0, 3] - P[0, 1] * y - P[0, 2] * z) / P[0, 0], y, z])
 
 
 def with_baseline(name: str, rig: StereoRig, baseline_m: float) -> StereoRig:
-    """Return the rig whose cameras stand as far apart as the user says, in the directions that the file tells.
+    """Return the rig with the baseline that the user states, in the direction that the file states.
 
     Raises
     ------
     RigError
-        If the file has them in one place.
+        If the file's or the user's baseline is not positive and finite.
     """
     read = rig.baseline_m
     if not (0.0 < read < math.inf and 0.0 < baseline_m < math.inf):
@@ -165,7 +170,7 @@ def _scaled(rig: StereoRig, factor: float, note: str) -> StereoRig:
 
 
 def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
-    """Refuse a calibration for images of another size.
+    """Raise if a calibration is for images of another size.
 
     Raises
     ------
@@ -183,7 +188,7 @@ def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
 
 
 def check_resolution(name: str, rig: StereoRig) -> None:
-    """Refuse a calibration that tells no image size, and has every principal point where other images' middle would be.
+    """Raise if all principal points lie at the centre of images of another size; for files that state no image size.
 
     Raises
     ------
@@ -203,7 +208,7 @@ def check_resolution(name: str, rig: StereoRig) -> None:
 
 
 def check_rig(name: str, rig: StereoRig) -> None:
-    """Refuse what describes no usable stereo camera.
+    """Raise if a calibration does not describe a usable stereo camera.
 
     Raises
     ------
@@ -267,7 +272,7 @@ def _check_baseline(name: str, rig: StereoRig) -> None:
             f"{MAX_BASELINE_M:g} m: needed is T in metres, or --baseline M with the metres between the cameras"
             + (f" ({', '.join(units)})" if units else "")
         )
-    # Seen from half-way between the two orientations, as rectification does.
+    # The baseline in a frame half-way between the two orientations, as in rectification.
     half_back = Rotation.from_matrix(rig.R_right_left).as_rotvec() * -0.5
     along = np.abs(Rotation.from_rotvec(half_back).apply(rig.t_right_left_m))
     if along.argmax() == 1:

@@ -1,4 +1,4 @@
-"""Basalt's calibration.json: cameras in the frame of an inertial sensor."""
+"""Basalt's calibration.json: cameras with poses in the frame of an inertial sensor (IMU)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PLACE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 
 
 def read_basalt(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read a calibration; None if the file is none.
+    """Read a calibration; None if the file is in another format.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def _cameras(found: Document, name: str) -> list[Document]:
 
 
 def _pose(camera: Document) -> tuple[FloatArray, FloatArray]:
-    """Return R, shape (3, 3), and t, shape (3,), metres, from the camera to the inertial sensor."""
+    """Return R, shape (3, 3), and t, shape (3,), metres, of the transform from the camera to the IMU."""
     px, py, pz, *quaternion = (camera.number("pose", name) for name in _PLACE)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) <= 1e-3:

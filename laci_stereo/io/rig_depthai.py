@@ -1,4 +1,4 @@
-"""OAK cameras: DepthAI's calibration JSON, cameras by socket, each told where another one is."""
+"""OAK cameras: DepthAI's calibration JSON, with cameras by socket, each with the transform to another one."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from laci_stereo.io.text_file import listed
 
 _MODELS: dict[int, Model] = {0: "pinhole", 1: "fisheye"}
 _SOCKETS = (1, 2)
-"""Of the left and the right camera where the file does not tell them: CAM_B and CAM_C."""
+"""Sockets of the left and the right camera where the file does not state them: CAM_B and CAM_C."""
 
 _Cameras = Mapping[int, Document]
 
 
 def read_depthai(documents: Sequence[Document], _images: ForImages) -> StereoRig | None:
-    """Read what ``eepromToJsonFile`` writes; None if the file is none.
+    """Read a file that ``eepromToJsonFile`` wrote; None if the file is in another format.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _whole(name: str, value: float) -> int:
 
 
 def _chain(cameras: _Cameras, start: int) -> dict[int, FloatArray]:
-    """Follow the extrinsics from a camera; return the transforms from it to each camera that they lead to."""
+    """Follow the extrinsics from a camera; return the transforms, shape (4, 4), from it to each camera on the way."""
     chain, socket = {start: np.eye(4)}, start
     while True:
         extrinsics = cameras[socket].part("extrinsics")
@@ -98,7 +98,7 @@ def _chain(cameras: _Cameras, start: int) -> dict[int, FloatArray]:
 
 
 def _transform(extrinsics: Document) -> FloatArray:
-    """Return the transform, shape (4, 4), metres, from a camera to its toCameraSocket."""
+    """Return the transform, shape (4, 4), metres, from a camera to its ``toCameraSocket``."""
     measured, designed = (
         np.array([extrinsics.part(name).number("translation", axis) for axis in "xyz"])
         if extrinsics.has(name)

@@ -1,4 +1,4 @@
-"""A calibration file as names and what stands under them, whatever language it is written in."""
+"""The content of a calibration file as a mapping of names to values, independent of the file's syntax."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Shape = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Entry:
-    """A quantity, and the names that tools give it; case, underscores, hyphens and spaces do not matter."""
+    """A quantity and the names that tools give it; case, underscores, hyphens and spaces do not matter."""
 
     what: str
     names: tuple[str, ...]
 
     @staticmethod
     def of_camera(what: str, stems: tuple[str, ...], side: Literal["left", "right"]) -> Entry:
-        """Combine names of a quantity with the ways of naming a camera: K1, cameraMatrixL, left_camera_matrix."""
+        """Return the entry of one camera, named by a stem and a side: K1, cameraMatrixL, left_camera_matrix."""
         marks = ("1", "L", "Left") if side == "left" else ("2", "R", "Right")
         suffixed = tuple(f"{stem}{mark}" for mark in marks for stem in stems)
         prefixed = tuple(f"{side}_{stem}" for stem in stems)
@@ -34,7 +34,8 @@ class Entry:
 
 
 _LONGEST_NAME = 60
-"""For hyphens and spaces do not matter, and may be many."""
+"""Longest name that is quoted in messages: as hyphens and spaces do not matter, a file's name for an entry may hold any
+number of them."""
 
 WIDTH = Entry("image width", ("imageWidth", "width"))
 HEIGHT = Entry("image height", ("imageHeight", "height"))
@@ -43,12 +44,12 @@ SIZE = Entry("image size", ("imageSize", "size", "resolution"))
 
 @dataclass(frozen=True)
 class Document:
-    """What stands in a file, or in a part of it.
+    """The content of a file, or of a part of it.
 
     Attributes
     ----------
     name : str
-        The file, and the part of it; for messages.
+        The file and the part of it, for messages.
     root : mapping of str to node
     """
 
@@ -56,31 +57,31 @@ class Document:
     root: Mapping[str, Node]
 
     def key(self, entry: Entry) -> str | None:
-        """Return the name under which an entry stands here."""
+        """Return the document's name for an entry, or None if it has no such entry."""
         present = {plain(name): name for name in self.root}
         return next((present[plain(name)] for name in entry.names if plain(name) in present), None)
 
     def find(self, entry: Entry) -> tuple[str, Node] | None:
-        """Return the name under which an entry stands here, for messages, and what stands there."""
+        """Return the document's name for an entry, shortened for messages, and its value; None without an entry."""
         found = self.key(entry)
         return None if found is None else (shortened(found, _LONGEST_NAME), self.root[found])
 
     def has(self, *names: str) -> bool:
-        """Tell whether each of these stands here."""
+        """Return whether the document has entries of all these names."""
         return all(self.find(Entry("", (name,))) is not None for name in names)
 
     def text(self, *names: str) -> str | None:
-        """Return the text under one of some names, None if there is none."""
+        """Return the text of the entry with one of these names, or None if there is none."""
         found = self.find(Entry("", names))
         return found[1] if found is not None and isinstance(found[1], str) else None
 
     def array(self, entry: Entry, *shapes: Shape) -> FloatArray:
-        """Return an entry's numbers in the first of the shapes that has as many.
+        """Return an entry's numbers in the first of the given shapes that they fit.
 
         Raises
         ------
         RigError
-            If there are none, or not as many, or not finite ones.
+            If the entry is missing, fits none of the shapes, or holds a number that is not finite.
         """
         found = self.find(entry)
         if found is None:
@@ -103,22 +104,22 @@ class Document:
         return values.reshape(shape)
 
     def number(self, what: str, *names: str) -> float:
-        """Return a number.
+        """Return the number of the entry with one of these names.
 
         Raises
         ------
         RigError
-            If it is missing or not finite.
+            If it is missing, no single number, or not finite.
         """
         return float(self.array(Entry(what, names), (1,))[0])
 
     def part(self, name: str) -> Document:
-        """Return what stands under a name as a document of its own.
+        """Return the part of the document under a name as a document of its own.
 
         Raises
         ------
         RigError
-            If there is nothing, or no names in it.
+            If there is no such part, or it has no entries.
         """
         found = self.find(Entry("", (name,)))
         if found is None or not isinstance(found[1], dict):
@@ -127,12 +128,12 @@ class Document:
         return Document(f"{self.name}: {found[0]}", found[1])
 
     def size(self, order: tuple[int, int] = (0, 1)) -> Size | None:
-        """Return the image size, None if it is not told; ``order`` is where width and height stand in a pair.
+        """Return the image size, None if not stated; ``order`` gives the indices of width and height in a pair.
 
         Raises
         ------
         RigError
-            If it is no size.
+            If it is no valid size.
         """
         if self.find(WIDTH) is not None or self.find(HEIGHT) is not None:
             values = np.concatenate([self.array(entry, (1,)) for entry in (WIDTH, HEIGHT)])
@@ -144,12 +145,12 @@ class Document:
 
 
 def whole_size(name: str, values: FloatArray) -> Size:
-    """Return a width and a height as an image size.
+    """Return a width and a height, shape (2,), as an image size.
 
     Raises
     ------
     RigError
-        If they are none.
+        If they are no positive whole numbers.
     """
     if not ((values >= 1) & (values <= 1e6) & (values == np.round(values))).all():
         raise RigError(f"{name}: the image size is {values[0]:g} x {values[1]:g}; needed are positive whole numbers")
@@ -157,14 +158,14 @@ def whole_size(name: str, values: FloatArray) -> Size:
 
 
 def plain(name: str) -> str:
-    """Return a name without what does not matter in it."""
+    """Return a name in lower case, without underscores, hyphens and spaces."""
     return name.lower().replace("_", "").replace("-", "").replace(" ", "")
 
 
 def numbers(node: Node) -> FloatArray | None:
-    """Return a node's numbers in its own shape, or None if it holds something else."""
+    """Return the numbers of a node in the node's own shape, or None if it holds anything else."""
     if isinstance(node, dict):
-        # OpenCV 5 writes vectors with sizes, everything else has rows and cols.
+        # OpenCV 5 writes vectors with sizes, and everything else with rows and cols.
         sizes = numbers(node.get("sizes", [node.get("rows", ""), node.get("cols", "")]))
         values = numbers(node.get("data", ""))
         if sizes is None or values is None or not np.isin(sizes, np.arange(1, values.size + 1)).all():
@@ -185,6 +186,6 @@ def _times(shape: Shape) -> str:
 
 
 def _fits(found: Shape, needed: Shape) -> bool:
-    """Whether numbers of one shape are those of another: the same, flat, or for a vector a row or a column."""
+    """Return whether one shape fits another: equal, flattened, or, of a vector, a row or a column."""
     size = int(np.prod(needed))
     return found == needed or found == (size,) or (len(needed) == 1 and found in ((1, size), (size, 1)))

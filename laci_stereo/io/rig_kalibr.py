@@ -1,4 +1,4 @@
-"""Kalibr: a camchain of cameras, each told where the one before it is."""
+"""Kalibr: a camchain of cameras, each with the transform from the preceding one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MODELS: Mapping[str, Model] = {"radtan": "pinhole", "equidistant": "fisheye", "
 
 
 def read_kalibr(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read a camchain; None if the file is none.
+    """Read a camchain; None if the file is in another format.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""KITTI: calib_cam_to_cam.txt of the raw data, and the P0 to P3 of the odometry and object data."""
+"""KITTI: calib_cam_to_cam.txt of the raw data, and P0 to P3 of the odometry and object data."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from laci_stereo.io.rig_document import Document, Entry, whole_size
 from laci_stereo.io.text_file import listed
 
 _PAIRS = ((2, 3), (0, 1))
-"""The colour and the grey cameras; all four stand side by side."""
+"""The colour and the grey pair of cameras; all four are side by side."""
 
 
 def read_kitti(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read a calib_cam_to_cam.txt, for raw or for rectified images by their size; None if the file is none.
+    """Read a calib_cam_to_cam.txt for raw or, by their size, rectified images; None if the file is in another format.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read_kitti(documents: Sequence[Document], images: ForImages) -> StereoRig | 
 
 
 def read_kitti_rectified(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read P0 to P3, the projections of rectified images; None if the file has none.
+    """Read P0 to P3, the projection matrices of rectified images; None if the file has none.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def _rectified(document: Document, left: str, right: str, size: Size, notes: tup
 
 
 def _pair(name: str, cameras: set[int], images: ForImages) -> tuple[tuple[int, int], str]:
-    """Return the numbers of the left and the right camera, and why these."""
+    """Return the numbers of the left and the right camera, and a note on the reason for this choice."""
     named = images.left_camera
     if named is not None and {named, named + 1} <= cameras:
         return (named, named + 1), f"cameras {named} and {named + 1}, as the folder of the left images is numbered"

@@ -1,7 +1,8 @@
-"""MATLAB's .mat files of version 5 to 7, read without SciPy, whose own reader crashes on many a damaged one.
+"""MATLAB's .mat files of version 5 to 7, read without SciPy, whose own reader crashes on many damaged ones.
 
-After a header of 128 bytes come elements: type, length, data, padded to 8 bytes. One of type 15 is packed by zlib, one
-of type 14 is a variable, made of elements itself: flags, size, name, and what its class needs.
+A header of 128 bytes is followed by elements: type, length, data, padded to 8 bytes. An element of type 15 is
+compressed by zlib; one of type 14 is a variable, which consists of elements itself: flags, size, name, and what its
+class requires.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from laci_stereo.io.file_content import read_content
 from laci_stereo.io.file_storage import Node
 
 TO_STRUCT = "in MATLAB: s = toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
-"""The way to a file that can be read."""
+"""MATLAB code that writes a readable file; for messages."""
 
 LARGEST_UNPACKED = 1 << 26
-"""Bytes: ten times what a file of the largest size usually unpacks to."""
+"""Bytes: ten times the usual unpacked size of the largest calibration file."""
 
 LARGEST_MATRIX = 10_000
-"""Numbers: rotations and lenses have a dozen; corners and errors of the calibration pictures are not needed."""
+"""Largest number of elements of a matrix: rotations and lenses have a dozen; the corners and errors of the calibration
+images are not needed."""
 
 _SIGNATURE, _HDF5, _VERSION_7_3 = b"MATLAB ", b"\x89HDF", b"MATLAB 7.3"
 _HEADER = 128
@@ -50,7 +52,7 @@ _DEEPEST = 5
 
 
 class _DamageError(ValueError):
-    """The file ends, or says what cannot be."""
+    """The file ends too early or contradicts itself."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class _Element:
 
 @dataclass(frozen=True)
 class _Variable:
-    """A variable; ``node`` is a text in angle brackets where it is nothing that calibrations need."""
+    """A variable; ``node`` is a text in angle brackets if its type does not occur in calibrations."""
 
     name: str
     node: Node
@@ -71,7 +73,7 @@ _OBJECT = _Variable("", "<object>")
 
 
 def is_mat(path: Path) -> bool:
-    """Tell whether a file begins as MATLAB's do."""
+    """Return whether a file begins like a MATLAB file."""
     try:
         with path.open("rb") as stream:
             start = stream.read(len(_SIGNATURE))
@@ -81,12 +83,12 @@ def is_mat(path: Path) -> bool:
 
 
 def parse_mat(path: Path) -> dict[str, Node]:
-    """Read the variables of a .mat file: matrices as lists of rows, structs as maps.
+    """Return the variables of a .mat file: matrices as lists of rows, structs as mappings.
 
     Raises
     ------
     RigError
-        If it is damaged, of a version that cannot be read, or holds an object instead of a struct.
+        If the file is damaged, is of a version that cannot be read, or holds an object instead of a struct.
     """
     content = read_content(path, RigError)
     if content.startswith((_VERSION_7_3, _HDF5)):
@@ -123,7 +125,7 @@ def _elements(content: bytes, order: str) -> Iterator[_Element]:
     while at + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, at)
         start = at + 8
-        if kind >> 16:  # up to four bytes stand in the tag itself
+        if kind >> 16:  # up to four bytes of data are stored in the tag itself
             kind, length, start = kind & 0xFFFF, kind >> 16, at + 4
             at += 8
         else:

@@ -1,4 +1,4 @@
-"""MATLAB's stereoParameters as a struct, in a .mat file or in JSON."""
+"""MATLAB's stereoParameters, converted to a struct, in a .mat file or in JSON."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _POSE = Entry("pose of camera 2", ("A", "T"))
 
 
 def read_matlab(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read stereo parameters as ``toStruct`` gives them; None if the file has none.
+    """Read stereo parameters as ``toStruct`` returns them; None if the file has none.
 
-    MATLAB multiplies rows from the left, so its older matrices are transposed, and counts pixels from one.
+    MATLAB multiplies row vectors from the left, so its older matrices are transposed; and it counts pixels from one.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def read_matlab(documents: Sequence[Document], images: ForImages) -> StereoRig |
 
 
 def _parameters(document: Document) -> Document | None:
-    """Return the part of a file that describes a stereo camera: the whole, or a variable."""
+    """Return the part of a file that describes a stereo camera: the whole file or one of its variables."""
     parts = [
         Document(f"{document.name}: {name}", node) for name, node in document.root.items() if isinstance(node, dict)
     ]
@@ -52,7 +52,7 @@ def _parameters(document: Document) -> Document | None:
 
 
 def _pose(found: Document) -> tuple[FloatArray, FloatArray, str]:
-    """Return R, t of ``p_2 = R p_1 + t``, shape (3, 3) and (3,), and where they are from."""
+    """Return R (3, 3) and t (3,) of ``p_2 = R p_1 + t`` in the file's unit, and a note on the origin."""
     if found.has("RotationOfCamera2", "TranslationOfCamera2"):
         transposed = found.array(_ROTATION, (3, 3))
         how = "RotationOfCamera2 transposed, as MATLAB multiplies rows from the left"
@@ -64,25 +64,25 @@ def _pose(found: Document) -> tuple[FloatArray, FloatArray, str]:
         R = pose.array(Entry("rotation", ("R",)), (3, 3))
         return R, pose.array(Entry("translation", ("Translation",)), (3,)), "PoseCamera2: from camera 1 to camera 2"
     matrix = pose.array(_POSE, (4, 4))
-    # A rigidtform3d ends in the row 0 0 0 1, its forerunner rigid3d is transposed.
+    # A rigidtform3d has the last row 0 0 0 1; its predecessor rigid3d is transposed.
     upright = matrix if not matrix[3, :3].any() else matrix.T
     how = "PoseCamera2: from camera 1 to camera 2" + ("" if upright is matrix else ", transposed")
     return upright[:3, :3], upright[:3, 3], how
 
 
 def _lens(camera: Document, image_size: Size | None) -> tuple[Lens, tuple[str, ...]]:
-    """Return a lens, and how its matrix was understood."""
+    """Return a lens, and notes on the interpretation of its matrix."""
     K = camera.array(Entry("camera matrix", ("K", "IntrinsicMatrix")), (3, 3))
     notes: tuple[str, ...] = ()
     if K[2, :2].any() and not K[:2, 2].any():
         K, notes = K.T, ("IntrinsicMatrix transposed",)
-    # The first pixel's centre is (1, 1) in MATLAB.
+    # In MATLAB the centre of the first pixel is (1, 1).
     K = K - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     radial = camera.array(Entry("radial distortion", ("RadialDistortion",)), (2,), (3,))
     tangential = np.zeros(2)
     if camera.has("TangentialDistortion"):
         tangential = camera.array(Entry("tangential distortion", ("TangentialDistortion",)), (2,))
-    size = camera.size(order=(1, 0)) or image_size  # MATLAB's is rows, columns
+    size = camera.size(order=(1, 0)) or image_size  # MATLAB's order is rows, columns
     if size is None:
         raise RigError(f"{camera.name} lacks ImageSize; needed are rows and columns")
     notes = (*notes, "principal points less one pixel, which MATLAB counts from one")
@@ -90,7 +90,7 @@ def _lens(camera: Document, image_size: Size | None) -> tuple[Lens, tuple[str, .
 
 
 def _unit(camera: Document) -> tuple[float, str]:
-    """Return the unit of lengths in metres, and where it is from."""
+    """Return the unit of lengths in metres, and a note on its source."""
     told = camera.text("WorldUnits")
     if not told:
         return 1e-3, "lengths taken as millimetres, MATLAB's default"

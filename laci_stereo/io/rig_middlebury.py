@@ -1,4 +1,4 @@
-"""Middlebury's calib.txt (also ETH3D's): a rectified pair, whose principal points may differ along the rows."""
+"""Middlebury's calib.txt (also ETH3D's): a rectified pair whose principal points may have different columns."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from laci_stereo.io.rig import ForImages, StereoRig, rectified_pair
 from laci_stereo.io.rig_document import Document, Entry
 
 _ROUNDING_PX = 0.002
-"""Of a difference of principal points with three decimals."""
+"""Largest rounding error of a difference of principal points with three decimals."""
 
 
 def read_middlebury(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read a calib.txt; None if the file is none.
+    """Read a calib.txt; None if the file is in another format.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Stereo calibrations in OpenCV's FileStorage (YAML, JSON, XML), in one file or in two."""
+"""Stereo calibrations in OpenCV's FileStorage (YAML, JSON, XML), in one file or two."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from laci_stereo.io.rig_document import Document, Entry, numbers, plain
 from laci_stereo.io.text_file import listed, quoted
 
 COEFFICIENTS: Mapping[Model, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,)}
-"""How many distortion coefficients OpenCV's models have."""
+"""Numbers of distortion coefficients that OpenCV's models can have."""
 
 MATRIX = ("K", "M", "cameraMatrix", "intrinsics", "intrinsicMatrix", "mtx")
 DISTORTION = ("D", "distCoeffs", "distCoeff", "distortion", "distortionCoefficients", "distortionCoeffs", "dist")
@@ -43,7 +43,7 @@ MODELS: Mapping[str, Model] = {
 
 
 def read_opencv(documents: Sequence[Document], images: ForImages) -> StereoRig:
-    """Read what is left when no other format claims the files.
+    """Read files that no reader of another format accepts.
 
     Raises
     ------
@@ -71,12 +71,12 @@ def read_opencv(documents: Sequence[Document], images: ForImages) -> StereoRig:
 
 
 def model_of(document: Document) -> Model:
-    """Return the lens model that a file names, the pinhole where it names none.
+    """Return the lens model that a file names; pinhole if it names none.
 
     Raises
     ------
     RigError
-        If it names another one.
+        If it names an unknown model.
     """
     models: list[Model] = []
     for name, node in document.root.items():
@@ -102,7 +102,7 @@ def _lens(document: Document, side: Literal["left", "right"], size: Size, model:
 
 
 def _rectified(document: Document, size: Size) -> StereoRig | None:
-    """Return the rig of the rectified images, where the file has their projections."""
+    """Return the rig of the rectified images, if the file has their projection matrices."""
     entries = [Entry.of_camera("projection", _PROJECTION, side) for side in _SIDES]
     if any(document.find(entry) is None for entry in entries):
         return None
@@ -111,7 +111,7 @@ def _rectified(document: Document, size: Size) -> StereoRig | None:
 
 
 def _flattened(document: Document) -> Document:
-    """Return a file whose cameras have a section each as if their names stood together: left: {K: ...} as left_K."""
+    """Return a document in which the cameras' sections are merged into one level: ``left: {K: ...}`` as ``left_K``."""
     root: dict[str, Node] = {}
     for name, node in document.root.items():
         if isinstance(node, dict) and numbers(node) is None and not {"data", "rows"} & node.keys():
@@ -123,9 +123,10 @@ def _flattened(document: Document) -> Document:
 
 
 def _merged(documents: Sequence[Document]) -> tuple[Document, tuple[str, ...]]:
-    """Lay two files over each other; where both tell something, that beside the translation counts.
+    """Merge two files; an entry of both is taken from the file that has the translation between the cameras.
 
-    But a camera's matrix and distortion are from one file, where one has both: they were estimated together.
+    An exception: a camera's matrix and distortion, which were estimated together, are taken from the other file if only
+    that has both.
     """
     if len(documents) == 1:
         return documents[0], ()
@@ -147,7 +148,7 @@ def _merged(documents: Sequence[Document]) -> tuple[Document, tuple[str, ...]]:
 
 
 def _told(document: Document) -> dict[str, str]:
-    """Return under which name a file tells each thing, the first of those that are known, by what it is."""
+    """Return the file's name for each quantity (of several names the preferred one), by the quantity's description."""
     known = {entry.what: found for entry in _ENTRIES if (found := document.key(entry)) is not None}
     return known | {plain(name): name for name in document.root if plain(name) not in _NAMES}
 

@@ -1,4 +1,4 @@
-"""ROS: a camera_info file for each camera, as image_pipeline's cameracalibrator or ``topic echo`` writes it."""
+"""ROS: one camera_info file per camera, as image_pipeline's cameracalibrator or ``topic echo`` writes it."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ _ALL = (_K, _D, _R, _P)
 
 
 def read_ros(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
-    """Read two camera_info files; None if the files are no such.
+    """Read two camera_info files; None if the files are in another format.
 
-    The right camera's P[0, 3] is minus focal length times baseline; both R turn a camera into the common image plane.
+    P[0, 3] of the right camera is minus focal length times baseline; each R rotates its camera into the common image
+    plane.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def read_ros(documents: Sequence[Document], images: ForImages) -> StereoRig | No
 
 
 def _in_order(documents: Sequence[Document]) -> tuple[Document, Document, tuple[str, ...]]:
-    """Return the left and the right camera's file: ROS gives the shift to the right one."""
+    """Return the left and the right camera's document, which has the baseline in its P, and notes on the order."""
     first, second = documents
     shifts = [projection[0, 3] for projection in (document.array(_P, (3, 4)) for document in documents)]
     if shifts[0] != 0 and shifts[1] == 0:

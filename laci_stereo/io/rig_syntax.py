@@ -1,4 +1,4 @@
-"""The languages of calibration files, told apart by content: FileStorage, KITTI's and Middlebury's lines, MATLAB's."""
+"""The syntaxes of calibration files, recognised by content: FileStorage, KITTI's and Middlebury's lines, MATLAB's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from laci_stereo.io.rig_mat import is_mat, parse_mat
 from laci_stereo.io.text_file import read_text
 
 LARGEST_FILE = 1 << 23
-"""Bytes: a calibration with all the corners that were detected for it has a tenth of that."""
+"""Bytes: a calibration with all corners that were detected for it has a tenth of that."""
 
 _KITTI = re.compile(r"^(?:K_0\d|P_rect_0\d|P\d):\s+[-+.\d]+e?[-+\d]*(?:\s|$)", re.MULTILINE)
 _KITTI_LINE = re.compile(r"(\w+):\s*(.*)")
@@ -26,12 +26,12 @@ def read_document(path: Path) -> Document:
     Raises
     ------
     RigError
-        If it is missing, larger than calibrations are, or in none of the languages.
+        If the file is missing, larger than calibrations are, or in none of these syntaxes.
     """
     try:
         length = path.stat().st_size if path.is_file() else 0
     except (OSError, ValueError):
-        length = 0  # reading it says what is wrong
+        length = 0  # reading the file raises the error
     if length > LARGEST_FILE:
         raise RigError(f"{path} has {length} bytes; needed is a stereo calibration, of at most {LARGEST_FILE}")
     if length and is_mat(path):
@@ -58,7 +58,7 @@ def _parsed(path: Path, text: str) -> dict[str, Node]:
 
 
 def _lines(text: str, pattern: re.Pattern[str]) -> dict[str, Node]:
-    """Return the entries of a file with one in each line; rows of a matrix in brackets end with a semicolon."""
+    """Return the entries of a file with one entry per line; semicolons separate the rows of a matrix in brackets."""
     root: dict[str, Node] = {}
     for line in text.splitlines():
         match = pattern.fullmatch(line.strip())

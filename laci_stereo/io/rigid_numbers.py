@@ -1,4 +1,4 @@
-"""Rotations from the numbers that people write for them, and what gives a wrong one away."""
+"""Rotations and translations from the numbers that describe them in files, and checks that reveal wrong ones."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from scipy.spatial.transform import Rotation
 from laci_stereo.core.frames import FloatArray, rigid
 
 WRITTEN = 2e-3
-"""Numbers of three decimals are 5e-4 off at most, and the products of a rotation's rows 2 * sqrt(3) times that."""
+"""Tolerance for numbers with three decimals: they are off by at most 5e-4, and the products of a rotation's rows by at
+most 2 * sqrt(3) times that."""
 
 LARGEST = 1e12
-"""Metres, or millimetres of a UTM coordinate with room to spare: more is a mistake."""
+"""Largest plausible number, well above metres or millimetres of a UTM coordinate."""
 
 NEEDED = "needed is a rotation, whose rows have the length 1 and are perpendicular"
 
 
 class NoTransformError(ValueError):
-    """The numbers are no rigid transform; why, in words."""
+    """The numbers are no rigid transform; the text is the reason."""
 
 
 def transform_of(numbers: Sequence[float], name: str) -> FloatArray:
-    """Return the transform, shape (4, 4), whose 16 numbers, or 12 of the first three rows, are given row by row.
+    """Return the transform, shape (4, 4), from its 16 numbers, or the 12 of its first three rows, row by row.
 
     Raises
     ------
@@ -39,12 +40,12 @@ def transform_of(numbers: Sequence[float], name: str) -> FloatArray:
 
 
 def rotation_of(matrix: FloatArray, name: str) -> FloatArray:
-    """Return the rotation, shape (3, 3), that a written matrix means: the nearest one.
+    """Return the rotation, shape (3, 3), nearest to a written matrix.
 
     Raises
     ------
     NoTransformError
-        If it is farther from one than rounding to three decimals takes it.
+        If the matrix deviates from a rotation by more than rounding to three decimals explains.
     """
     if not (np.isfinite(matrix).all() and np.abs(matrix).max() < LARGEST):
         raise NoTransformError(f"the rotation of {name} has numbers that are not finite; {NEEDED}")
@@ -58,12 +59,12 @@ def rotation_of(matrix: FloatArray, name: str) -> FloatArray:
     if np.linalg.det(matrix) < 0:
         raise NoTransformError(f"the rotation of {name} mirrors (determinant -1); needed are right-handed frames")
     left, _, right = np.linalg.svd(matrix)
-    # What is written in full comes back to the last digit.
+    # A matrix written with all digits is returned unchanged.
     return matrix if off < 1e-12 else left @ right
 
 
 def rotation_of_quaternion(xyzw: Sequence[float], name: str) -> FloatArray:
-    """Return the rotation, shape (3, 3), of a quaternion, its real part last.
+    """Return the rotation, shape (3, 3), of a unit quaternion, real part last.
 
     Raises
     ------
@@ -76,12 +77,12 @@ def rotation_of_quaternion(xyzw: Sequence[float], name: str) -> FloatArray:
 
 
 def rotation_of_angles(angles: Sequence[float], sequence: str, name: str) -> FloatArray:
-    """Return the rotation, shape (3, 3), of angles in radians, their axes in scipy's letters.
+    """Return the rotation, shape (3, 3), of Euler angles in radians about axes in scipy's notation.
 
     Raises
     ------
     NoTransformError
-        If one is more than a whole turn.
+        If an angle exceeds a full turn.
     """
     largest = max(angles, key=abs)
     if not abs(largest) <= 2 * np.pi:
@@ -95,7 +96,7 @@ def rotation_of_vector(vector: Sequence[float], name: str) -> FloatArray:
     Raises
     ------
     NoTransformError
-        If it is more than a whole turn.
+        If its angle exceeds a full turn.
     """
     angle = math.hypot(*vector)
     if not angle <= 2 * np.pi:

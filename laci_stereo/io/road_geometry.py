@@ -1,4 +1,4 @@
-"""Curves along roads: reference lines made of lines, arcs, clothoids and cubics, offset to the side, as polylines."""
+"""Curves along roads: reference lines made of lines, arcs, clothoids and cubics, offset laterally, as polylines."""
 
 from __future__ import annotations
 
@@ -11,39 +11,40 @@ from numpy.polynomial.polynomial import polyder, polyval
 from laci_stereo.core.frames import FloatArray, rotate_xy
 
 CHORD_M = 0.02
-"""How far a polyline may be from its curve: a fifth of the width of a line of paint."""
+"""Largest distance of a polyline from its curve: a fifth of the width of a painted line."""
 
 LONGEST_M = 1e6
-"""Of a road."""
+"""Length of the longest road."""
 
 STEP_M = 5.0
-"""Where sampling begins: within a length like that no road bends to and fro unseen by three points."""
+"""Initial sampling distance: within this length, no road bends to and fro without displacing one of three points in
+between."""
 
 _FINEST = 12
 _MOST_POINTS = 500_000
 _MOST_TURN_RAD = 200.0
 _QUADRATURE = np.polynomial.legendre.leggauss(12)
 _TURN_OF_QUADRATURE_RAD = 2.0
-"""Within which 12 nodes integrate a cosine to 1e-16."""
+"""Change of heading over which 12 nodes integrate a cosine to 1e-16."""
 
 
 class GeometryError(ValueError):
-    """A curve that no road has; why, in words."""
+    """A curve that no road can have; the text is the reason."""
 
 
 @dataclass(frozen=True)
 class Bend:
-    """A piece of a reference line whose curvature changes evenly: a straight line, an arc or a clothoid.
+    """A piece of a reference line whose curvature changes linearly: a straight line, an arc or a clothoid.
 
     Attributes
     ----------
     start_m : float
-        Along the road.
+        Distance of its start along the road.
     xy : tuple of float
     heading_rad : float
     length_m : float
     curvature, change : float
-        At its start, 1/m, and per metre of its length, 1/m^2.
+        Curvature at the start, 1/m, and its change per metre of length, 1/m^2.
     """
 
     start_m: float
@@ -56,12 +57,13 @@ class Bend:
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return positions, shape (n, 2), and headings, shape (n,), at distances from the road's start.
 
-        The integral of the unit vector along the heading, in pieces in which that turns by little.
+        Positions are integrals of the unit vector along the heading, by quadrature over pieces in which the heading
+        changes by at most 2 rad.
 
         Raises
         ------
         GeometryError
-            If it turns more often than any road.
+            If its heading changes by more than any road's.
         """
         turn = (abs(self.curvature) + abs(self.change) * self.length_m) * self.length_m
         if not turn <= _MOST_TURN_RAD:
@@ -87,11 +89,11 @@ class Cubic:
     Attributes
     ----------
     start_m, xy, heading_rad, length_m
-        As of `Bend`.
+        As in `Bend`.
     u, v : ndarray, shape (4,)
-        Coefficients, constant first.
+        Coefficients of the coordinates along and across the heading at its start, constant first.
     per_m : float
-        Of the parameter, per metre of length.
+        Increment of the parameter per metre of length.
     """
 
     start_m: float
@@ -112,17 +114,17 @@ class Cubic:
 
 @dataclass(frozen=True)
 class ReferenceLine:
-    """The line that a road's lanes are measured from: its pieces, in the order of their starts; at least one."""
+    """The line that a road's lanes are measured from: at least one piece, in the order of their starts."""
 
     pieces: tuple[Bend | Cubic, ...]
 
     @property
     def starts_m(self) -> FloatArray:
-        """Where the pieces start, shape (n,)."""
+        """The start of each piece along the road, shape (n,)."""
         return np.array([piece.start_m for piece in self.pieces])
 
     def beside(self, s: FloatArray, t: FloatArray) -> FloatArray:
-        """Return the points, shape (n, 2), at distances s along the road and t to its left."""
+        """Return the points, shape (n, 2), at distances s along the road and t to the left of it."""
         owner = np.clip(np.searchsorted(self.starts_m, s, side="right") - 1, 0, None)
         xy = np.empty((len(s), 2))
         for i in np.unique(owner):
@@ -133,7 +135,7 @@ class ReferenceLine:
 
 
 def parameters_of_lengths(u: FloatArray, v: FloatArray, length_m: float) -> float:
-    """Return how far u, as parameter of the curve (u, v(u)), goes within a length of that curve."""
+    """Return the parameter u at which the curve (u, v(u)) has a given length from its start."""
     low, high = 0.0, length_m
     slope = polyder(v)
     nodes, weights = _QUADRATURE
@@ -146,14 +148,14 @@ def parameters_of_lengths(u: FloatArray, v: FloatArray, length_m: float) -> floa
 
 
 def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray, chord_m: float = CHORD_M) -> FloatArray:
-    """Sample a curve so finely that its chords are nowhere farther from it than ``chord_m``.
+    """Sample a curve so densely that its chords deviate from it by at most ``chord_m``.
 
     Parameters
     ----------
     curve : callable
         From parameters, shape (n,), to points, shape (n, 2).
     breaks : ndarray, shape (m,)
-        Ascending; the ends of the curve, and between them where it may have corners.
+        Ascending: the ends of the curve, and in between the places where it may have corners.
     chord_m : float
 
     Returns
@@ -163,7 +165,7 @@ def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray, chor
     Raises
     ------
     GeometryError
-        If it is too long or too crooked for any road.
+        If the curve is too long or too curved for any road.
     """
     if not breaks[-1] - breaks[0] <= LONGEST_M:
         raise GeometryError(f"is {breaks[-1] - breaks[0]:.6g} m long; needed are at most {LONGEST_M:g}")
@@ -185,7 +187,7 @@ def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray, chor
 
 
 def _from_chords(points: FloatArray) -> FloatArray:
-    """Return how far the three points between each fourth one, shape (4 n + 1, 2), are from its chord, shape (n,)."""
+    """Return the largest distance of the 3 points within each chord, shape (n,); ``points``: shape (4 n + 1, 2)."""
     starts, chords = points[:-1:4, None], np.diff(points[::4], axis=0)[:, None]
     off = points[:-1].reshape(-1, 4, 2)[:, 1:] - starts
     lengths = np.maximum((chords**2).sum(axis=2), 1e-18)

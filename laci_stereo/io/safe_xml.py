@@ -1,4 +1,4 @@
-"""XML from strangers: no document type, hence no entities that grow without end or read other files."""
+"""XML from untrusted sources: without document types, and so without entities that expand endlessly or read files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 
 class XmlError(ValueError):
-    """The text is not XML that can be read safely."""
+    """The text is no XML, or not safe to parse."""
 
 
 def parse_xml(text: str) -> ElementTree.Element:
@@ -15,7 +15,7 @@ def parse_xml(text: str) -> ElementTree.Element:
     Raises
     ------
     XmlError
-        If the text is not well-formed, or declares a document type.
+        If the text is not well-formed or declares a document type.
     """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise XmlError("a document type (<!DOCTYPE or <!ENTITY) is refused; needed is plain XML")

@@ -1,4 +1,4 @@
-"""A sensor's place as it goes into the files of other tools, and the words that go with it into each of them."""
+"""The pose of a sensor as exported to files of other tools, and the description that accompanies it in each of them."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from laci_stereo.core.world import World
 from laci_stereo.io.stored_calibration import StoredCalibration
 
 STATEMENT = "laci_calibration"
-"""Under this name every exported file tells in JSON what its numbers alone do not."""
+"""Name under which every exported file states in JSON what its numbers alone do not."""
 
 _STATEMENT = re.compile(rf'"?{STATEMENT}"?\s*:\s*(?=\{{)')
 
 
 @dataclass(frozen=True)
 class Siting:
-    """Where a sensor stands.
+    """The pose of a sensor, with everything that exports state about it.
 
     Attributes
     ----------
     name, kind, frame : str
-        Of the sensor; the frame in words.
+        Of the sensor; the frame is described in words.
     world : World
     T_world_sensor : ndarray, shape (4, 4)
     centre_world : ndarray, shape (3,)
-        Where a rigid transform into the grid is true to scale.
+        The point at which a rigid transform into the grid is true to scale.
     """
 
     name: str
@@ -42,29 +42,29 @@ class Siting:
 
     @property
     def T_map_sensor(self) -> FloatArray:
-        """Into grid metres from the world's origin, shape (4, 4): rigid, and exact in the plane at the centre."""
+        """Transform to grid metres from the world's origin, shape (4, 4): rigid, exact in the plane at the centre."""
         return self.world.grid_from_sensor(self.T_world_sensor, self.centre_world)
 
     @property
     def T_utm_sensor(self) -> FloatArray:
-        """The same with UTM coordinates, shape (4, 4)."""
+        """Transform to UTM coordinates, shape (4, 4): `T_map_sensor`, shifted by the world's origin."""
         return self.world.utm_from_sensor(self.T_world_sensor, self.centre_world)
 
 
 def site(stored: StoredCalibration) -> Siting:
-    """Return where a result puts its sensor."""
+    """Return the pose of a result's sensor."""
     return Siting(stored.name, stored.kind, stored.frame, stored.world, stored.T_world_sensor, stored.centre_world)
 
 
 def rigid_in_grid(world: World, T_map_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
-    """Return ``T_world_sensor``, shape (4, 4), of what `World.grid_from_sensor` returned."""
+    """Return ``T_world_sensor``, shape (4, 4), from ``T_map_sensor``: the inverse of `World.grid_from_sensor`."""
     T: FloatArray = T_map_sensor.copy()
     T[:2, 3] -= (world.grid_scale - 1.0) * centre_world[:2]
     return T
 
 
 def words(siting: Siting, *, absolute: bool) -> tuple[str, ...]:
-    """Say what frames an exported transform leads between; ``absolute`` if into UTM itself, else into the map frame."""
+    """Describe an exported transform's frames in lines: to UTM itself if ``absolute``, else to the map frame."""
     (east, north), crs, scale = siting.world.origin_utm, siting.world.crs, siting.world.grid_scale
     centre = siting.world.to_utm(siting.centre_world[None, :2])[0]
     target = (
@@ -89,7 +89,7 @@ def _on_one_line(text: str) -> str:
 
 
 def statement(siting: Siting) -> dict[str, Any]:
-    """Return as JSON what brings an exported transform back without loss."""
+    """Return the JSON object from which an exported transform can be imported without loss."""
     return {
         "name": siting.name,
         "kind": siting.kind,
@@ -102,14 +102,14 @@ def statement(siting: Siting) -> dict[str, Any]:
 
 
 def comments(siting: Siting, *, absolute: bool = False) -> str:
-    """Return all of that as lines of comment after ``#``."""
+    """Return `words` and `statement` as comment lines that begin with ``#``."""
     told = f"{STATEMENT}: {json.dumps(statement(siting))}"
     return "".join(f"# {line}\n" for line in (*words(siting, absolute=absolute), told))
 
 
 @dataclass(frozen=True)
 class Statement:
-    """What an exported file says about itself; see `statement`."""
+    """The statement of an exported file about itself, see `statement`."""
 
     name: str
     kind: str
@@ -119,7 +119,7 @@ class Statement:
 
 
 def find_statement(text: str) -> Statement | None:
-    """Return what an exported file says about itself, or None if it is none or says what cannot be."""
+    """Return an exported file's statement about itself, or None if it has none or an invalid one."""
     found = _STATEMENT.search(text)
     if found is None:
         return None
@@ -131,5 +131,5 @@ def find_statement(text: str) -> Statement | None:
         said = Statement(str(told["name"]), str(told["kind"]), str(told["frame"]), world, centre)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return None
-    sound = np.abs([east, north, *centre]).max() < 1e8 and 0.9 < world.grid_scale < 1.1  # which NaN is not, either
+    sound = np.abs([east, north, *centre]).max() < 1e8 and 0.9 < world.grid_scale < 1.1  # False for NaN, too
     return said if sound else None

@@ -1,4 +1,4 @@
-"""Times as people write them: numbers whose size tells their unit, and ISO 8601."""
+"""Times in text: numbers whose magnitude determines their unit, and ISO 8601."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 POSSIBLE_NS = range(10**17, 9 * 10**18)
-"""Unix times from 1973 to 2255: those of two units never touch, and clocks that count from 1980 or 2004 lie inside."""
+"""Plausible Unix times, 1973 to 2255: a number is in this range in one unit at most, and times of clocks that count
+from 1980 (GPS) or 2004 (ETSI) are in it, too."""
 
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """A unit that Unix times are counted in.
+    """A unit of Unix times.
 
     Attributes
     ----------
     name : str
     ns : int
-        Nanoseconds in one unit.
+        Its length in nanoseconds.
     """
 
     name: str
     ns: int
 
     def to_ns(self, value: Decimal) -> int | None:
-        """Return the time in nanoseconds, or None if the number's size says that it has another unit."""
+        """Return the time in nanoseconds, or None if its magnitude shows that it is in another unit."""
         if not POSSIBLE_NS.start <= value * self.ns < POSSIBLE_NS.stop:
             return None
         return int((value * self.ns).to_integral_value())
@@ -50,12 +51,12 @@ UNITS = (
 
 
 def number(text: str) -> Decimal | None:
-    """Return the number that a text is, exactly, or None."""
+    """Return the number that a text consists of, exactly, or None."""
     return Decimal(text) if _NUMBER.fullmatch(text) else None
 
 
 def unit_of(values: Sequence[Decimal]) -> TimeUnit | None:
-    """Return the unit that times are counted in, by the size of the middle one, or None if they are no Unix times."""
+    """Return the unit of times by the magnitude of their median, or None if they are no Unix times."""
     if not values:
         return None
     middle = sorted(values)[len(values) // 2]
@@ -71,7 +72,7 @@ class IsoTime:
     ns : int
         Unix time, nanoseconds.
     has_zone : bool
-        Whether it said how far it is from UTC; where it did not, it was taken for UTC.
+        Whether the text has an offset from UTC; without one, UTC is assumed.
     """
 
     ns: int
@@ -79,7 +80,7 @@ class IsoTime:
 
 
 def iso_time(text: str) -> IsoTime | None:
-    """Return the time that an ISO 8601 text such as ``2011-09-26 13:02:25.964389445`` is, exactly, or None."""
+    """Return the time of an ISO 8601 text such as ``2011-09-26 13:02:25.964389445``, exactly, or None."""
     match = _ISO.fullmatch(text.strip())
     if match is None:
         return None
@@ -91,7 +92,7 @@ def iso_time(text: str) -> IsoTime | None:
     except (ValueError, OverflowError):
         return None
     ns = (since_epoch // timedelta(seconds=1)) * 10**9 + int((fraction or "0")[:9].ljust(9, "0"))
-    # Beyond these years an int64 of nanoseconds overflows.
+    # Somewhat beyond these years, nanoseconds overflow an int64.
     return IsoTime(ns, bool(zulu or sign)) if 1700 <= moment.year <= 2200 else None
 
 

@@ -1,4 +1,4 @@
-"""The calibration of a stereo camera, from the files that calibration tools write."""
+"""Calibrations of stereo cameras, read from the files that calibration tools write."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ CALIBRATION_FILES: tuple[tuple[str, ...], ...] = (
     ("calib.txt",),
     ("calib_cam_to_cam.txt",),
 )
-"""Names by which a calibration is found, the first first; what it is, its content tells."""
+"""File names by which a calibration is found, in order of preference; its format is recognised by its content."""
 
 _USUAL = "stereo.yaml, left.yaml with right.yaml, intrinsics.yml with extrinsics.yml, camchain*.yaml or calib.txt"
 
@@ -74,22 +74,23 @@ _FORMATS: tuple[Reader, ...] = (
     read_depthai,
     read_opencv,
 )
-"""Readers in the order in which they are tried; one that does not know the files' names returns None."""
+"""Readers in the order in which they are tried; a reader returns None for files of another format."""
 
 
 def calibration_files(given: Path | Sequence[Path], left_folder: Path) -> tuple[Path, ...]:
-    """Return the files of a stereo calibration: as given, else what lies beside the left images.
+    """Return the files of a stereo calibration: those given, or those found beside the left images.
 
     Parameters
     ----------
     given : path, or sequence of path
-        One file or two, or a folder that holds them under their usual names; none of them: it is looked for.
+        One or two files, or a folder that holds them under their usual names; if empty, the folder of ``left_folder``
+        is searched.
     left_folder : path
 
     Raises
     ------
     RigError
-        If there is none.
+        If no calibration is found.
     """
     paths = (given,) if isinstance(given, Path) else tuple(given)
     if not paths:
@@ -112,23 +113,24 @@ def read_stereo_calibration(
     left_folder: Path | None = None,
     baseline_m: float | None = None,
 ) -> StereoRig:
-    """Read a stereo calibration and check that it can be one.
+    """Read a stereo calibration and check that it is plausible.
 
     Parameters
     ----------
     files : path, or sequence of path
-        One file or two, in any format of docs/stereo-calibrations.md.
+        One or two files, in any format of docs/stereo-calibrations.md.
     image_size : tuple of int, optional
-        Width and height of the images that it is for.
+        Width and height of the images to be calibrated, pixels.
     left_folder : path, optional
-        The folder of the left images; of several cameras in a file, its name may tell which are meant.
+        The folder of the left images; its name may determine which cameras of a file with several are meant.
     baseline_m : float, optional
-        How far apart the cameras stand, where the file's lengths are in an unknown unit.
+        The distance between the cameras, where the file's lengths are in an unknown unit.
 
     Raises
     ------
     RigError
-        If it cannot be read, lacks an entry, is for images of another size, or describes no usable stereo camera.
+        If the calibration cannot be read, lacks an entry, is for images of another size, or describes no usable stereo
+        camera.
     """
     rig = read_rig(files, ForImages(image_size, left_folder, baseline_m))
     if image_size is not None:
@@ -137,7 +139,7 @@ def read_stereo_calibration(
 
 
 def read_rig(files: Path | Sequence[Path], images: ForImages) -> StereoRig:
-    """Read a stereo calibration, as `read_stereo_calibration` does, but for images of any size.
+    """Read a stereo calibration as `read_stereo_calibration` does, but for images of any size.
 
     Raises
     ------
@@ -149,7 +151,7 @@ def read_rig(files: Path | Sequence[Path], images: ForImages) -> StereoRig:
             f"{len(paths)} files are given as the stereo calibration; needed is one, or two that belong together"
         )
     documents = [read_document(path) for path in paths]
-    with np.errstate(all="ignore"):  # huge numbers become infinite ones, which are refused
+    with np.errstate(all="ignore"):  # huge numbers overflow to infinity, which is refused
         rig = _read(documents, images)
         if images.baseline_m is not None:
             rig = with_baseline(_names(paths), rig, images.baseline_m)
@@ -164,7 +166,7 @@ def _read(documents: Sequence[Document], images: ForImages) -> StereoRig:
 
 
 def _tells_size(documents: Sequence[Document], images: ForImages) -> bool:
-    """Tell whether the images' size is in the files."""
+    """Return whether the files state the image size."""
     try:
         _read(documents, replace(images, size=None))
     except RigError:

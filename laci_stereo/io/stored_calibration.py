@@ -1,4 +1,4 @@
-"""Results that were written before: what of a ``calibration.json`` others go on with."""
+"""Stored results: the parts of a ``calibration.json`` that other commands use."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from laci_stereo.io.output import RESULT_FILE
 from laci_stereo.io.text_file import read_text
 
 _FARTHEST_FROM_RIGID = 1e-6
-"""Of a rotation's entries: written numbers have more digits."""
+"""Largest error of the products of a rotation's rows; written numbers have more digits."""
 
 
 @dataclass(frozen=True)
 class StoredCalibration:
-    """A result as its file has it.
+    """A result as stored in its file.
 
     Attributes
     ----------
     path : Path
     name, kind, frame : str
-        Of the sensor; the frame in words.
+        Of the sensor; the frame is described in words.
     world : World
     T_world_sensor : ndarray, shape (4, 4)
     covariance : ndarray, shape (6, 6)
-        Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``. NaN
-        where nobody knows it, as of an imported result.
+        Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``. NaN if
+        unknown, as in an imported result.
     centre_world : ndarray, shape (3,)
     boxes : ndarray, shape (n, 6)
-        The static background, world: centre x and y, length, width, yaw, height.
+        The static background, world frame: centre x and y, length, width, yaw, height.
     angles_deg : tuple of float
         Roll, down and yaw, see `ViewingAngles`.
     rectified : bool
-        It is of images that were rectified already.
+        Whether the images were already rectified.
     baseline_m : float or None
-        How far apart the user said that the cameras stand; None where the stereo calibration tells it.
+        The distance between the cameras that the user stated; None: that of the stereo calibration.
     turn_deg : tuple of float or None
-        How far its right camera had turned, see `StereoSettings.turn_deg`.
+        Rotation of the right camera since its calibration, see `StereoSettings.turn_deg`.
     """
 
     path: Path
@@ -63,12 +63,12 @@ class StoredCalibration:
 
     @property
     def claims(self) -> bool:
-        """Whether it says how good it is."""
+        """Whether the result states its own accuracy."""
         return not np.isnan(self.covariance).all()
 
 
 def read_calibration(result: Path) -> StoredCalibration:
-    """Read a result.
+    """Read a stored result.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def read_calibration(result: Path) -> StoredCalibration:
     Raises
     ------
     CalibrationFileError
-        If it cannot be read, does not fit the schema, or its transform or covariance is none.
+        If the file cannot be read, does not conform to the schema, or has an invalid transform or covariance.
     """
     path = result / RESULT_FILE if result.is_dir() else result
     if not path.exists():
@@ -94,7 +94,7 @@ def read_calibration(result: Path) -> StoredCalibration:
         raise CalibrationFileError(f"{path}: {problem}") from problem
     try:
         stored = _parsed(path, document)
-    except OverflowError as problem:  # JSON's whole numbers may be longer than any float
+    except OverflowError as problem:  # integers in JSON may exceed any float
         raise CalibrationFileError(f"{path} holds a number out of range: {problem}; needed are floats") from problem
     _check(stored)
     return stored
@@ -134,9 +134,9 @@ def _covariance(rows: list[list[float]] | None) -> FloatArray:
     return np.full((6, 6), np.nan) if rows is None else np.array(rows, dtype=np.float64)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is beyond measure becomes infinite, which is refused
+@np.errstate(over="ignore", invalid="ignore")  # values that overflow to infinity are refused
 def _check(stored: StoredCalibration) -> None:
-    """Raise if what has the right shape makes no sense."""
+    """Raise if numbers of the right shape are invalid."""
     try:
         utm_code(stored.world.crs)
     except SettingError as problem:

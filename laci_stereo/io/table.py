@@ -1,4 +1,4 @@
-"""Tables in CSV files, with the many ways in which people write them, and their columns of times."""
+"""Tables in CSV files, with the separators, column names and number formats found in practice, and columns of times."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from laci_stereo.io.text_file import listed, quoted, read_text
 
 Array = TypeVar("Array", FloatArray, IntArray)
 Problems: TypeAlias = Mapping[int, str]
-"""What is wrong with a row, by its index."""
+"""Index of each bad row, with the reason."""
 
 BAD_SHARE = 0.2
-"""More than a fifth of bad values is no exception any more, but says something about the file."""
+"""Largest fraction of bad values that is tolerated: more are no exceptions, but mean that the file is unsuitable or was
+misunderstood."""
 
 _MISSING = frozenset({"", "-", "na", "n/a", "nan", "none", "null", "unavailable"})
 _DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)")
@@ -30,14 +31,15 @@ _DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)")
 
 @dataclass(frozen=True)
 class Column:
-    """What a column is called.
+    """A column, and the names by which it is recognised.
 
     Attributes
     ----------
     name : str
         The canonical name.
     synonyms : tuple of str
-        Other names of it, the better ones first; case, spaces and underscores do not matter.
+        Other names, in order of preference, as `plain_name` returns them: case, spaces and underscores of a title do
+        not matter.
     """
 
     name: str
@@ -61,7 +63,7 @@ TIMESTAMP = Column(
 
 @dataclass(frozen=True)
 class Parsed(Generic[Array]):
-    """A column's values, shape (n,), the rows whose cell could not be read, and how the others were understood."""
+    """A column's values, shape (n,), the rows whose cell could not be read, and notes on its interpretation."""
 
     values: Array
     problems: Problems
@@ -77,13 +79,13 @@ class Table:
     path : Path
     header : list of str
     rows : list of list of str
-        Each as wide as the header.
+        Each as long as the header.
     line_numbers : list of int
-        Where each row stands in the file, the header being row 1.
+        Line of the file on which each row ends, counted from 1.
     problems : mapping of int to str
-        The rows that have more cells than the header.
+        The rows with more cells than the header.
     error : type of InputError
-        What is raised if it is unusable.
+        The error class to raise if the file is unusable.
     """
 
     path: Path
@@ -94,12 +96,12 @@ class Table:
     error: type[InputError]
 
     def texts(self, column: Column) -> list[str] | None:
-        """Return the cells of a column, or None if there is no such column."""
+        """Return the cells of a column, or None if the table does not have it."""
         place = column.find(self.header)
         return None if place is None else [row[place] for row in self.rows]
 
     def numbers(self, column: Column) -> Parsed[FloatArray]:
-        """Return the numbers in a column; NaN where they, or the whole column, are missing."""
+        """Return the numbers in a column, NaN where a cell or the whole column is missing."""
         values = np.full(len(self.rows), np.nan)
         problems = {}
         for i, text in enumerate(self.texts(column) or []):
@@ -112,18 +114,18 @@ class Table:
         return Parsed(values, problems)
 
     def skip_notes(self, problems: Problems) -> list[str]:
-        """Return a note on bad rows that are left out.
+        """Return a note on bad rows that are left out, if any.
 
         Raises
         ------
         InputError
-            Of the table's class, if they are too many to be exceptions.
+            Of the table's class, if more than a fifth of the rows are bad.
         """
         return skip_notes(self.path, problems, "row", self.line_numbers, self.error)
 
 
 def read_table(path: Path, required: Sequence[Column], error: type[InputError], row_noun: str) -> Table:
-    """Read a CSV file with a header row, whose cells are separated by commas, semicolons or tabs.
+    """Read a CSV file with a header row and cells separated by commas, semicolons or tabs.
 
     Numbers may have decimal commas.
 
@@ -131,16 +133,16 @@ def read_table(path: Path, required: Sequence[Column], error: type[InputError], 
     ----------
     path : Path
     required : sequence of Column
-        The columns without which it is unusable.
+        The columns without which the table is unusable.
     error : type of InputError
-        What is raised if it is.
+        The error class to raise.
     row_noun : str
-        What a row is, for the message.
+        What a row holds, for the error message.
 
     Raises
     ------
     InputError
-        Of the class ``error``, if it cannot be read, has no rows, or lacks a column.
+        Of the class ``error``, if the file cannot be read, has no rows, or lacks a required column.
     """
     lines = _lines(path, error)
     if not lines:
@@ -159,7 +161,7 @@ def read_table(path: Path, required: Sequence[Column], error: type[InputError], 
 
 
 def _lines(path: Path, error: type[InputError]) -> list[tuple[int, list[str]]]:
-    """Return the cells of each line that has any, with the line's number."""
+    """Return the line number and the cells of each line that is not empty."""
     text = read_text(path, error)
     first_line = next(line for line in text.splitlines() if line.strip())
     separator = max(",;\t", key=first_line.count)
@@ -188,7 +190,7 @@ def _check_header(path: Path, header: list[str], required: Sequence[Column], err
 
 
 def stamps_ns(table: Table) -> Parsed[IntArray]:
-    """Return the rows' Unix times in nanoseconds; the unit follows from the size of the middle one."""
+    """Return the rows' Unix times in nanoseconds; the unit of numbers follows from the magnitude of their median."""
     texts = table.texts(TIMESTAMP) or []
     numbers = [number(text) for text in texts]
     moments = [iso_time(text) if value is None else None for text, value in zip(texts, numbers, strict=True)]
@@ -213,12 +215,12 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
 
 
 def skip_notes(path: Path, problems: Problems, noun: str, places: Sequence[int], error: type[InputError]) -> list[str]:
-    """Return a note on what is bad in a file and is left out, at the places of what is a row or the like.
+    """Return a note on bad items of a file that are left out, such as rows or lines; ``places`` are their numbers.
 
     Raises
     ------
     InputError
-        Of the class ``error``, if it is too much to be exceptions.
+        Of the class ``error``, if more than a fifth of the items are bad.
     """
     if not problems:
         return []
@@ -230,7 +232,7 @@ def skip_notes(path: Path, problems: Problems, noun: str, places: Sequence[int],
 
 
 def merged(problems: Iterable[Problems]) -> Problems:
-    """Return what is wrong with each row, the first of several things, in the order of the rows."""
+    """Return the first problem of each row from several sources, in the order of the rows."""
     first: dict[int, str] = {}
     for some in problems:
         first = {**some, **first}
@@ -238,16 +240,16 @@ def merged(problems: Iterable[Problems]) -> Problems:
 
 
 def is_missing(text: str) -> bool:
-    """Return whether a cell says that there is no value."""
+    """Return whether a cell stands for a missing value."""
     return text.lower() in _MISSING
 
 
 def plain_name(title: str) -> str:
-    """Return a column's title in lower case, without spaces, underscores and other marks."""
+    """Return a column's title in lower case, with letters and digits only."""
     return "".join(character for character in title.lower() if character.isalnum())
 
 
 def _with_point(cell: str) -> str:
-    """Return a number's decimal comma as a point; anything else as it is."""
+    """Return a number with a decimal point instead of a comma; anything else unchanged."""
     found = _DECIMAL_COMMA.fullmatch(cell)
     return f"{found[1]}.{found[2]}" if found else cell

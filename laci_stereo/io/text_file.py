@@ -1,4 +1,4 @@
-"""Reading a text file whole, and quoting what was found in it within one line."""
+"""Reading text files, and quoting their content in one line of an error message."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_text(path: Path, error: type[InputError]) -> str:
-    """Return the content of a UTF-8 file, or of UTF-16 with a byte order mark, without that mark; gzip is unpacked.
+    """Return the text of a UTF-8 file, or a UTF-16 file with a byte order mark, without that mark; gzip is unpacked.
 
     Raises
     ------
@@ -36,17 +36,17 @@ def read_text(path: Path, error: type[InputError]) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return text as found in a file in quotes, on one line, shortened."""
+    """Return text from a file in quotes, on one line, shortened."""
     return repr(shortened(text, _LONGEST_QUOTE))
 
 
 def shortened(text: str, most: int = 300) -> str:
-    """Return words that may hold what was found in a file on one line, shortened."""
+    """Return a message that may contain text from a file on one line, shortened."""
     shown = re.sub(r"\s+", " ", text)
     return shown if len(shown) <= most else shown[: most - 3] + "..."
 
 
 def listed(texts: list[str], most: int = 20) -> str:
-    """Return texts as found in a file as one line, the first few of them, shortened."""
+    """Return the first few of several texts from a file, separated by commas, on one line, shortened."""
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
     return shortened(", ".join(text[:_LONGEST_QUOTE] for text in texts[:most]), _LONGEST_LIST) + more

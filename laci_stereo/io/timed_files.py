@@ -1,4 +1,4 @@
-"""Folders of files that each have a time, in their names or in a list beside them."""
+"""Folders of files with a time each, in their names or in a list beside them."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _DATE = re.compile(r"(?<![0-9])20[0-9]{2}([-_]?)[01][0-9]\1[0-3][0-9]")
 
 @dataclass(frozen=True)
 class FileKind:
-    """What the files in a folder are.
+    """A kind of files in a folder.
 
     Attributes
     ----------
     noun : str
-        Of one of them.
+        Noun for one of them.
     suffixes : frozenset of str
         Lower case.
     formats : str
-        In words.
+        The formats, for messages.
     error : type of InputError
-        What is raised if the folder is unusable.
+        The error class to raise if the folder is unusable.
     """
 
     noun: str
@@ -45,17 +45,17 @@ class FileKind:
     error: type[InputError]
 
     def has(self, entry: Path) -> bool:
-        """Tell whether a path is such a file; hidden ones are not."""
+        """Return whether a path is a file of this kind; hidden files are not."""
         return entry.suffix.lower() in self.suffixes and not entry.name.startswith(".") and entry.is_file()
 
 
 def names_in(folder: Path, kind: FileKind) -> list[str]:
-    """Return the names of the files of a kind, sorted.
+    """Return the sorted names of the files of a kind.
 
     Raises
     ------
     InputError
-        Of the kind's class, if the folder is missing, cannot be read, or holds none.
+        Of the kind's class, if the folder is missing, cannot be read, or holds no such file.
     """
     needed = f"needed is a folder of {kind.noun}s"
     try:
@@ -76,12 +76,12 @@ def names_in(folder: Path, kind: FileKind) -> list[str]:
 
 
 def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[Path, ...], IntArray]:
-    """Return the paths of files in the order of time, and their times, strictly ascending (Unix, nanoseconds).
+    """Return the paths of files ordered by time, and their strictly ascending times (Unix, nanoseconds), shape (n,).
 
     Raises
     ------
     InputError
-        Of the kind's class, if a file has no time or the time of another one.
+        Of the kind's class, if a file has no time, or the same time as another one.
     """
     stamps = folder_stamps(folder, names, kind)
     order = np.argsort(stamps, kind="stable")
@@ -97,15 +97,15 @@ def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[P
 
 
 def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
-    """Find the times of the files in a folder.
+    """Return the times of the files in a folder.
 
-    They are in ``timestamps.txt`` or ``timestamps.csv`` where there is one, and in the files' names where not.
+    They are read from ``timestamps.txt`` or ``timestamps.csv`` if there is one, else from the files' names.
 
     Parameters
     ----------
     folder : Path
     names : sequence of str
-        Sorted; at least one.
+        Sorted names of the files; at least one.
     kind : FileKind
 
     Returns
@@ -151,7 +151,7 @@ def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntA
 
 
 def _numbers_in(names: Sequence[str]) -> list[list[Decimal]]:
-    """Return the numbers in each name; where one number is seconds and the next nanoseconds, both as one."""
+    """Return the numbers in each name, with numbers of seconds and of nanoseconds joined to one."""
     texts = [_NUMBER_IN_NAME.findall(Path(name).stem) for name in names]
     joined = (_joined(texts, place) for place in range(min(map(len, texts))))
     texts = next((found for found in joined if found is not texts), texts)
@@ -159,9 +159,10 @@ def _numbers_in(names: Sequence[str]) -> list[list[Decimal]]:
 
 
 def _joined(texts: list[list[str]], place: int) -> list[list[str]]:
-    """Join seconds and nanoseconds, as `sec_nsec` or `sec.nsec`, the latter if not padded with zeros to nine digits.
+    """Join seconds and nanoseconds: ``sec_nsec``, or ``sec.nsec`` if the latter is not padded to nine digits.
 
-    Without these zeros 1.5 is five nanoseconds after a second, or half a second: that by which times are more regular.
+    Without padding, 1.5 means either five nanoseconds or half a second after second 1. It is read as nanoseconds if
+    that makes the intervals less than half as irregular.
     """
     dotted = ["." in found[place] for found in texts]
     if all(dotted):
@@ -183,20 +184,20 @@ def _joined(texts: list[list[str]], place: int) -> list[list[str]]:
 
 
 def _unevenness(times: Sequence[str]) -> float:
-    """Return by how much the steps between times differ from the usual one, in the mean, seconds."""
+    """Return the mean absolute deviation of the intervals between times from their median, seconds."""
     first = min(map(Decimal, times))
     steps = np.diff(np.sort([float(Decimal(time) - first) for time in times]))
     return float(np.abs(steps - np.median(steps)).mean())
 
 
 def _unit_and_place(numbers: list[list[Decimal]]) -> tuple[TimeUnit | None, int]:
-    """Return the unit of the times in the names, and which of the numbers in a name is the time."""
+    """Return the unit of the times in the names, and the index of the number in each name that is the time."""
     fits = []
     for place in range(max(len(found) for found in numbers)):
         column = [found[place] for found in numbers if len(found) > place]
         unit = unit_of(column)
         if unit is not None:
-            # Of two times in the names the finer one tells more.
+            # If the names hold two times, the one with the finer unit is used.
             fits.append((sum(unit.to_ns(value) is not None for value in column), -unit.ns, -place, unit))
     if not fits:
         return None, 0
@@ -240,7 +241,7 @@ def _stamps_by_name(
 
 
 def _named(line: str, by_name: Mapping[str, str]) -> tuple[str | None, str]:
-    """Return the file's name and the rest of a row such as ``name stamp``, ``name,stamp`` or ``stamp,name``."""
+    """Split a row such as ``name stamp``, ``name,stamp`` or ``stamp,name`` into the file's name and the rest."""
     for separator in (",", ";", "\t", None):
         for fields in (line.split(separator, 1), line.rsplit(separator, 1)):
             if len(fields) == 2:

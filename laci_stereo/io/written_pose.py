@@ -1,4 +1,4 @@
-"""Transforms as other tools write them: numbers with names, in text, YAML, JSON or XML."""
+"""Transforms in files of other tools: named numbers in text, YAML, JSON or XML."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ _FROM_MAP = re.compile(r"T_\w+_(utm|map|world)|(utm|map|world)_?(to|2)_?\w+", re
 
 @dataclass(frozen=True)
 class WrittenPose:
-    """A transform as a file has it.
+    """A transform as written in a file.
 
     Attributes
     ----------
     name : str
-        Of the entry.
+        Name of the entry.
     T : ndarray, shape (4, 4)
-        Rigid, in the direction in which it was written.
+        Rigid transform, in the direction in which it is written.
     grid_scale : float or None
-        By how much x and y of the map are stretched after that, where the file has it; None where it is rigid.
+        Scale of the map's x and y that is applied after ``T``; None if the file's transform is rigid.
     from_map : bool or None
-        Whether it leads from the map to the sensor; None where the file does not say.
+        Whether it maps from the map to the sensor; None if the file does not state it.
     notes : tuple of str
-        How it was understood.
+        How the file was interpreted.
     """
 
     name: str
@@ -64,25 +64,26 @@ class WrittenPose:
 
 
 def read_pose(path: Path, entry: str | None = None, kind: str | None = None) -> tuple[WrittenPose, Statement | None]:
-    """Read a file that holds one transform, or the one that ``entry`` names.
+    """Read the only transform in a file, or the one that ``entry`` names.
 
     Parameters
     ----------
     path : Path
     entry : str or None
     kind : str or None
-        One of `KINDS`; None finds it by the content.
+        One of `KINDS`; None: recognised by the content.
 
     Returns
     -------
     pose : WrittenPose
     statement : Statement or None
-        What the file says about itself, if it is an export of this project.
+        The file's statement about itself, if it is an export of this project.
 
     Raises
     ------
     CalibrationFileError
-        If it cannot be read, or holds no transform, several, or what is none.
+        If the file cannot be read, holds no transform, or several without ``entry``, or the numbers are no rigid
+        transform.
     """
     text = read_text(path, CalibrationFileError)
     try:
@@ -106,7 +107,7 @@ def _chosen(found: Mapping[str, _Unread], entry: str | None) -> WrittenPose:
 
 
 _Unread = Callable[[], WrittenPose]
-"""A transform that was found, but whose numbers were not looked at: another one may be asked for."""
+"""Reads a transform that was found in a file; its numbers are checked only if it is the requested one."""
 
 
 def _kind_of(text: str) -> str:
@@ -139,7 +140,7 @@ def _read_kitti(text: str) -> dict[str, _Unread]:
         key, _, value = line.partition(":")
         if _from_text(value) is not None:
             entries[key.strip()] = value
-    # R and T are what most of its files have; where others say the same beside them, they are not another transform.
+    # Most KITTI files have R and T; other entries beside these repeat the same transform.
     parts: dict[str, Node] = {key: entries[key] for key in ("R", "T") if key in entries}
     return dict(_named(parts if len(parts) == 2 else entries, "", 0))
 
@@ -149,7 +150,7 @@ def _read_proj(text: str) -> dict[str, _Unread]:
 
 
 def _affine(text: str) -> WrittenPose:
-    """Read what PROJ's affine step does; it may stretch x and y by the grid's scale."""
+    """Read PROJ's affine step, which may scale x and y by the grid scale."""
     if len(re.findall(r"\+step\b", text)) != 1 or "+proj=affine" not in text or re.search(r"\+inv\b", text):
         raise NoTransformError("the pipeline has other steps than one +proj=affine; needed is that alone")
     given = dict(re.findall(rf"\+([xyz]off|s[123][123])=({_NUMBER})(?=\s|$)", text))
@@ -165,7 +166,7 @@ def _affine(text: str) -> WrittenPose:
 
 
 def _read_ros2(text: str) -> dict[str, _Unread]:
-    """Read the arguments of static_transform_publisher, wherever they stand."""
+    """Read the arguments of static_transform_publisher, at any place in the text."""
     words = re.findall(
         rf"--(x|y|z|qx|qy|qz|qw|roll|pitch|yaw)[\s\"',=]+({_NUMBER})(?=[\s\"',\]]|$)", _without_comments(text)
     )
@@ -200,7 +201,7 @@ KINDS = tuple(_READERS)
 
 
 def _named(node: Node, name: str, depth: int) -> Iterator[tuple[str, _Unread]]:
-    """Yield every transform below a node, with its name, by the names of what it is made of."""
+    """Yield every transform in a node and below, with its name; the names of its entries identify it."""
     if depth > _DEEPEST:
         raise NoTransformError(f"it nests deeper than {_DEEPEST} levels")
     if not isinstance(node, dict):
@@ -227,7 +228,7 @@ _Numbers = Mapping[str, "list[float] | None"]
 
 
 def _rotation_in(node: Mapping[str, Node], numbers: _Numbers) -> tuple[str, list[float]] | None:
-    """Return what a rotation is called there, and its numbers."""
+    """Return the name and the numbers of a node's rotation, if it has one."""
     for order in (("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")):
         flat = _in_order(node, order)
         if flat is not None:
@@ -258,7 +259,7 @@ def _of_parts(
     key, numbers = rotation
     notes: list[str] = []
     error = node.get("relative_error")
-    if isinstance(error, dict):  # DAIR-V2X keeps a correction beside its translation, which is to be added
+    if isinstance(error, dict):  # DAIR-V2X: a correction to be added to the translation
         delta = [error.get(axis) for axis in ("delta_x", "delta_y")]
         shift = (*(value if isinstance(value, float) else 0.0 for value in delta), 0.0)
         translation = [a + b for a, b in zip(translation, shift, strict=True)]
@@ -273,13 +274,13 @@ def _of_parts(
     else:
         notes.append(f"the angles of {name} were taken as roll, pitch and yaw about fixed axes, radians")
         turned = rotation_of_angles(numbers, "xyz", name)
-    # OpenCV's rvec and tvec bring points of the map into the camera.
+    # OpenCV's rvec and tvec map points from the map to the camera.
     T = rigid(turned, translation_of(translation, name))
     return WrittenPose(name, T, from_map=True if key == "rvec" else None, notes=tuple(notes))
 
 
 def _numbers(node: Node, depth: int) -> list[float] | None:
-    """Return the numbers of a sequence, a matrix, a point with named coordinates or a text; None if it is none."""
+    """Return the numbers of a sequence, a matrix, a point with named coordinates or a text; None for anything else."""
     if isinstance(node, float):
         return [node]
     if isinstance(node, str):
