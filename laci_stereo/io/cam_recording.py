@@ -110,6 +110,7 @@ def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamR
     """
     missing = np.full(len(messages), np.nan)
     values, zero_notes = _without_zeros({quantity: messages.values.get(quantity, missing) for quantity in QUANTITIES})
+    values, sign_notes = _without_signs(values)
     _check_sides(messages.path, values)
     problems = merged([messages.problems, _misplaced(values)])
     skipped = skip_notes(messages.path, problems, messages.noun, messages.places, CamError)
@@ -117,7 +118,7 @@ def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamR
     good = np.array([i not in problems for i in range(len(messages))], dtype=bool)
     log, order_notes = _in_order(messages, _log(messages.stamps_ns, messages.station_id, values)[good])
     position_notes = _check_positions(messages, log)
-    understood = (*notes, *zero_notes, *skipped, *range_notes, *order_notes, *position_notes)
+    understood = (*notes, *zero_notes, *sign_notes, *skipped, *range_notes, *order_notes, *position_notes)
     return CamRecording(log, understood, file_format)
 
 
@@ -131,6 +132,14 @@ def _without_zeros(values: Values) -> tuple[Values, list[str]]:
         **{quantity: np.where(values[quantity] == 0, np.nan, values[quantity]) for quantity in (*DIMENSIONS, *AXES)},
     }
     return kept, notes
+
+
+def _without_signs(values: Values) -> tuple[Values, list[str]]:
+    """Take speeds for magnitudes, as in a CAM: loggers write negative ones in reverse, or as noise while stationary."""
+    speeds = values[SPEED]
+    negative = (speeds < 0.0) & (speeds >= -SPEED.highest)
+    notes = [f"{int(negative.sum())} speeds are negative; taken as magnitudes"] if negative.any() else []
+    return {**values, SPEED: np.where(negative, -speeds, speeds)}, notes
 
 
 def _check_sides(path: Path, values: Values) -> None:

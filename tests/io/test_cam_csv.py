@@ -486,13 +486,24 @@ def test_a_row_with_too_many_fields_is_bad(tmp_path: Path) -> None:
     assert notes == ("1 bad rows skipped, the first of them row 4: it has 11 fields; needed are 9",)
 
 
-@pytest.mark.parametrize(("column", "value"), [("heading", "999"), ("speed", "-3"), ("vehicle_length", "250.5")])
+@pytest.mark.parametrize(("column", "value"), [("heading", "999"), ("speed", "200"), ("vehicle_length", "250.5")])
 def test_an_impossible_value_is_missing_and_many_are_refused(tmp_path: Path, column: str, value: str) -> None:
     recording = read_cam_csv(write(tmp_path / "cam.csv", put(table(drive()), column, value, 4)))
     assert len(recording.log) == 20
     assert any(note.startswith(f"4 values taken as missing: {column} is {value}") for note in recording.notes)
     with pytest.raises(CamError, match=rf"{column} is {value} .* in row 2 and the like in 5 of 20 rows; needed is"):
         read_cam_csv(write(tmp_path / "cam.csv", put(table(drive()), column, value, 5)))
+
+
+def test_speeds_of_a_vehicle_that_reverses_are_magnitudes(tmp_path: Path) -> None:
+    """A CAM has the direction apart; loggers write it as a sign, and noise about 0 where a vehicle waits."""
+    rows = table(drive())
+    plain = read_cam_csv(write(tmp_path / "plain.csv", rows)).log.speed_mps
+    column = rows[0].index("speed")
+    signed = [rows[0], *([*row[:column], f"-{row[column]}", *row[column + 1 :]] for row in rows[1:])]
+    recording = read_cam_csv(write(tmp_path / "signed.csv", signed))
+    np.testing.assert_array_equal(recording.log.speed_mps, plain)
+    assert f"{len(plain)} speeds are negative; taken as magnitudes" in recording.notes
 
 
 def test_positions_at_zero_and_missing_ones_are_no_positions(tmp_path: Path) -> None:
