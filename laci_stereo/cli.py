@@ -1,4 +1,4 @@
-"""``laci-stereo``: arguments in, exit codes out."""
+"""The command line ``laci-stereo``: arguments in, exit codes out."""
 
 from __future__ import annotations
 
@@ -197,12 +197,12 @@ cli.add_command(monitor_command)
 
 
 def parse_disparities(text: str | None) -> tuple[int, int] | None:
-    """Read ``MIN..MAX``.
+    """Parse ``MIN..MAX``.
 
     Raises
     ------
     SettingError
-        If it is not that.
+        If the text has another form.
     """
     if text is None:
         return None

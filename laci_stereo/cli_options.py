@@ -1,4 +1,4 @@
-"""What every calibrating command is asked, and how its answer is delivered."""
+"""The options that all calibrating commands share, and the output of their results."""
 
 from __future__ import annotations
 
@@ -35,18 +35,21 @@ from laci_stereo.io.rig import MAX_BASELINE_M, MIN_BASELINE_M
 from laci_stereo.job import DriveOptions, Result, Task
 
 SURE_CLOCK_S, LOST_CLOCK_S = 1e-6, 60.0
-"""No clocks are known better than that, and beyond it nobody knows which vehicle would be which message's."""
+"""No clocks are synchronised more closely than the first, and beyond the second the messages cannot be assigned to
+vehicles."""
 
 EXACT_M, INEXACT_M = 0.001, 100.0
-"""No position on a moving vehicle is known better than that, and one that is known worse calibrates nothing."""
+"""No position of a moving vehicle is more exact than the first, and one that is less exact than the second calibrates
+nothing."""
 
 LONGEST_M = 30.0
-"""No vehicle on a road is longer (25.25 m, directive 96/53/EC), and its position refers to none farther away."""
+"""No vehicle on a road is longer (25.25 m, directive 96/53/EC), and its reference point is no farther from its
+centre."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """What every calibrating command is asked, whatever the sensor; ``workers`` only where there are frames."""
+    """The options of every calibrating command, for any sensor; ``workers`` applies only to those that read frames."""
 
     out: Path
     overwrite: bool
@@ -68,12 +71,12 @@ class Asked:
     verbose: bool
 
     def drive(self, background: tuple[int, int] | Path | None) -> DriveOptions:
-        """Return what of it concerns the drive.
+        """Return the options that concern the drive.
 
         Raises
         ------
         SettingError
-            If it makes no sense.
+            If one makes no sense.
         """
         return DriveOptions(
             lane_map=self.lane_map,
@@ -97,7 +100,7 @@ PATH = click.Path(path_type=Path)
 
 
 def a_number(_context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
-    """Refuse what no range refuses: NaN is neither below nor above its ends."""
+    """Refuse NaN, which no range refuses: it is neither below nor above the limits."""
     if value is not None and math.isnan(value):
         raise click.BadParameter(f"{value} is not a number; needed is one", param=parameter)
     return value
@@ -210,17 +213,17 @@ SAID = (
 
 
 def calibrating(command: Callable[..., Task]) -> Callable[..., None]:
-    """Make a command of a function that prepares the task of a sensor whose frames are read."""
+    """Turn a function that prepares a task into a command, for a sensor whose frames are read."""
     return _asking(command, (*_ASKED, workers_option, *SAID))
 
 
 def matching(command: Callable[..., Task]) -> Callable[..., None]:
-    """Make a command of a function that prepares a task without frames."""
+    """Turn a function that prepares a task without frames into a command."""
     return _asking(command, (*_ASKED, *SAID))
 
 
 def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]]) -> Callable[..., None]:
-    """Make a command of a function that prepares a task: add the common options, run the task, save and print."""
+    """Turn a function that prepares a task into a command: add the common options, run the task, save and print."""
 
     @wraps(command)
     def run(**given: Any) -> None:
@@ -258,7 +261,7 @@ def deliver(result: Result, out: Path, *, overwrite: bool, quiet: bool, said: Co
     Parameters
     ----------
     result : Result
-        Its job may have been prepared anew during the run, and have notes that the first one did not have.
+        Its job may have been prepared anew during the run, and then has notes that the first one did not have.
     out : Path
         The result folder.
     overwrite, quiet : bool
@@ -268,7 +271,7 @@ def deliver(result: Result, out: Path, *, overwrite: bool, quiet: bool, said: Co
     Raises
     ------
     VerdictError
-        If it must not be used; it is saved to be looked at.
+        If the result must not be used; it is saved for inspection.
     """
     result.save(out, overwrite=overwrite, command=_command())
     if not quiet:
@@ -283,7 +286,7 @@ def deliver(result: Result, out: Path, *, overwrite: bool, quiet: bool, said: Co
 
 
 def say_written(*written: Path | str, err: bool = False) -> None:
-    """Say which files were written: of a folder's path those in it; words as they are."""
+    """Print which files were written: for the path of a folder, the files in it; strings are printed as they are."""
     click.echo(f"{'Written':<11}{', '.join(map(_with_content, written))}", err=err)
 
 
@@ -299,29 +302,29 @@ def _command() -> str:
 
 
 class WithProgress:
-    """A source that shows on a terminal how far its frames are consumed, and how long it will take."""
+    """A source that shows on a terminal how many of its frames are consumed, and the time that remains."""
 
     def __init__(self, source: PointCloudSource) -> None:
         self._source = source
 
     @property
     def kind(self) -> str:
-        """As the source's."""
+        """The kind of the wrapped source."""
         return self._source.kind
 
     @property
     def name(self) -> str:
-        """As the source's."""
+        """The name of the wrapped source."""
         return self._source.name
 
     @property
     def axes(self) -> Axes:
-        """As the source's."""
+        """The axes of the wrapped source."""
         return self._source.axes
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """As the source's."""
+        """The first and last stamp of the wrapped source."""
         return self._source.span_ns
 
     def __len__(self) -> int:
@@ -331,7 +334,7 @@ class WithProgress:
         yield from self._shown(iter(self._source), len(self._source), "frames")
 
     def survey(self) -> Iterator[PointCloud]:
-        """As the source's."""
+        """Yield the survey of the wrapped source."""
         yield from self._shown(self._source.survey(), None, "survey")
 
     @staticmethod
@@ -344,12 +347,12 @@ class WithProgress:
 
 
 def parse_background(text: str | None) -> tuple[int, int] | Path | None:
-    """Read ``START..END`` or the path of another recording.
+    """Parse ``START..END`` or the path of another recording.
 
     Raises
     ------
     SettingError
-        If it is neither.
+        If the text is neither.
     """
     if text is None:
         return None
@@ -362,18 +365,18 @@ def parse_background(text: str | None) -> tuple[int, int] | Path | None:
 
 
 def interval(text: str) -> tuple[int, int] | None:
-    """Read ``A..B``; None if it is not that."""
+    """Parse ``A..B``; return None if the text has another form."""
     found = re.fullmatch(r"(\d{1,9})\.\.(\d{1,9})", text)
     return (int(found[1]), int(found[2])) if found else None
 
 
 def parse_reference(text: str) -> ReferencePoint:
-    """Read ``front``, ``center``, ``rear-axle:X`` or ``X,Y``.
+    """Parse ``front``, ``center``, ``rear-axle:X`` or ``X,Y``.
 
     Raises
     ------
     SettingError
-        If it is none of them.
+        If the text is none of them, or a distance is above `LONGEST_M`.
     """
     if text == "front":
         return FRONT
@@ -392,7 +395,7 @@ def parse_reference(text: str) -> ReferencePoint:
 
 
 def ground_near(height_m: float | None) -> GroundSettings:
-    """Bound the height over the ground by what the user says about it, give or take a third.
+    """Return settings that bound the height above the ground to within a third of the height that the user states.
 
     Raises
     ------
@@ -406,12 +409,12 @@ def ground_near(height_m: float | None) -> GroundSettings:
 
 
 def clock_sigma(clock: str, sigma_s: float | None) -> float:
-    """Return the standard deviation of the clocks' offset in seconds: as said, else by what is known of them.
+    """Return the standard deviation of the clock offset in seconds: as given, else the default for ``clock``.
 
     Raises
     ------
     SettingError
-        If it is not a number above 0, or said twice.
+        If it is out of range, or both options are given.
     """
     if sigma_s is None:
         return UNKNOWN_CLOCK_S if clock == "unknown" else JointSettings().clock_sigma_s
@@ -423,12 +426,12 @@ def clock_sigma(clock: str, sigma_s: float | None) -> float:
 
 
 def cam_sigma(sigma_m: float | None) -> float | None:
-    """Check how exact positions are said to be, metres.
+    """Check the standard deviation of positions, metres, and return it.
 
     Raises
     ------
     SettingError
-        If nothing can be so exact, or of any use.
+        If no position can be as exact as that, or it is too large to be of use.
     """
     if sigma_m is not None and not EXACT_M <= sigma_m <= INEXACT_M:
         raise SettingError(f"--cam-sigma is {sigma_m} m; needed is {EXACT_M:g} to {INEXACT_M:g}")
@@ -436,7 +439,7 @@ def cam_sigma(sigma_m: float | None) -> float | None:
 
 
 def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:
-    """Return what the verdict is by.
+    """Return the settings of the verdict.
 
     Raises
     ------
@@ -450,7 +453,7 @@ def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:
 
 
 def core_settings(method: Method, height_m: float | None, clock_sigma_s: float, quality: QualitySettings) -> Settings:
-    """Put what was asked over the core's defaults."""
+    """Return the core's default settings with the options' values in their place."""
     return Settings(
         method=method,
         ground=ground_near(height_m),
@@ -461,7 +464,7 @@ def core_settings(method: Method, height_m: float | None, clock_sigma_s: float, 
 
 
 def log_to_stderr(*, quiet: bool, verbose: bool) -> None:
-    """Say on standard error as much as was asked for."""
+    """Log to standard error at the requested level of detail."""
     logging.basicConfig(
         level=logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING,
         format="%(levelname)s: %(message)s",

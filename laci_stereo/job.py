@@ -1,4 +1,4 @@
-"""From a recording and a drive to a result folder, whatever the sensor."""
+"""A calibration job, for any kind of sensor: from a recording and the messages of a drive to a result folder."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ BLOCK_BYTES = 1 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """What a user can say about any calibration.
+    """The settings that any kind of calibration offers to a user.
 
     Attributes
     ----------
@@ -50,18 +50,19 @@ class DriveOptions:
     map_crs : str or None
         The map's coordinate system where its file does not state it; see `read_lane_map`.
     station : int or None
-        The sender; None takes all that are surely seen.
+        The sender; None uses all that are clearly seen.
     reference : ReferencePoint or None
-        Where on the vehicle the messages' positions are; None takes CAMs for what they are, and refuses an antenna's.
+        The point on the vehicle to which the messages' positions refer; None assumes the reference point of CAMs, and
+        refuses positions of an antenna.
     cam_sigma_m : float or None
-        How exact positions are of which the messages do not tell it, one standard deviation; None takes them for
-        corrected ones (`JointSettings`).
+        Uncertainty of positions whose messages do not report it, one standard deviation; None assumes RTK-corrected
+        positions (`JointSettings`).
     crs : str or None
-        The UTM zone; None takes the messages'.
+        The UTM zone; None uses the zone of the messages.
     name : str or None
-        What people call the sensor; None takes the name of the folder around the recording.
+        The sensor's name; None uses the name of the folder around the recording.
     background : tuple of int, Path or None
-        First and last frame without moving objects, or the path of a recording without them; None looks for them.
+        First and last frame without moving objects, or the path of a recording without them; None detects them.
     core : Settings
     """
 
@@ -77,11 +78,11 @@ class DriveOptions:
 
     @property
     def point(self) -> ReferencePoint:
-        """Where on the vehicle the messages' positions are: as was said, else where CAMs have them."""
+        """The point on the vehicle to which the messages' positions refer: as set, else that of CAMs."""
         return self.reference or FRONT
 
     def config(self) -> dict[str, object]:
-        """Return every effective setting; paths stand among the inputs."""
+        """Return every effective setting except the paths, which are among the inputs."""
         background = self.background
         return {
             "background_frames": str(background) if isinstance(background, Path) else background,
@@ -96,18 +97,18 @@ class DriveOptions:
 
 @dataclass(frozen=True)
 class Drive:
-    """The messages of a drive and the map of the place.
+    """The messages of a drive and the map of the site.
 
     Attributes
     ----------
     cam : Path
     messages : CamLog
-        Of the stations that may be the sender.
+        Messages of the stations that may be the sender.
     lane_map : LaneMap or None
     files : mapping of str to str
-        What was read, with its SHA-256.
+        The files that were read, with their SHA-256.
     notes : tuple of str
-        How it was understood.
+        How the files were interpreted.
     """
 
     cam: Path
@@ -131,8 +132,8 @@ def read_drive(cam: Path, lane_map: Path | None, span_ns: tuple[int, int], optio
     Raises
     ------
     CamError, MapError
-        If one cannot be read, they are of another time or place, or positions are an antenna's and nobody said where
-        on the vehicle that is.
+        If one cannot be read, they are of another time or place, or positions are an antenna's and the options do not
+        state where on the vehicle it is.
     """
     recorded = read_cam_log(cam)
     if recorded.is_receiver and options.reference is None:
@@ -153,11 +154,11 @@ class Recording(PointCloudSource, Protocol):
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """Why each frame that could not be used was left out, one line each."""
+        """Why each unusable frame was left out, one line each."""
 
 
 Drawing = Callable[[Calibration], Iterator[tuple[str, Raster]]]
-"""Draws pictures that only one kind of sensor has, each with its file name."""
+"""Draws the pictures that only one kind of sensor has, each with its file name."""
 
 
 def not_drawn(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
@@ -166,7 +167,7 @@ def not_drawn(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
 
 
 Photographing = Callable[[Calibration], Photographs | None]
-"""Returns some images of the drive for the report; None where the sensor takes none."""
+"""Returns some images of the drive for the report; None if the sensor takes none."""
 
 
 def not_photographed(_calibration: Calibration) -> Photographs | None:
@@ -175,12 +176,12 @@ def not_photographed(_calibration: Calibration) -> Photographs | None:
 
 
 def no_remarks() -> tuple[str, ...]:
-    """Say nothing of the sensor."""
+    """Return no remarks on the sensor."""
     return ()
 
 
 def nothing_new(_found: Calibration | CalibrationError) -> None:
-    """Return no other task: nothing that its task did not know is told of this sensor."""
+    """Return no other task: results teach nothing new about this sensor."""
 
 
 Watch = Callable[[PointCloudSource], PointCloudSource]
@@ -189,7 +190,7 @@ Watch = Callable[[PointCloudSource], PointCloudSource]
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """Inputs that were read and hold together, before the long work.
+    """Inputs that were read and checked for consistency, before the time-consuming estimation.
 
     Attributes
     ----------
@@ -197,20 +198,19 @@ class Task(ABC):
     options : DriveOptions
     provenance : Provenance
     inputs : str
-        What was read, in words.
+        Description of what was read.
     draw : callable
-        The sensor's own pictures.
+        Draws the sensor's own pictures.
     check : callable
-        Whether the map's lines lie on the road's.
+        Checks whether the map's lines lie on the road's.
     photograph : callable
-        Images for the report.
+        Returns images for the report.
     remarks : callable
-        What is to be said of the sensor once the recording was read, one line each.
+        Returns remarks on the sensor after the recording was read, one line each.
     doubts : tuple of str
-        What of the inputs may have spoilt the result, one line each.
+        Objections: what in the inputs may have spoilt the result, one line each.
     again : callable
-        Returns a task that knows of the sensor what a result, or a refusal, tells of it; None where that is nothing
-        new.
+        Returns a task that includes what a result, or a refusal, shows about the sensor; None if that is nothing new.
     """
 
     drive: Drive
@@ -226,7 +226,7 @@ class Task(ABC):
 
     @abstractmethod
     def calibrate(self, watch: Watch) -> Calibration:
-        """Do the long work.
+        """Estimate the transform, which takes long.
 
         Raises
         ------
@@ -236,21 +236,21 @@ class Task(ABC):
 
     @property
     def lane_map(self) -> LaneMap | None:
-        """The map of the place."""
+        """The map of the site."""
         return self.drive.lane_map
 
     @property
     def read(self) -> str:
-        """What was read and what of it could not be used, in words."""
+        """Description of what was read and of how much of it was unusable."""
         return f"{self.inputs}, {len(self.skipped)} unreadable"
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """What turned out to be unreadable on the way, one line each."""
+        """What turned out to be unreadable during the run, one line each."""
         return ()
 
     def run(self, watch: Watch = lambda source: source) -> Result:
-        """Calibrate.
+        """Calibrate, again where the result shows something new about the sensor, and check the result against the map.
 
         Parameters
         ----------
@@ -279,7 +279,7 @@ class Task(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Job(Task):
-    """A task whose sensor's frames are point clouds.
+    """A task for a sensor whose frames are point clouds.
 
     Attributes
     ----------
@@ -289,7 +289,7 @@ class Job(Task):
     recording: Recording
 
     def calibrate(self, watch: Watch) -> Calibration:
-        """Find ground, background and vehicle in the frames, and match its tracks."""
+        """Find ground, background and vehicle in the frames, and match the vehicle's track with the messages."""
         options = self.options
         return calibrate(
             watch(self.recording), self.drive.messages, options.core, reference=options.point, crs=options.crs
@@ -297,50 +297,50 @@ class Job(Task):
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """Why each frame that could not be used was left out."""
+        """Why each unusable frame was left out."""
         return self.recording.skipped
 
 
 class Origin(Protocol):
-    """How a result came about: a task that was carried out, or results that were combined."""
+    """The origin of a result: a task that was run, or results that were combined."""
 
     @property
     def provenance(self) -> Provenance:
-        """What it was made of."""
+        """The result's inputs and settings."""
 
     @property
     def read(self) -> str:
-        """What was read and what of it could not be used, in words."""
+        """Description of what was read and of how much of it was unusable."""
 
     @property
     def lane_map(self) -> LaneMap | None:
-        """The map of the place."""
+        """The map of the site."""
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """What was left out on the way, one line each."""
+        """What was left out during the run, one line each."""
 
     def draw(self, calibration: Calibration, /) -> Iterator[tuple[str, Raster]]:
         """Draw the sensor's own pictures, each with its file name."""
 
     def photograph(self, calibration: Calibration, /) -> Photographs | None:
-        """Return some images of the drive, where the sensor takes images."""
+        """Return some images of the drive; None if the sensor takes none."""
 
     def remarks(self) -> tuple[str, ...]:
-        """Say what there is to say of the sensor."""
+        """Return remarks on the sensor, one line each."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """A calibration and what it was made from.
+    """A calibration and its origin.
 
     Attributes
     ----------
     calibration : Calibration
-        Its verdict knows of the lanes.
+        Its verdict takes the check of the lanes into account.
     job : Origin
     lanes : Checked or None
-        Whether the map's lines lie on the road's; it never enters the estimate.
+        Whether the map's lines lie on the road's; this never enters the estimate.
     """
 
     calibration: Calibration
@@ -349,20 +349,20 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """Ten lines that a person understands, and one on the lanes where there is a map."""
+        """A summary of ten lines for a human reader, and one line on the lanes if there is a map."""
         provenance = self.job.provenance
         words = summarise(self.calibration, f"{provenance.name} ({provenance.frame})", self.job.read)
         return words if self.lanes is None else f"{words}\n{'Lanes':<11}{check_line(self.lanes.check)}"
 
     def save(self, out: Path | str = "calibration", *, overwrite: bool = False, command: str | None = None) -> Path:
-        """Write calibration.json, the report and the pictures into a folder, as a whole or not at all.
+        """Write calibration.json, the report and the pictures into a folder, all of them or none.
 
         Parameters
         ----------
         out : path
         overwrite : bool
         command : str or None
-            The command line that asked for it, for the report.
+            The command line that started the calibration, for the report.
 
         Returns
         -------
@@ -413,7 +413,7 @@ class Result:
 
 
 def sha256(path: Path) -> str:
-    """Return a file's SHA-256 in hexadecimal digits; of a folder, that of its files one after the other."""
+    """Return a file's SHA-256 in hexadecimal digits; for a folder, that of the concatenation of its files."""
     files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     digest = hashlib.sha256()
     for file in files:
@@ -425,7 +425,7 @@ def sha256(path: Path) -> str:
 
 @contextmanager
 def _naming(cam: Path) -> Iterator[None]:
-    """Put the file's name before what is found wrong with messages where their file is not known any more."""
+    """Prefix the file's name to errors in messages that are found where their file is no longer known."""
     try:
         yield
     except CamError as error:

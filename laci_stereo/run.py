@@ -1,4 +1,4 @@
-"""From two folders of images to a result: the run behind ``laci-stereo calibrate``, for Python."""
+"""From two folders of images to a result: what ``laci-stereo calibrate`` runs, as a Python interface."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ from laci_stereo.stereo.rectify import Rectification, already_rectified
 from laci_stereo.stereo.settings import StereoSettings
 
 SIMULTANEOUS_S = 0.001
-"""So far apart, left and right are told of: at 15 m/s a vehicle drives 1.5 cm, half a pixel at 30 m where the focal
-length is 1000, and the matcher errs by 0.2."""
+"""Left and right times that differ by more are reported: at 15 m/s a vehicle drives 1.5 cm meanwhile, which is half a
+pixel at 30 m with a focal length of 1000, where the matcher errs by 0.2."""
 
 TRIGGERED_S = 0.010
-"""Beyond that, times are not those of one trigger: it is what clocks that follow each other are apart."""
+"""Times that differ by more are not those of one trigger: synchronised clocks differ by this much."""
 
 PASSING_MPS = 15.0
-"""A vehicle in a town."""
+"""Speed of a vehicle in a town."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(DriveOptions):
-    """What a user can say about the calibration of a stereo camera.
+    """The settings that the calibration of a stereo camera offers to a user.
 
     A recording given as ``background`` is a folder with images in ``left`` and ``right``.
 
     Attributes
     ----------
     stereo : Path, or tuple of Path
-        The stereo calibration: one file or two, or a folder that holds them; () looks beside the left images.
+        The stereo calibration: one file or two, or a folder that contains them; () looks beside the left images.
     camera : StereoSettings
     mask : MaskOptions or None
-        A network that tells which moving points are a vehicle's.
+        A network that determines which moving points belong to vehicles.
     """
 
     stereo: Path | tuple[Path, ...] = ()
@@ -62,7 +62,7 @@ class Options(DriveOptions):
     mask: MaskOptions | None = None
 
     def config(self) -> dict[str, object]:
-        """Return every effective setting; paths stand among the inputs."""
+        """Return every effective setting except the paths, which are among the inputs."""
         provider = {} if self.mask is None else {"mask": {"provider": self.mask.provider}}
         return {**super().config(), "stereo": asdict(self.camera), **provider}
 
@@ -73,9 +73,9 @@ def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Opt
     Parameters
     ----------
     left, right : path
-        Folders of images whose names, or a ``timestamps.txt`` among them, tell the time.
+        Folders of images whose times are in their names, or in a ``timestamps.txt`` among them.
     cam : path
-        The log, in any format that `read_cam_log` knows.
+        The log, in any format that `read_cam_log` reads.
     options : Options
 
     Raises
@@ -89,14 +89,15 @@ def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Opt
 
 
 def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, turn: RightTurn | None = None) -> Job:
-    """Read everything but the images, of which a few pairs tell whether the cameras have turned, and check it.
+    """Read and check the inputs; of the images, a few pairs only, to find whether the right camera has rotated.
 
     Parameters
     ----------
     left, right, cam, options
         As for `calibrate`.
     turn : RightTurn or None
-        How far the right camera has turned; None: as the images tell, unless the options do.
+        Rotation of the right camera since the stereo calibration; None takes it from the options, or else from the
+        images.
 
     Raises
     ------
@@ -147,10 +148,10 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
 
 
 def _knowing(options: Options, turn: RightTurn) -> Options:
-    """Return options that know how far the right camera has turned: it may have turned sideways by as much.
+    """Return options with the right camera's rotation: its yaw, unknown so far, may be as large as the other angles.
 
-    What that does to all disparities is what all points' noise has in common, on the vehicle and, as far as the vehicle
-    has left it open, on the road.
+    The resulting shift of all disparities is an error that all points share, on the vehicle and, as far as the vehicle
+    has left it undetermined, on the road.
     """
     camera, core = replace(options.camera, turn_deg=turn.turn_deg), options.core
     bias, shared = (
@@ -171,10 +172,10 @@ def _again(
     plane: Rectification,
     found: Calibration | CalibrationError,
 ) -> Job | None:
-    """Return the task whose right camera has turned sideways, as the drive tells; None if that is known.
+    """Return the task with the right camera's yaw as the drive determines it; None if that is known already.
 
-    The drive is asked where rows tell that it has turned at all, until it tells what was known; also where the vehicle
-    is not found, but would be by such a turn.
+    The yaw is estimated from the drive if the rows show that the camera has rotated at all, and repeatedly until the
+    estimate agrees with the previous one; also if the vehicle is not found, but would be with such a yaw.
     """
     if not turn.off_px or turn.looks == MOST_LOOKS:
         return None
@@ -202,12 +203,12 @@ def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> St
 
 
 def _understood(recording: StereoRecording) -> tuple[str, ...]:
-    """Say how the stereo calibration was understood."""
+    """Return how the stereo calibration was interpreted."""
     return tuple(f"stereo calibration: {note}" for note in recording.rig.notes)
 
 
 def _assumed(recording: StereoRecording) -> tuple[str, ...]:
-    """Say what was assumed of a vehicle mask without a contract."""
+    """Return what was assumed about a vehicle mask without a contract."""
     mask = recording.mask
     return () if mask is None or not mask.tally.assumed else (f"{mask.tally.name}: {mask.tally.assumed}",)
 
@@ -242,7 +243,7 @@ def _pair_at(recording: StereoRecording, stamp_s: float) -> StereoPair:
 
 
 def _words(recording: StereoRecording) -> tuple[str, ...]:
-    """Say which images are brighter than was learnt, and what a vehicle mask did, where there is one."""
+    """Return which images are brighter than the range that was learnt, and what a vehicle mask did if there is one."""
     told = () if recording.mask is None else recording.mask.tally.sentences()
     return (*recording.reader.remarks(), *(f"vehicle mask: {sentence}" for sentence in told))
 
@@ -270,7 +271,7 @@ def _notes(pairs: Pairs) -> tuple[str, ...]:
 
 
 def _apart(pairs: Pairs, baseline_m: float) -> tuple[str, ...]:
-    """Say how far apart the times of left and right images are, where that is told of."""
+    """Return how far apart the times of left and right images are, if it is enough to be reported."""
     median_s, largest_s = np.median(pairs.apart_ns) / 1e9, pairs.apart_ns.max() / 1e9
     if largest_s <= SIMULTANEOUS_S:
         return ()

@@ -1,7 +1,7 @@
-"""Measure the box fit beside two others: how long it takes, and how far its yaw is from the truth.
+"""Compare the box fit with two others: its duration, and its yaw error.
 
 Yaw errors are taken modulo 180 deg. The true yaw is the direction of the longer extent of the points before noise
-is added, which is the vehicle's own yaw except where only its front or rear is seen.
+is added, which is the vehicle's own yaw except where only its front or rear is visible.
 """
 
 from __future__ import annotations
@@ -58,26 +58,26 @@ def sensor_around(size: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def visible_sides(size: FloatArray, sensor: FloatArray) -> BoolArray:
-    """Tell which sides the sensor sees, shape (4,): front, left, rear, right."""
+    """Return which sides the sensor sees, shape (4,): front, left, rear, right."""
     return np.concatenate([sensor > size / 2, sensor < -size / 2])
 
 
 def seen_outline(size: FloatArray, sensor: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-    """Hit the outline with n rays of uniform bearing, shape (n, 2)."""
+    """Intersect n rays of uniformly distributed bearing with the outline, shape (n, 2)."""
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size / 2
     rays = corners - sensor
     ahead = math.atan2(-sensor[1], -sensor[0])
     bearings = (np.arctan2(rays[:, 1], rays[:, 0]) - ahead + math.pi) % (2 * math.pi) - math.pi
     bearing = ahead + rng.uniform(bearings.min(), bearings.max(), n)
     direction = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    # The slab test: a ray enters the rectangle where it has crossed the nearer line of both pairs.
+    # Slab test: a ray enters the rectangle where it has crossed the nearer line of both pairs.
     enters = np.min(np.stack([(size / 2 - sensor) / direction, (-size / 2 - sensor) / direction]), axis=0).max(axis=1)
     hits: FloatArray = sensor + enters[:, None] * direction
     return hits
 
 
 def points_on_side(side: int, size: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-    """Spread points evenly over one side, shape (n, 2)."""
+    """Distribute points uniformly over one side, shape (n, 2)."""
     axis, sign = side % 2, 1 if side < 2 else -1
     xy = rng.uniform(-0.5, 0.5, (n, 2)) * size
     xy[:, axis] = sign * size[axis] / 2
@@ -85,7 +85,7 @@ def points_on_side(side: int, size: FloatArray, n: int, rng: np.random.Generator
 
 
 def outline(shape: str, size: FloatArray, sensor: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-    """Put n points on the sides that the shape has, shape (n, 2)."""
+    """Place n points on the sides that the shape has, shape (n, 2)."""
     if shape == "L":
         return seen_outline(size, sensor, n, rng)
     if shape == "I":
@@ -95,7 +95,7 @@ def outline(shape: str, size: FloatArray, sensor: FloatArray, n: int, rng: np.ra
 
 
 def make_scene(shape: str, n: int, fill: float, sigma_m: float, rng: np.random.Generator) -> Scene:
-    """Draw a vehicle, a sensor and n points, a share of them inside the vehicle."""
+    """Draw a vehicle, a sensor and n points, a fraction of them inside the vehicle."""
     size = random_size(rng)
     sensor = sensor_around(size, rng)
     while shape == "L" and visible_sides(size, sensor).sum() < 2:
@@ -122,7 +122,7 @@ def min_area(scene: Scene) -> float:
 
 
 def closeness(scene: Scene, step_deg: float = 1.0, nearest_m: float = 0.01) -> float:
-    """Search the yaw at which the points lie closest to two sides of their bounding box.
+    """Find the yaw at which the points are closest to two sides of their bounding box.
 
     Zhang, Xu, Dong, Dolan: Efficient L-Shape Fitting for Vehicle Detection Using Laser Scanners, IV 2017,
     algorithms 2 and 4, with their step and their least distance.
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     scenes_per_line = 100 if arguments.quick else 1000
-    # Without the largest first, the allocator hands every large array back to the system, and methods look slower.
+    # Without the largest first, the allocator returns every large array to the system, and methods look slower.
     for method in METHODS.values():
         method(make_scene("box", max(COUNTS), 0.0, arguments.sigma, np.random.default_rng(arguments.seed)))
     print(f"median time [ms], median and 95th percentile of the yaw error [deg]; noise {arguments.sigma} m")

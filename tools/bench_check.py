@@ -1,14 +1,14 @@
-"""Does the lane check tell right calibrations from wrong ones? Random scenes with paint, rendered.
+"""Does the lane check distinguish right calibrations from wrong ones? Random rendered scenes with road markings.
 
 usage: python -m tools.bench_check [--sensor stereo_05] [--scenes 100] [--first SEED] [--jobs 2] [--share 1.0]
        [--no-intensity] [--out DIR] [--set FACTOR=VALUE ...]
 
-Of each scene's place at rest one image is rendered (the median of a recording is free of what moves, and of most of its
-noise); of a LiDAR's, those scans are simulated that the check looks at, traffic included. It is checked by calibrations
-that are as far from the truth as they claim (see `CLAIMED`), by ones that are 30 cm off in every eighth of the compass,
-and by ones that are turned by 0.5 deg either way about the sensor. Errors are right ones that fail and wrong ones that
-pass; where the lines cannot tell is counted apart. With --out the pictures of all errors are kept. ``--share`` scales
-the image: 0.5 renders four times as fast, with half the resolution.
+For a camera, one image of each scene without moving objects is rendered (the median of a recording is free of them, and
+of most of its noise); for a LiDAR, the scans that the check reads are simulated, traffic included. The check is run on
+calibrations whose errors are as large as they claim (see `CLAIMED`), on ones that are shifted by 30 cm in each of eight
+directions, and on ones that are rotated by 0.5 deg either way about the sensor. Errors are right ones that fail and
+wrong ones that pass; where the lines are inconclusive is counted separately. With --out the pictures of all errors are
+kept. ``--share`` scales the image: 0.5 renders four times as fast, with half the resolution.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ from tools.scenes.scene import SENSORS, Recorded, Scene, SceneError, SensorKind,
 from tools.scenes.world import Edge, Line
 
 CLAIMED = np.radians([0.02, 0.02, 0.06, 0.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.0, 0.04, 0.04, 0.005])
-"""One sigma of tilt, yaw and place: what the demonstration's results claim."""
+"""One sigma of tilt, yaw and position: what the demonstration's results claim."""
 
 RIGHT = 8
-"""Draws of right calibrations for each scene."""
+"""Number of right calibrations that are drawn for each scene."""
 
 SHIFT_M, TURN_DEG = 0.30, 0.5
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is asked for; see the usage."""
+    """The options of the command line; see the usage."""
 
     sensor: SensorKind
     share: float
@@ -71,7 +71,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Trial:
-    """One check: what was wrong with the calibration, and what came of it; found lines may run both ways or one."""
+    """One check: the calibration's error, and the outcome; ``both_ways`` as `run_both_ways` returns it."""
 
     seed: int
     wrong: str
@@ -85,7 +85,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Place:
-    """A scene's place at rest, with where its sensor truly is."""
+    """A scene without moving objects, with the true pose of its sensor."""
 
     lane_map: LaneMap
     T_world_sensor: FloatArray
@@ -103,7 +103,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Shown(Place):
-    """As a camera sees it."""
+    """Such a scene seen by a camera."""
 
     image: Raster
     lens: Lens
@@ -121,7 +121,7 @@ class Shown(Place):
 
 @dataclass(frozen=True)
 class Scanned(Place):
-    """As a LiDAR sees it."""
+    """Such a scene seen by a LiDAR."""
 
     scans: ScanSequence
 
@@ -137,7 +137,7 @@ class Scanned(Place):
 
 @dataclass(frozen=True)
 class Kept:
-    """Scans of a scene that are looked at, each simulated once (implements `ScanSequence`)."""
+    """The scans of a scene that the check reads, each simulated once (implements `ScanSequence`)."""
 
     scans: tuple[Scan, ...]
     stamps_ns: IntArray
@@ -154,7 +154,7 @@ class Kept:
 
 
 def watch(scene: Scene, share: float, *, intensity: bool) -> Place:
-    """Record a scene's place at rest."""
+    """Record a scene without moving objects."""
     lines: list[Line | Edge] = [*scene.site.lines, *scene.site.edges]
     lane_map = LaneMap(tuple(LaneLine(line.kind, line.subtype, line.xy, str(i)) for i, line in enumerate(lines)), ())
     standing = [body for body in scene.site.bodies if body.name != "ground"]
@@ -170,10 +170,10 @@ def watch(scene: Scene, share: float, *, intensity: bool) -> Place:
 
 
 def show(scene: Scene, camera: StereoCamera, share: float) -> tuple[Raster, Lens]:
-    """Render what stands still, once."""
+    """Render the static bodies, once."""
     lens = scaled(camera.rig.left, share)
     look = random_look(np.random.default_rng(scene.seed))
-    # Four images' worth of light: the median of fifteen has less noise still.
+    # Light of four images: the median of fifteen has even less noise.
     sensor: Sensor = replace(look.sensor, colour=False, bits=8, full_well_e=4 * look.sensor.full_well_e)
     renderer = Renderer([body for body in scene.bodies if body.static], Eye(lens, scene.T_world_sensor), look.light)
     scale = exposure_scale(renderer.background, sensor)
@@ -181,7 +181,7 @@ def show(scene: Scene, camera: StereoCamera, share: float) -> tuple[Raster, Lens
 
 
 def scaled(lens: Lens, share: float) -> Lens:
-    """Return a lens for an image of another size; whole numbers are the middles of pixels."""
+    """Return a lens for an image of another size; integers are the centres of pixels."""
     K = lens.K.copy()
     K[:2, 2] += 0.5
     K[:2] *= share
@@ -206,7 +206,7 @@ def moved(shown: Place, error: FloatArray) -> FloatArray:
 
 
 def errors_of(shown: Place, seed: int) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what is tried: its name, and the transform."""
+    """Yield the calibrations to be checked: name and transform."""
     rng = np.random.default_rng(seed)
     for _ in range(RIGHT):
         yield "right", moved(shown, CLAIMED * rng.normal(size=6))
@@ -221,7 +221,7 @@ def errors_of(shown: Place, seed: int) -> Iterator[tuple[str, FloatArray]]:
 
 
 def run(seed: int, options: Options) -> list[Trial]:
-    """Try one scene."""
+    """Check the calibrations of one scene."""
     try:
         scene = draw_scene(seed, options.sensor, **options.factors)
     except SceneError:
@@ -253,7 +253,7 @@ def _project(camera: Camera, xy: FloatArray) -> list[FloatArray]:
 
 
 def measured_wrongly_cm(check: LaneCheck, T_found_true: FloatArray) -> float:
-    """Return by how far the shift that was measured is from the true one, where the paint is; NaN without one."""
+    """Return the error of the measured shift at the markings' centre, cm; NaN without a measurement."""
     if check.error is None:
         return float("nan")
     at = np.append(check.error.centre, 0.0)
@@ -262,14 +262,14 @@ def measured_wrongly_cm(check: LaneCheck, T_found_true: FloatArray) -> float:
 
 
 def run_both_ways(check: LaneCheck) -> bool:
-    """Tell whether the paint found fixes a shift in every direction, to half of what is searched."""
+    """Return whether the markings found determine a shift in every direction, to half of the range that is searched."""
     if check.error is None:
         return False
     return bool(np.linalg.eigvalsh(check.error.covariance[:2, :2]).max() < (SHIFT_M_SEARCHED / 2) ** 2)
 
 
 def is_error(trial: Trial) -> bool:
-    """Tell whether the verdict is wrong."""
+    """Return whether the verdict is wrong."""
     return trial.outcome == ("fail" if trial.wrong == "right" else "pass")
 
 
@@ -299,13 +299,13 @@ def report(trials: Sequence[Trial]) -> str:
 
 
 def errors(trials: Sequence[Trial]) -> list[str]:
-    """Return the seeds of the wrong verdicts, with how often."""
+    """Return the seeds of the wrong verdicts, with their counts."""
     counted = Counter(f"seed {trial.seed} {trial.wrong}" for trial in trials if is_error(trial))
     return [f"{name} ({count})" for name, count in counted.items()]
 
 
 def _plain(reason: str) -> str:
-    """Leave out the numbers, so that like ones are counted together."""
+    """Mask the digits, so that similar reasons are counted together."""
     return "".join("#" if letter.isdigit() else letter for letter in reason).replace("##", "#").replace("##", "#")
 
 

@@ -1,4 +1,4 @@
-"""Prints how far the ground fit is from the truth on random scenes, what it claims, and how long it takes.
+"""Print the errors of the ground fit on random scenes, the errors that it claims, and its duration.
 
 Run from the repository's root: ``python -m tools.bench_ground --scenes 200``.
 """
@@ -20,7 +20,7 @@ from tests.scenes import GroundScene, ground_scene, rough_road, wavy_road, with_
 
 @dataclass(frozen=True)
 class Outcome:
-    """One scene: errors are infinite where no plane was found."""
+    """The outcome of one scene: errors are infinite where no plane was found."""
 
     tilt_deg: float
     height_m: float
@@ -34,14 +34,14 @@ class Outcome:
 
 
 def outcome(scene: GroundScene) -> Outcome:
-    """Fit one scene and compare with its truth."""
+    """Fit one scene and compare the result with the ground truth."""
     begin = time.perf_counter()
     try:
         plane = fit_ground(scene.points, scene.sigma_along_m, scene.sigma_across_m, scene.up)
     except GroundError:
         angle = height_error = angle_claimed = height_claimed = normalised = float("inf")
     else:
-        # The arc cosine of nearly 1 is exact to only 1e-8.
+        # The arc cosine of a number close to 1 is accurate to 1e-8 only.
         angle = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(plane.normal, scene.normal)))))
         height_error = abs(plane.height_m - scene.height_m)
         covariance = plane.covariance_level(scene.axes)
@@ -64,7 +64,7 @@ def outcome(scene: GroundScene) -> Outcome:
 
 
 def mahalanobis_squared(scene: GroundScene, plane: GroundPlane) -> float:
-    """Return the squared error of (rotation about level x, about level y, height) in standard deviations."""
+    """Return the squared Mahalanobis distance of the error of (rotation about level x, about level y, height)."""
     R = plane.T_level_sensor(scene.axes)[:3, :3]
     turn = np.cross(R @ scene.normal, [0.0, 0.0, 1.0])
     error = np.array([turn[0], turn[1], scene.height_m - plane.height_m])
@@ -85,7 +85,7 @@ def row(name: str, outcomes: list[Outcome]) -> str:
 
 
 def claims(name: str, outcomes: list[Outcome]) -> str:
-    """Return one line of the table of what the covariance claims; roots of mean squares."""
+    """Return one line of the table of true and claimed errors; root mean squares."""
 
     def rms(values: list[float]) -> float:
         return float(np.sqrt(np.mean(np.square(values))))
@@ -118,7 +118,7 @@ def print_errors(outcomes: dict[str, list[Outcome]]) -> None:
 
 
 def print_claims(outcomes: dict[str, list[Outcome]], seeds: range, rays: int) -> None:
-    """Print the table of claims: as scenes are, without pavements, and these with a shared error or an uneven road."""
+    """Print true and claimed errors: of the scenes, without pavements, and also with a shared error or uneven road."""
     share = GroundSettings().shared_noise_share
     columns = f"{'true':>8} {'claimed':>8}"
     print(f"\n{'':<35} |{'angle [deg]':^17} |{'height [cm]':^17} | error^2 / covariance")

@@ -1,18 +1,20 @@
-"""Calibrate random scenes without a vehicle mask, with a right one and with wrong ones, side by side.
+"""Calibrate random scenes without a vehicle mask, with a correct one and with wrong ones, side by side.
 
 usage: python -m tools.bench_mask [--sensor stereo_05] [--scenes 30] [--first SEED] [--jobs 2]
        [--rendered [--images DIR]] [--set FACTOR=VALUE ...] [--out FILE.csv [--resume]]
 
-Each scene has two other vehicles and three walkers who come within 2 m of the sender, and three shrubs at the kerbs
-that it passes, in gusts of wind, unless --set says otherwise. By default what the matcher makes of it is simulated,
-with twice as many trees and hedges as usual. With --rendered images of 768 x 432 pixels are painted at 3.3 Hz and
-matched by the tool itself, once for all masks; trees stand still then (a scene takes one or two minutes of one core).
+By default matching is simulated; each scene has two other vehicles and three walkers, and twice as many trees and
+hedges as usual. With --rendered, images of 768 x 432 pixels are rendered at 3.3 Hz and matched by the tool itself,
+once for all masks (one or two minutes per scene on one core). The vehicles and walkers then come within 2 m of the
+sender, three shrubs at the kerbs along its path sway in gusts of wind, and trees are static. --set overrides any of
+this.
 
-No real network knows painted vehicles, so the detector is the truth's: the boxes of all vehicles in view, each side off
-by 3 % (one standard deviation), or what is seen of them as a network with 160 x 160 cells draws it, each off by a cell
-and a cell too large or too small. The wrong masks are boxes, each by itself and then all together: shifted by 20 px in
-a random direction; every third frame missing; a false box in every crop. A result is *accepted* when it is calibrated
-with another verdict than "fail".
+No real network recognises rendered vehicles, so the detector is derived from the ground truth: the boxes of all
+vehicles in view, each side with an error of 3 % (one standard deviation), or the visible part of each vehicle at the
+resolution of a network with 160 x 160 cells, displaced by a cell, and at random a cell too large or too small. The
+wrong masks are boxes with each error by itself and then with all together: shifted by 20 px in a random direction;
+every third frame missing; a false box in every crop. A result is *accepted* when it is calibrated with another verdict
+than "fail".
 """
 
 from __future__ import annotations
@@ -53,21 +55,22 @@ from tools.scenes.write import write_images
 FACTORS: dict[str, object] = {"walkers": 3, "vehicles": 2, "density": 2.0}
 CLOSE: dict[str, object] = {"walkers": 3, "vehicles": 2, "near_m": 2.0, "shrubs": 3}
 RENDERED_SHARE, RENDERED_STEP = 0.6, 3
-"""Of the images' size, and of the frames."""
+"""Scale of the rendered images' size, and the step between rendered frames."""
 
 LEAST_LENGTH_M = 2.5
-"""What is shorter is a walker or a cyclist."""
+"""A shorter mover is a walker or a cyclist."""
 
 SIDE_SIGMA = 0.03
 SHIFT_PX = 20.0
 EDGE_STEPS, NEAREST_M = 20, 0.5
-"""Points on each edge of a mesh, and how far before the camera they are seen at least."""
+"""Points on each edge of a mesh, and the least distance in front of the camera at which they are visible."""
 
 SLOTS, LEAST_PX = 6, 160
 
 OUTLINES = "outlines"
 CELLS, CELL_SIGMA, LEAST_CELLS = 160, 0.7, 12
-"""Of an outline: along the longer side of a crop, by how much it is off in either direction, and how many it has."""
+"""For an outline: number of cells along the longer side of a crop, standard deviation of its displacement in each
+direction, in cells, and least number of cells."""
 
 ERRORS = ("track_xy_cm", "rotation_deg", "sigma_ratio", "rotation_ratio")
 
@@ -77,7 +80,7 @@ Boxes = FloatArray
 
 @dataclass(frozen=True)
 class Glance:
-    """What a spoilt detector knows: the frame's number, the crop, the scene's own direction (pixels), and chance."""
+    """The inputs of a detector error: frame number, crop, direction of the scene's shift (pixels), random numbers."""
 
     frame: int
     crop: Crop
@@ -87,11 +90,11 @@ class Glance:
 
 Spoil = Callable[[Boxes, Glance], Boxes]
 Shown = Callable[[int, IntArray, IntArray], IntArray]
-"""Returns which body pixels of an image show, shape (n,), by its stamp, and columns and rows of the same shape."""
+"""Returns the body that each pixel of an image shows, shape (n,), from its stamp and the pixels' columns and rows."""
 
 
 def right(boxes: Boxes, _glance: Glance) -> Boxes:
-    """Leave the boxes as they are."""
+    """Return the boxes unchanged."""
     return boxes
 
 
@@ -101,19 +104,19 @@ def shifted(boxes: Boxes, glance: Glance) -> Boxes:
 
 
 def missing(boxes: Boxes, glance: Glance) -> Boxes:
-    """Leave out every third frame."""
+    """Leave out the boxes of every third frame."""
     return boxes[:0] if glance.frame % 3 == 0 else boxes
 
 
 def false(boxes: Boxes, glance: Glance) -> Boxes:
-    """Put in a box of half of the crop's size somewhere in it."""
+    """Add a box of half of the crop's size at a random place within it."""
     size = np.array(glance.crop.size)
     corner = np.array([glance.crop.x0, glance.crop.y0]) + glance.rng.uniform(0.0, 0.5, 2) * size
     return np.vstack([boxes, np.concatenate([corner, corner + size / 2])])
 
 
 def everything(boxes: Boxes, glance: Glance) -> Boxes:
-    """Do all of that."""
+    """Apply all of these errors."""
     return missing(false(shifted(boxes, glance), glance), glance)
 
 
@@ -129,7 +132,7 @@ MASKS: dict[str, Spoil | None] = {
 
 
 class TrueDetector:
-    """Finds the vehicles of a scene where they are, or where a spoilt detector would see them."""
+    """A detector that finds the true boxes of a scene's vehicles, with the errors of a spoilt one."""
 
     slots, least_px = SLOTS, LEAST_PX
     runs, seconds = 0, 0.0
@@ -159,7 +162,7 @@ class TrueDetector:
 
 
 class TrueSegmenter:
-    """Finds what is seen of a scene's vehicles, coarsely, and draws it somewhat beside."""
+    """A segmenter that finds the visible parts of a scene's vehicles, coarsely and slightly displaced."""
 
     slots, least_px = SLOTS, LEAST_PX
     runs, seconds = 0, 0.0
@@ -195,13 +198,13 @@ class TrueSegmenter:
 
 
 class MatchedOnce:
-    """A stereo recording whose frames were matched (implements `PointCloudSource`): short ones fit into memory.
+    """A stereo recording whose frames are matched already (implements `PointCloudSource`): short ones fit into memory.
 
     Parameters
     ----------
     recording : StereoRecording
     frames : tuple of Moving or int
-        As `VehicleMask.apply` takes them.
+        As for `VehicleMask.apply`.
     """
 
     def __init__(self, recording: StereoRecording, frames: tuple[Moving | int, ...]) -> None:
@@ -263,13 +266,13 @@ class Simulated:
         return self.mask.apply(map(self.moving, range(len(self))), half_window)
 
     def moving(self, index: int) -> Moving:
-        """Return what moves in a frame."""
+        """Return the moving pixels of a frame."""
         stamp_ns, camera = int(self.scene.stamps_ns[index]), self.camera
         matched = self._plain._matched(index)
         cloud = reproject(camera, stamp_ns, matched, matched.moving)
         keep = np.isfinite(matched.disparity_px) & matched.moving
         v, u = np.nonzero(keep)
-        # The road is z = 0: a ray that falls by k for each metre of depth meets it in a depth of height / k.
+        # The road is z = 0: a ray that descends by k per metre of depth meets it at a depth of height / k.
         fall = -(camera.rays[keep.ravel()] @ self.scene.T_world_sensor[2, :3])
         road = camera.focal_px * camera.baseline_m * fall / self.scene.T_world_sensor[2, 3]
         above = (matched.disparity_px[keep] - road) / matched.sigma_px[keep]
@@ -282,12 +285,12 @@ class Simulated:
         return Moving(cloud, u, v, above, height_m, crops)
 
     def is_vehicle(self, index: int) -> BoolArray:
-        """Tell which pixels of a frame truly show a vehicle, shape (rows, columns)."""
+        """Return which pixels of a frame truly show a vehicle, shape (rows, columns)."""
         shown: BoolArray = np.isin(self._plain._matched(index).body, self._numbers())
         return shown
 
     def boxes_at(self, index: int) -> Boxes:
-        """Return the boxes of what is seen of all vehicles in a frame."""
+        """Return the boxes of the visible parts of all vehicles in a frame."""
         body = self._plain._matched(index).body
         found = []
         for number in self._numbers():
@@ -297,7 +300,7 @@ class Simulated:
         return np.array(found, dtype=np.float64).reshape(-1, 4)
 
     def shown(self, stamp_ns: int, u: IntArray, v: IntArray) -> IntArray:
-        """Return which body pixels show; see `Shown`."""
+        """Return the body that each pixel shows; see `Shown`."""
         index = int(np.flatnonzero(self.scene.stamps_ns == stamp_ns)[0])
         body: IntArray = self._plain._matched(index).body[v, u]
         return body
@@ -312,12 +315,12 @@ class Simulated:
 
 
 def vehicles_in(scene: Scene) -> list[Mover]:
-    """Return what moves and is no walker or cyclist."""
+    """Return the movers that are not walkers or cyclists."""
     return [mover for mover in (scene.sender, *scene.others) if mover.length_m >= LEAST_LENGTH_M]
 
 
 def true_boxes(scene: Scene, recording: StereoRecording, step: int = 1) -> dict[int, Boxes]:
-    """Return the boxes of all vehicles in view, by stamp of each ``step``-th frame; what hides them is not seen to."""
+    """Return the boxes of all vehicles in view, by stamp of each ``step``-th frame; occlusion is not considered."""
     found: dict[int, Boxes] = {}
     for stamp_ns, time_s in zip(scene.stamps_ns[::step].tolist(), scene.times_s[::step].tolist(), strict=True):
         each = [_box(mover, time_s, scene, recording.rectification) for mover in vehicles_in(scene)]
@@ -329,7 +332,7 @@ def _box(mover: Mover, time_s: float, scene: Scene, plane: Rectification) -> Flo
     T_rectified_body = invert(scene.T_world_sensor @ plane.T_sensor_rectified) @ mover.pose(time_s)
     corners = mover.mesh.vertices[mover.mesh.triangles]
     along = np.linspace(0.0, 1.0, EDGE_STEPS, endpoint=False)[:, None, None, None]
-    # Of edges that pass beside the camera and behind it, what is before it is seen.
+    # Of edges that pass beside the camera and behind it, the part in front of it is visible.
     points = transform(T_rectified_body, (corners + along * (np.roll(corners, 1, axis=1) - corners)).reshape(-1, 3))
     points = points[points[:, 2] > NEAREST_M]
     if not len(points):
@@ -359,7 +362,7 @@ class Row:
 
 
 def run(seed: int, sensor: str, factors: dict[str, object], paint: bool, images: Path | None) -> list[Row]:
-    """See a scene once, and calibrate it with each mask; rendered images are kept where that is said."""
+    """Observe a scene once, and calibrate it with each mask; rendered images are kept in ``images`` if it is given."""
     kind = {name: name for name in SENSORS}[sensor]  # type: ignore[index]
     try:
         scene = draw_scene(seed, kind, **{**(CLOSE if paint else FACTORS), **factors})
@@ -381,7 +384,7 @@ def run(seed: int, sensor: str, factors: dict[str, object], paint: bool, images:
 
 
 def painted(scene: Scene, folder: Path) -> StereoRecording:
-    """Render a scene, or open what was rendered before."""
+    """Render a scene, or open the images rendered earlier."""
     last = folder / "right" / f"{scene.stamps_ns[::RENDERED_STEP][-1]}.png"
     if not last.exists():
         write_images(scene, folder, RENDERED_STEP)
@@ -391,7 +394,7 @@ def painted(scene: Scene, folder: Path) -> StereoRecording:
 def small_and_calm(scene: Scene) -> Scene:
     """Return a scene with smaller images of the same field of view, in which trees and hedges do not sway.
 
-    They do so always and by a hundredth, which passes for noise, but is most of what would have to be rendered.
+    They sway permanently and by a hundredth, which is taken for noise, but is most of what would have to be rendered.
     """
     camera = scene.sensor
     assert isinstance(camera, StereoCamera), scene.sensor_kind
@@ -404,7 +407,7 @@ def small_and_calm(scene: Scene) -> Scene:
 
 
 def _cast(scene: Scene, recording: StereoRecording, stamp_ns: int, u: IntArray, v: IntArray) -> IntArray:
-    """Return which body pixels of a rectified image show; see `Shown`."""
+    """Return the body that each pixel of a rectified image shows; see `Shown`."""
     rays = recording.rectification.rays[v, u] @ scene.T_world_sensor[:3, :3].T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     time_s = float(scene.times_s[scene.stamps_ns == stamp_ns][0])
@@ -413,7 +416,7 @@ def _cast(scene: Scene, recording: StereoRecording, stamp_ns: int, u: IntArray, 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a detector is made of: boxes of the vehicles by stamp, what pixels show, and how many of them are one."""
+    """What the detectors know: boxes of the vehicles by stamp, what pixels show, and image pixels per such pixel."""
 
     boxes: dict[int, Boxes]
     shown: Shown
@@ -456,10 +459,10 @@ def _of(rows: Sequence[Row], key: str) -> FloatArray:
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Return a table, one line for each mask; errors are those of the accepted results.
+    """Return a table with one line for each mask; errors are those of the accepted results.
 
-    The last two columns compare like with like: over the scenes that are accepted without a mask as well, their 95th
-    percentile without and with it.
+    The last two columns compare the same scenes: those that are accepted without a mask as well, with their 95th
+    percentile without and with the mask.
     """
     names = (
         *("mask", "scenes", "refused", "cm median", "95 %", "worst", "deg 95 %", "over 3 sigma: track, angle"),
@@ -494,7 +497,7 @@ def report(rows: Sequence[Row]) -> str:
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Write what was found so far."""
+    """Write the rows so far."""
     with path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, [field.name for field in fields(Row)])
         writer.writeheader()
@@ -502,7 +505,7 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read what an earlier run has left."""
+    """Read the rows that an earlier run has written."""
     with path.open(newline="") as stream:
         return [_parsed(line) for line in csv.DictReader(stream)]
 

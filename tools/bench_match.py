@@ -1,4 +1,4 @@
-"""Prints how often, and how well, boxes of a detector are matched with the messages of one vehicle among many.
+"""Print how often, and how accurately, a detector's boxes are matched with the messages of one vehicle among many.
 
 Run from the repository's root: ``python -m tools.bench_match --scenes 50``.
 """
@@ -19,12 +19,12 @@ from laci_stereo.match import match
 from tests.detections import cam_rows, detection_rows, errors, is_senders, traffic
 
 FAR_SIGMAS = 3.0
-"""An error of more than this many of the standard deviations that the result claims is not covered by it."""
+"""An error above this many of the result's own standard deviations is not covered by its covariance."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One scene: NaN where it was refused."""
+    """The outcome of one scene: NaN where it was refused."""
 
     seed: int
     right: bool

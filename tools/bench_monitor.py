@@ -1,15 +1,15 @@
-"""Hold a long monitor against plain SGBM, watch its memory, and kill it at random moments.
+"""Compare a long monitor with plain SGBM, watch its memory, and kill it at random moments.
 
 usage: python -m tools.bench_monitor RECORDING CALIBRATION [--frames 27000] [--hz 10] [--kills 10] [--plain 300]
            [--workers 0] [--seed 0]
 
 RECORDING is a folder with left/, right/, stereo.yaml and map.osm, CALIBRATION its result. The recording is repeated by
-links under later names, at so many frames in a second, until it has so many frames. Three things are measured: the
-monitor's frames in a second against those of plain matching (decode both images as grey, one cv2.StereoSGBM over the
+links under later names, at --hz frames per second, until it has --frames frames. Three things are measured: the
+monitor's frame rate compared with that of plain matching (decode both images as grey, one cv2.StereoSGBM over the
 whole image with the disparities that the tool itself derives for it) over the first of the same images, right before
-it; the monitor's memory over time; and whether a second monitor, killed (-9) at random moments and started again each
+it; the monitor's memory over time; and whether a second monitor, killed (-9) at random moments and restarted each
 time, ends with the same histogram and the same table, byte for byte. Plain matching has one thread; --workers 1 gives
-the monitor one thread for its images, too, and one for all else.
+the monitor one thread for its images, too, and one for everything else.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ SAMPLE_S = 1.0
 
 @dataclass
 class Run:
-    """A process, and its resident memory over time."""
+    """A process, its resident memory over time, and its duration."""
 
     command: list[str]
     megabytes: list[float] = field(default_factory=list)
     seconds: float = 0.0
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start it."""
+        """Start the process."""
         return subprocess.Popen(self.command, stdout=subprocess.DEVNULL)
 
     def measured(self) -> Run:
-        """Run it to its end."""
+        """Run the process to its end, and record its memory and duration."""
         begin = time.perf_counter()
         process = self.start()
         ended = threading.Event()
@@ -73,7 +73,7 @@ class Run:
 
 
 def repeated(recording: Path, frames: int, hz: float, folder: Path) -> Path:
-    """Lay out a recording of so many pairs by repeating one."""
+    """Create a recording of ``frames`` pairs by repeating a shorter one with links."""
     names = sorted(path.name for path in (recording / "left").iterdir())
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
@@ -88,7 +88,7 @@ def repeated(recording: Path, frames: int, hz: float, folder: Path) -> Path:
 
 
 def whole_disparities(recording: Path) -> int:
-    """Return how many disparities the tool searches in a whole image."""
+    """Return the number of disparities that the tool searches in a whole image."""
     left = recording / "left"
     pairs = pair_images(ImageFolder.open(left), ImageFolder.open(recording / "right")).pairs
     height, width = read_image(pairs[0].left).shape[:2]
@@ -97,19 +97,19 @@ def whole_disparities(recording: Path) -> int:
 
 
 def monitor(calibration: Path, recording: Path, out: Path, workers: int) -> list[str]:
-    """Return the command."""
+    """Return the command that monitors a recording."""
     code = "from laci_stereo.cli import main; main()"
     paths = [str(calibration), str(recording / "left"), str(recording / "right")]
     return [sys.executable, "-c", code, "monitor", *paths, "--out", str(out), "--workers", str(workers), "--quiet"]
 
 
 def killed(command: list[str], out: Path, times: int, usual_s: float, rng: random.Random) -> list[int]:
-    """Kill a monitor at random moments, start it again each time, and let it end; return how far it was each time."""
+    """Kill a monitor at random moments, restart it each time, then let it end; return the frames done at each kill."""
     far: list[int] = []
     while len(far) < times:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            # Two starts' worth on average, so that the kills spread over the run.
+            # Twice the mean interval at most, so that the kills are distributed over the run.
             process.wait(rng.uniform(0.0, 2 * usual_s / (times + 1)))
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
@@ -123,7 +123,7 @@ def killed(command: list[str], out: Path, times: int, usual_s: float, rng: rando
 
 
 def main() -> None:
-    """Print speed, memory and what kills do."""
+    """Print speed, memory and the effect of kills."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording", type=Path)
     parser.add_argument("calibration", type=Path)

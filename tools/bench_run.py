@@ -2,10 +2,10 @@
 
 usage: python tools/bench_run.py [RECORDING] [--repeat N] [--pairs 110 1000]
 
-RECORDING is a folder with left/, right/, cam.csv and stereo.yaml (default: calib_data). The plain run is what one would
-write first: decode both images as grey, one cv2.StereoSGBM over the whole image with the disparities that the tool
+RECORDING is a folder with left/, right/, cam.csv and stereo.yaml (default: calib_data). The plain run is the simplest
+implementation: decode both images as grey, one cv2.StereoSGBM over the whole image with the disparities that the tool
 itself derives for it, nothing else. Both are whole processes. For memory the recording is repeated by links under later
-names, with the messages repeated likewise.
+names; the messages are not repeated.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ for name in sorted(left.iterdir()):
 
 
 def run(command: list[str]) -> tuple[float, float, float]:
-    """Run a command and return how long it took, and processors for it, in seconds, and its peak memory in MB."""
+    """Run a command and return its duration and its processor time, in seconds, and its peak memory in MB."""
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
@@ -56,14 +56,14 @@ def tool(recording: Path, out: Path) -> list[str]:
 
 
 def whole_disparities(recording: Path) -> int:
-    """Return how many disparities the tool searches in a whole image."""
+    """Return the number of disparities that the tool searches in a whole image."""
     source = prepare(recording / "left", recording / "right", recording / "cam.csv").recording
     assert isinstance(source, StereoRecording)
     return source.whole_region().count
 
 
 def repeated(recording: Path, pairs: int, folder: Path) -> Path:
-    """Lay out a recording of so many pairs by repeating one, one second apart."""
+    """Create a recording of ``pairs`` pairs by repeating a shorter one with links, one second apart."""
     names = sorted((recording / "left").iterdir())
     stamps = [int(name.stem) for name in names]
     period_ns = stamps[-1] - stamps[0] + 1_000_000_000
@@ -75,7 +75,7 @@ def repeated(recording: Path, pairs: int, folder: Path) -> Path:
             link = folder / side / f"{stamps[position] + lap * period_ns}{names[position].suffix}"
             link.symlink_to((recording / side / names[position].name).resolve())
     (folder / "stereo.yaml").symlink_to((recording / "stereo.yaml").resolve())
-    # The vehicle drives once; its later laps carry no messages, so they are other traffic to the tool.
+    # The vehicle drives once; its later laps have no messages, so the tool treats them as other traffic.
     with (recording / "cam.csv").open() as source, (folder / "cam.csv").open("w", newline="") as target:
         csv.writer(target).writerows(csv.reader(source))
     return folder

@@ -1,4 +1,4 @@
-"""Calibrate random scenes and hold the results against their truth.
+"""Calibrate random scenes and compare the results with the ground truth.
 
 usage: python -m tools.bench_scenes [--sensors lidar_8,lidar_32,stereo_05,detections] [--scenes 200] [--first SEED]
        [--in-turn] [--method paper|joint|both] [--jobs 2] [--set FACTOR=VALUE ...] [--rendered N]
@@ -10,11 +10,11 @@ are seen, and meanwhile it turns by at least 30 deg or changes its speed by at l
 within what is claimed, are those of the accepted runs; "within 3 sigma" is of the position along the track, the last
 column of yaw and tilt.
 
-"detections" are a detector's boxes of what moves around a lidar_32: 10 cm and 2 deg off, every fifth missing, no
-numbers of tracks. With --rendered N the first N seeds of each stereo camera are images, rendered at 5 Hz (seconds an
-image, so that a scene takes minutes) and matched by the tool itself, in rows of their own; the other seeds are the fast
-simulation's. With --out the table, one line per run as CSV, written as they come, and pictures of the
-worst are kept.
+"detections" are a detector's boxes of the moving objects around a lidar_32: with errors of 10 cm and 2 deg, every fifth
+missing, without track numbers. With --rendered N the first N seeds of each stereo camera are images, rendered at 5 Hz
+(seconds per image, minutes per scene) and matched by the tool itself, in rows of their own; the other seeds use the
+fast simulation. With --out the table, the runs as CSV, written one line each as they end, and pictures of the worst
+are kept.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Job:
 
     @property
     def way(self) -> Way:
-        """How it is seen."""
+        """How the scene is observed."""
         if self.sensor == DETECTIONS:
             return "detections"
         return "rendered" if self.sensor.endswith(RENDERED) else "simulated"
@@ -121,7 +121,7 @@ def _reason(error: Exception) -> str:
 
 
 def picture(scene: Scene, found: Calibration) -> Raster:
-    """Draw the scene from above: the sender's points as the calibration puts them, true and found track, the sensor."""
+    """Draw a view from above: the sender's points by the calibration, the true and the found track, and the sensor."""
     size = round(PIXELS_PER_M * PICTURE_M)
     image = np.full((size, size, 3), 255, np.uint8)
     middle = scene.track_utm.mean(axis=0)
@@ -168,7 +168,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 def jobs_of(
     sensors: Sequence[str], seeds: range, methods: Sequence[Method], rendered: int, *, in_turn: bool = False
 ) -> list[Job]:
-    """Return what is to be run: of stereo cameras the first ``rendered`` seeds on images."""
+    """Return the jobs to be run; for stereo cameras, the first ``rendered`` seeds use images."""
     return [
         Job(sensor + RENDERED * (sensor in STEREOS and seed - seeds.start < rendered), seed, tuple(methods))
         for number, sensor in enumerate(sensors)
@@ -177,7 +177,7 @@ def jobs_of(
 
 
 def missing(jobs: Iterable[Job], runs: Iterable[Run]) -> list[Job]:
-    """Return what of the jobs is not among the runs."""
+    """Return the jobs, or those of their methods, that are not among the runs."""
     there = {(run.sensor, run.seed, run.method) for run in runs}
     left = [
         replace(job, methods=tuple(name for name in job.methods if (job.sensor, job.seed, name) not in there))
@@ -194,7 +194,7 @@ def runs_of(jobs: Sequence[Job], factors: dict[str, object], processes: int) -> 
 
 
 def parsed_arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sensors", default="lidar_8,lidar_16,lidar_32,lidar_64,stereo_02,stereo_05,stereo_10")
     parser.add_argument("--scenes", type=int, default=200, help="for each sensor")

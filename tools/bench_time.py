@@ -1,14 +1,14 @@
-"""Time whole runs against one another, by turns: with a mask, jointly, and of several drives.
+"""Time whole runs against one another, alternately: with a mask, jointly, and of several drives.
 
 usage: python -m tools.bench_time mask RECORDING MODEL.onnx [--repeat 3]
        python -m tools.bench_time joint SCANS CAMS [--repeat 3]
        python -m tools.bench_time combine RESULT [--drives 10] [--repeat 3]
 
-"mask" holds a calibration of images with a vehicle mask against one without, "joint" one of scans against the paper's
-method; RECORDING is a folder with left/, right/, cam.csv and stereo.yaml. "combine" estimates over so many drives, each
-the result's own on another day and with the noise of its points drawn anew, and holds that against the same for one.
-All are whole processes. The ratio of the medians is told of the time that passes and of the processors' time; where
-others use the processors too, only the latter counts.
+"mask" compares a calibration of images with a vehicle mask with one without, "joint" one of scans with the paper's
+method; RECORDING is a folder with left/, right/, cam.csv and stereo.yaml. "combine" estimates over --drives drives,
+each the result's own on another day and with the noise of its points drawn anew, and compares that with one such drive.
+All are whole processes. The ratio of the medians is printed for the elapsed time and for the processor time; where
+other processes use the processors too, only the latter is meaningful.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DAY_NS = 86_400_000_000_000
 
 
 def on_another_day(passage: Passage, day: int) -> Passage:
-    """Return a drive so many days later, with the noise of its points along the line of sight drawn anew."""
+    """Return a drive on a later day, with the noise of its points along the line of sight drawn anew."""
     rng = np.random.default_rng(day)
     sightings = []
     for each in passage.track.sightings:
@@ -45,7 +45,7 @@ def on_another_day(passage: Passage, day: int) -> Passage:
 
 
 def commands_of(arguments: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
-    """Return the two commands by their names, what is held against first."""
+    """Return the two commands by their names, the reference first."""
     out = ["--out", str(folder / "out"), "--overwrite", "--quiet"]
     if arguments.what == "mask":
         plain = tool(arguments.recording, folder / "out")
@@ -63,7 +63,7 @@ def commands_of(arguments: argparse.Namespace, folder: Path) -> dict[str, list[s
 
 
 def parsed_arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     kinds = parser.add_subparsers(dest="what", required=True)
     mask, joint, combine = (kinds.add_parser(name) for name in ("mask", "joint", "combine"))
@@ -79,7 +79,7 @@ def parsed_arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Run both commands by turns and print the ratios."""
+    """Run both commands alternately and print the ratios."""
     arguments = parsed_arguments()
     with tempfile.TemporaryDirectory() as folder:
         commands = commands_of(arguments, Path(folder))

@@ -1,8 +1,8 @@
-"""Damaged inputs for every reader: none may crash, hang, hunger, warn, or refuse in more than one line.
+"""Damaged inputs for every reader: none may crash, hang, exhaust memory, warn, or be refused in more than one line.
 
-``python -m tools.fuzz_readers --inputs 100000``. What must not be is printed once for each place in the sources that it
-comes from, with the input's number: ``--only READER/FORM --seed NUMBER --inputs 1`` repeats it. Exit code 1 if there
-is any.
+``python -m tools.fuzz_readers --inputs 100000``. Each finding is printed once for the place in the sources that it
+comes from, with the input's number: ``--only READER/FORM --seed NUMBER --inputs 1`` repeats it. The exit code is 1 if
+there is any.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tools.fuzz.readers import READERS
 from tools.fuzz.worker import Limits, Outcome, Readers, Seed, damaged, serve, write_files
 
 PATIENCE = 6
-"""A process is ended after so many times its share of the processor's time: others run beside it."""
+"""A process is ended after this many times its limit of processor time: others run beside it."""
 
 STARTS_WITHIN_S = 300.0
 
@@ -36,16 +36,16 @@ _LIMITS = Limits()
 
 @dataclass
 class Tally:
-    """What became of all inputs.
+    """The outcomes of all inputs.
 
     Attributes
     ----------
     inputs, accepted : Counter
-        By reader.
+        Counts by reader.
     findings : dict of str to str
-        By reader, and the line of the sources or what it is: the first input, in words.
+        Description of the first input with each finding, by reader, line of the sources and kind of finding.
     memory_bytes : int
-        The most that one input took.
+        The largest amount that one input took.
     """
 
     inputs: Counter[str] = field(default_factory=Counter)
@@ -55,7 +55,7 @@ class Tally:
 
 
 class Worker:
-    """A process that reads, started when it is needed, and again when it was lost."""
+    """A process that reads inputs; it is started when needed, and again after it was lost."""
 
     def __init__(self, folder: Path, readers: Readers, seeds: Sequence[Seed], limits: Limits) -> None:
         self.folder, self.readers, self.seeds, self.limits = folder, readers, seeds, limits
@@ -63,7 +63,7 @@ class Worker:
         self.process: SpawnProcess | None = None
 
     def start(self) -> None:
-        """Start the process and have it read the whole seeds."""
+        """Start the process and have it read the undamaged seeds."""
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         wholes = [(seed.reader, seed.files) for seed in self.seeds]
@@ -78,7 +78,7 @@ class Worker:
                 raise SystemExit(f"the whole {seed.name}: {outcome.finding} ({outcome.where})")
 
     def read(self, reader: str, files: Files) -> Outcome:
-        """Have an input read."""
+        """Have the process read an input."""
         if self.process is None:
             self.start()
         try:
@@ -92,7 +92,7 @@ class Worker:
         return outcome
 
     def stop(self) -> int | None:
-        """End the process, and return how it ended."""
+        """End the process, and return its exit code."""
         if self.process is None:
             return None
         self.pipe.close()
@@ -112,18 +112,18 @@ def fuzz(
     jobs: int = 1,
     limits: Limits = _LIMITS,
 ) -> Tally:
-    """Read damaged inputs, each of the seeds in turn, and print what must not be.
+    """Read damaged inputs, made from each of the seeds in turn, and print the findings.
 
     Parameters
     ----------
     readers : Readers
     seeds : sequence of Seed
     numbers : sequence of int
-        Of the inputs; the same number makes the same input.
+        Numbers of the inputs; the same number produces the same input.
     keep : Path or None
-        Where inputs are kept that show something.
+        Folder in which inputs with findings are kept.
     jobs : int
-        Processes at a time.
+        Number of parallel processes.
     limits : Limits
     """
     tally, lock = Tally(), Lock()
@@ -146,7 +146,7 @@ def fuzz(
 
 
 def _note(tally: Tally, seed: Seed, number: int, outcome: Outcome) -> bool:
-    """Count an outcome; tell whether it shows something new."""
+    """Count an outcome; return whether it is a new finding."""
     tally.inputs[seed.reader] += 1
     tally.accepted[seed.reader] += outcome.accepted
     tally.memory_bytes = max(tally.memory_bytes, outcome.memory_bytes)
@@ -160,9 +160,9 @@ def _note(tally: Tally, seed: Seed, number: int, outcome: Outcome) -> bool:
 
 
 def whole_seeds(only: str = "") -> list[Seed]:
-    """Return a valid input of every format of every reader, or of those whose ``reader/form`` begin with ``only``."""
+    """Return a valid input of every format of every reader, or of those whose ``reader/form`` begins with ``only``."""
     with TemporaryDirectory() as name:
-        # The writers are the tests' own.
+        # The writers belong to the tests.
         importlib.import_module("tests.seeds").write_seeds(Path(name))
         seeds = []
         for reader in sorted(Path(name).iterdir()):

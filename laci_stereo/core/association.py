@@ -1,9 +1,10 @@
-"""Which of all that moved is a sender's vehicle.
+"""Association: which of all moving objects is a sender's vehicle.
 
-A hypothesis is one rigid motion of the level frame into the world with one clock offset. It stands for all stations at
-once, and is judged by the logarithm of its likelihood: what lies where a sender must be speaks for it by how unlikely
-that would be by chance, and a sender that must be in view but is not speaks against it. Frames are not independent,
-because what is visible of a vehicle changes only as it moves, so everything is counted per metre of its path.
+A hypothesis is one rigid motion from the level frame into the world frame, with one clock offset. It holds for all
+stations at once and is judged by its log-likelihood: an object where a sender must be supports it, the more so the less
+probable that is by chance; a sender that must be in view but is not seen counts against it. Successive frames are not
+independent, because the visible part of a vehicle changes only as it moves, so all evidence is counted per metre of its
+path. A stranger is any object that is not the vehicle of the sender in question.
 """
 
 from __future__ import annotations
@@ -41,29 +42,32 @@ from laci_stereo.core.tracking import GATE, Times, Track, bridged_s
 log = logging.getLogger(__name__)
 
 SILENT = -math.log(0.05)
-"""The most that another sender can cost by not being seen: one in twenty is no vehicle that a sensor detects.
+"""Largest log-likelihood penalty for another sender that is not seen: one sender in twenty is no vehicle that a sensor
+detects.
 
-So likely it is, too, that none of the tracks is the sender's."""
+This is also the prior probability that none of the tracks is the sender's vehicle."""
 
 IN_LINE = math.log(10.0)
-"""One other vehicle in ten drives in line with the sender's, on its way and at its speed. By how much more exactly a
-track fits than boxes show then tells no more of which of two it is."""
+"""One other vehicle in ten drives in line with the sender's, on its path and at its speed. When such a vehicle is the
+alternative, path evidence from outlines counts no further than these log odds, or than that from boxes if it is
+larger."""
 
 UNSEEN_S = 1.0
-"""What is not seen for so long may be something else when it is seen again."""
+"""After being out of sight for this long, an object may be a different one when it is seen again."""
 
 HALF_LANE_M = 1.75
-"""No farther from its way is what drives in line."""
+"""A vehicle that drives in line with the sender's is no farther than this from the sender's path."""
 
 OUTLINE_REACH = 10.0
-"""What outlines can tell: two contradictions, each of which one sender in fifty may cause by a mistake, and back."""
+"""Log odds by which outlines can change the order of two hypotheses: two contradictions of the leading one, each of
+which one sender in fifty may cause by a mistake, and the other one's gain."""
 
 BOXES_S = 0.1
-"""By boxes clocks are not told apart that are nearer to each other: they are decimetres off, and vehicles drive at some
-metres a second."""
+"""Boxes do not distinguish clock offsets that are closer than this: box positions err by decimetres, and vehicles drive
+at several metres per second."""
 
 MOST_OUTLINES = 8
-"""So many hypotheses are held against the outlines at the most: of those far down there are always more."""
+"""Largest number of hypotheses that are compared with the outlines: there are always more, far less likely ones."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +84,12 @@ class _Hypothesis:
     by_others: float = 0.0
 
     def place(self, xy_level: FloatArray) -> FloatArray:
-        """Map points, shape (n, 2), from the level to the world frame, as exactly as is known."""
+        """Map points, shape (n, 2), from the level to the world frame, by the outline's fit where there is one."""
         return self.motion.place(xy_level) if self.fit is None else self.fit(xy_level)
 
     @property
     def against_others(self) -> float:
-        """The value, but for what a track that follows the sender's vehicle could have as well."""
+        """The log odds without the evidence that a vehicle in line with the sender's could have as well."""
         return self.value - max(0.0, self.way - max(self.account.way, IN_LINE))
 
 
@@ -95,10 +99,10 @@ def choose_track(
     settings: MatchSettings | None = None,
     likeness: Likeness = no_likeness,
 ) -> Choice:
-    """Find which track is which sender's: the one whose motion, and whose body, is most likely the vehicle's.
+    """Find which track belongs to which sender: the one whose motion and body are most likely those of its vehicle.
 
-    Each pair of a track and a station is brought together by a rigid motion and a clock offset. Each such hypothesis is
-    then held against everything that was seen, and all tracks that it puts onto the vehicle are joined.
+    Each pair of a track and a station yields a rigid motion and a clock offset. Each of these hypotheses is then
+    compared with everything that was seen, and all tracks that it places on the vehicle are joined.
 
     Parameters
     ----------
@@ -107,14 +111,14 @@ def choose_track(
         By station.
     settings : MatchSettings
     likeness : callable
-        Asked of the few whose motion comes into question.
+        Compares outlines; called for the few hypotheses whose motion is likely enough.
 
     Raises
     ------
     TrackError
-        If no sender moves while it is recorded, or no track is long enough.
+        If no sender moves during the recording or while it is seen, or no track is long enough.
     MatchError
-        If none fits, or two fit equally well.
+        If no track fits any sender, or two fit equally well.
     """
     settings = settings or MatchSettings()
     turn_s = max((track.turn_s for track in tracks), default=0.0)
@@ -133,7 +137,7 @@ def choose_track(
 
 
 def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
-    """Leave out those whose vehicle hardly moves while it is seen: whatever stands there would fit as well."""
+    """Return the hypotheses whose vehicle moves while it is seen: a stationary object would fit the others as well."""
     least_m = scene.settings.min_path_m
     paths_m = [_seen_path(scene, one, one.account, _on_vehicle(scene, one, one.account)) for one in hypotheses]
     moving = [one for one, path_m in zip(hypotheses, paths_m, strict=True) if path_m >= least_m]
@@ -149,7 +153,7 @@ def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothe
 def _weighed(
     scene: Scene, hypotheses: Sequence[_Hypothesis], vehicles: Mapping[int, VehicleTrack], likeness: Likeness
 ) -> list[_Hypothesis]:
-    """Add what outlines tell to the hypotheses that it could decide between: of the way more exactly than boxes."""
+    """Add the outlines' evidence, whose paths are more exact than the boxes', to the hypotheses it could decide."""
     ordered = sorted(hypotheses, key=lambda one: -one.value)
     weighed = []
     for rank, one in enumerate(ordered):
@@ -166,9 +170,9 @@ def _weighed(
 
 
 def _of_pieces(scene: Scene, account: Account, track: Track, way: float) -> float:
-    """Return the most that a way can tell whose track is joined of pieces.
+    """Return the largest log odds that the path of a track joined from pieces can contribute.
 
-    Each further piece may be something else that is where the vehicle must be, as improbable as that is.
+    Each further piece may be another object that is, however improbably, where the vehicle must be.
     """
     first = scene.tracks[account.tracks[0]]
     share = min(1.0, len(first.sightings) / max(1, len(track.sightings)))
@@ -183,11 +187,11 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     for one in hypotheses:
         if one is not best:
             (agreeing if _agree(scene, best, one) else rivals).append(one)
-    # If its sender was seen, each candidate is as likely its vehicle; if not, one of them may still fit by chance.
+    # If the sender was seen, each candidate is equally likely its vehicle; if not, one of them may still fit by chance.
     objects = 1 + len(candidates - set(best.account.tracks))
     _check_whole(scene, best, [one for one in rivals if one.value > math.log(objects)], track)
     claims = [(_margin(scene, best, one), one.account) for one in rivals]
-    # A second sender with the same track is on the same vehicle, or one of the two is not what is seen.
+    # A second sender with the same track is on the same vehicle, or the track belongs to only one of the two.
     mine = set(best.account.tracks)
     claims += [
         (best.account.value - account.value, account)
@@ -204,7 +208,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     if even < needed:
         chance = by_chance(scene, best.account, objects, even)
         raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{lingering(scene)}{towing(scene)}")
-    # A result that nothing is said against must hold even if it is as likely as not that the sender was never seen.
+    # A result without any objection must hold even at prior odds of one to one that the sender was seen at all.
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:
@@ -225,7 +229,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
 
 
 def _check_whole(scene: Scene, best: _Hypothesis, rivals: Sequence[_Hypothesis], track: Track) -> None:
-    """Refuse a part of a drive whose other part fits the same messages, but by another motion.
+    """Refuse one part of a drive if the other part fits the same messages, but by another motion.
 
     Raises
     ------
@@ -246,9 +250,10 @@ def _check_whole(scene: Scene, best: _Hypothesis, rivals: Sequence[_Hypothesis],
 
 
 def _goes_on(sender: Sender, one: Track, other: Track, motion: Motion) -> bool:
-    """Tell whether one track begins where and when the other ends, as one vehicle's does that was hidden in between.
+    """Return whether one track begins where and when the other ends, like those of one vehicle hidden in between.
 
-    They are then no farther apart than the vehicle is long, and drives meanwhile: different parts of it may be seen.
+    The ends are then no farther apart than the vehicle's length, as different parts of it may be visible, plus the
+    distance that it drives meanwhile.
     """
     if one.shares(other) or not len(other.usable):
         return False
@@ -263,9 +268,9 @@ def _goes_on(sender: Sender, one: Track, other: Track, motion: Motion) -> bool:
 
 
 def _margin(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> float:
-    """Return the log odds between two hypotheses that say something else.
+    """Return the log odds between two contradictory hypotheses.
 
-    If the other's vehicle is the sender's, the best one's may drive in line with it: on its way, at another time.
+    If the other one's vehicle is the sender's, the best one's may drive in line with it: on its path, at another time.
     """
     sender = scene.senders[other.account.station]
     way = sender.table[sender.known, :2]
@@ -277,10 +282,11 @@ def _margin(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> float:
 
 
 def _agree(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> bool:
-    """Tell whether two hypotheses say the same.
+    """Return whether two hypotheses are compatible.
 
-    They do where the best motion also puts the other's track onto its vehicle, or at least into it, and where both
-    motions put what was seen to the same places: nearer to one another than two vehicles ever are.
+    They are if the best motion also places the other's track onto that sender's vehicle, if that track lies inside the
+    best one's vehicle, or if both motions map the sightings to the same places: nearer to one another than two vehicles
+    ever are.
     """
     if any(account.station == other.seed.station and other.seed.track in account.tracks for account in best.accounts):
         return True
@@ -292,7 +298,7 @@ def _agree(scene: Scene, best: _Hypothesis, other: _Hypothesis) -> bool:
 
 
 def _is_part(scene: Scene, best: _Hypothesis, track: int) -> bool:
-    """Tell whether a track is mostly where the vehicle itself is: nothing else can be there."""
+    """Return whether a track is mostly where the best hypothesis has the vehicle: no other object can be there."""
     sender = scene.senders[best.seed.station]
     knots = scene.knots[(scene.knots.track == track) & scene.knots.usable]
     poses = sender.at(knots.stamp_s + best.motion.offset_s)
@@ -301,7 +307,7 @@ def _is_part(scene: Scene, best: _Hypothesis, track: int) -> bool:
 
 
 def _on_vehicle(scene: Scene, best: _Hypothesis, account: Account) -> Track:
-    """Return a sender's track without what cannot be its vehicle, such as what it was confused with at its ends."""
+    """Return a sender's track without what cannot be its vehicle, such as objects it was confused with at its ends."""
     track, sender = joined(scene, account), scene.senders[account.station]
     poses = sender.at(np.array([one.stamp_s for one in track.sightings]) + best.motion.offset_s)
     off = best.motion.place(np.array([one.middle for one in track.sightings])) - poses.xy
@@ -311,17 +317,18 @@ def _on_vehicle(scene: Scene, best: _Hypothesis, account: Account) -> Track:
 
 
 def unseen_s(stamps_s: FloatArray) -> float:
-    """Return for how long something that was seen at some times, shape (n,), can be out of sight and count as seen.
+    """Return for how long an object seen at some times, shape (n,), may be out of sight and still count as seen.
 
-    That is one missing frame at least.
+    That is at least one missing frame.
     """
     return max(UNSEEN_S, bridged_s(stamps_s))
 
 
 def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) -> float:
-    """Return how far a sender's vehicle drives while a track is seen, without what it drives meanwhile unseen.
+    """Return the distance that a sender's vehicle drives while its track is seen, without its drive while unseen.
 
-    While it stays within its own reach, whatever stands there would do as well: that does not count either.
+    Stretches that stay within the vehicle's own reach do not count either: any stationary object would fit them as
+    well.
     """
     sender = scene.senders[account.station]
     stamps_s = np.array([one.stamp_s for one in track.usable])
@@ -332,12 +339,13 @@ def _seen_path(scene: Scene, best: _Hypothesis, account: Account, track: Track) 
 
 
 def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> tuple[Other, ...]:
-    """Return other senders that are as clearly seen: where a hypothesis has them, by themselves, or by other clocks.
+    """Return other senders that are equally clearly seen: by the best motion, by their own motions, or by other clocks.
 
-    Those that agree with it may have the sensor up to a vehicle's width elsewhere, where it has nothing of them.
+    A motion of their own that is compatible with the best one may place the sensor up to a vehicle's width elsewhere,
+    and may so find a vehicle where the best motion has none.
     """
     sure, others = [best.account], []
-    # The last of these looks at what is sure when it is its turn.
+    # The last generator reads `sure` only when its turn comes.
     ways = chain(_by_one_motion(best), _by_themselves(best, agreeing), _by_other_clocks(scene, best, sure))
     for one, account, log_odds in ways:
         if any(account.station == each.station or set(account.tracks) & set(each.tracks) for each in sure):
@@ -352,14 +360,14 @@ def _others(scene: Scene, best: _Hypothesis, agreeing: Sequence[_Hypothesis]) ->
 
 
 def _by_one_motion(best: _Hypothesis) -> Iterator[tuple[_Hypothesis, Account, float]]:
-    """Yield what is where the other senders must be, and the log odds that it is theirs; each track once."""
+    """Yield other senders' accounts by the best motion, each track once, with the log odds that these are theirs."""
     own, *others = best.accounts
     for account in _each_track_once(own, others):
         yield best, account, account.value + account.coincidence + SILENT
 
 
 def _each_track_once(own: Account, others: Iterable[Account]) -> Iterator[Account]:
-    """Yield the other senders' accounts, the likeliest first, but for those of tracks that are another's already."""
+    """Yield the other senders' accounts, the likeliest first, except those whose tracks a likelier one has claimed."""
     claimed = set(own.tracks)
     for account in sorted(others, key=lambda one: -one.value):
         if claimed.isdisjoint(account.tracks):
@@ -368,7 +376,7 @@ def _each_track_once(own: Account, others: Iterable[Account]) -> Iterator[Accoun
 
 
 def _by_themselves(best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterator[tuple[_Hypothesis, Account, float]]:
-    """Yield the same of what other senders' own motions show."""
+    """Yield the accounts of other senders by motions of their own, likewise with their log odds."""
     for one in sorted(agreeing, key=lambda one: -one.value):
         late_s = float(one.motion.offset_s - best.motion.offset_s)
         its = replace(one, late_s=late_s if abs(late_s) > BOXES_S else 0.0)
@@ -378,7 +386,7 @@ def _by_themselves(best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterat
 def _by_other_clocks(
     scene: Scene, best: _Hypothesis, sure: Sequence[Account]
 ) -> Iterator[tuple[_Hypothesis, Account, float]]:
-    """Yield the same of what is elsewhere on the ways of senders that are not sure."""
+    """Yield the accounts of senders that are not yet sure by other clock offsets, likewise with their log odds."""
     for station, sender in scene.senders.items():
         if any(station == each.station for each in sure):
             continue
@@ -391,7 +399,7 @@ def _by_other_clocks(
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:
-    """Hold the seeds against the whole scene; what a better one says too is not repeated."""
+    """Compare the seeds with the whole scene; a seed that a better one's hypothesis includes is skipped."""
     found: list[_Hypothesis] = []
     for seed in seeds:
         if seed.share < scene.settings.min_explained:

@@ -1,4 +1,8 @@
-"""Linking the clusters of successive frames into tracks."""
+"""Linking the clusters of successive frames into tracks.
+
+The strain of a gap is the larger of the normalised deviations of position and velocity across it, in units of `GATE`.
+Links are chosen together, at the least total cost.
+"""
 
 from __future__ import annotations
 
@@ -19,27 +23,29 @@ from laci_stereo.core.sighting import Sighting
 from laci_stereo.core.static_clutter import stands
 
 UNLINKED = 1.5
-"""Cost of leaving a track without a sighting, in gates: above one, so that what is where it should be is linked."""
+"""Cost of leaving a track without a sighting, in gates: above one, so that a sighting at the expected place is
+linked."""
 
 GATE = 3.0
 """Standard deviations at which a gate closes."""
 
 FILTERED = 10
-"""So many sightings at the beginning of a track tell its velocity there."""
+"""Number of sightings at the beginning of a track from which its velocity there is estimated."""
 
 
 STRAY = 0.5
-"""Cost of taking a sighting at an end of a track for something else's, in gates."""
+"""Cost of treating a sighting at an end of a track as an outlier that belongs to another object, in gates."""
 
 LEAST_PIECE = 3
-"""Sightings that tell a velocity."""
+"""Least number of sightings that determine a velocity."""
 
 UNLIKELY, MOST_KEPT = 1.0, 2.0
-"""Two are exchanged if the squares of the strains are smaller so by this: half of nine times that are odds of a hundred
-to one; and a track that is cut has at most this square, twice a gate's."""
+"""`UNLIKELY` is the margin per link, beyond `UNLINKED`, by which exchanging two tracks must lower the squared strains:
+half of nine times that is log odds of a hundred to one. `MOST_KEPT` is the largest squared strain, twice a gate's, that
+counts where a cut track continues as before."""
 
 Times = tuple[tuple[float, float], ...]
-"""Intervals, each from one time to another."""
+"""Intervals, each from a first to a last time."""
 
 
 @dataclass(frozen=True)
@@ -61,22 +67,22 @@ class Track:
 
     @cached_property
     def stamps_s(self) -> FloatArray:
-        """Of the usable sightings, shape (n,)."""
+        """Stamps of the usable sightings, shape (n,)."""
         return np.array([sighting.stamp_s for sighting in self.usable])
 
     @cached_property
     def centres(self) -> FloatArray:
-        """Of the usable sightings' boxes, level frame, shape (n, 2)."""
+        """Centres of the usable sightings' boxes, level frame, shape (n, 2)."""
         return np.array([sighting.box.centre for sighting in self.usable]).reshape(-1, 2)
 
     @cached_property
     def turn_s(self) -> float:
-        """How long a turn of the scanner lasts if it turns and the points' times are not known, else 0."""
+        """Duration of the scanner's revolution if it rotates and the points' times are not known, else 0."""
         return max((sighting.turn_s for sighting in self.sightings), default=0.0)
 
     @cached_property
     def window_rad(self) -> float:
-        """Side of the window within which points have their noise in common, 0 if each has its own."""
+        """Side of the window within which points share their noise, 0 if the noise of each is independent."""
         return max((sighting.window_rad for sighting in self.sightings), default=0.0)
 
     def flaws(self) -> Counter[str]:
@@ -84,12 +90,12 @@ class Track:
         return Counter(sighting.flaw for sighting in self.sightings if sighting.flaw is not None)
 
     def shares(self, other: Track) -> bool:
-        """Tell whether a sighting is part of both."""
+        """Return whether a sighting is part of both tracks."""
         mine = {id(sighting) for sighting in self.sightings}
         return any(id(sighting) in mine for sighting in other.sightings)
 
     def without(self, times_s: Times) -> Track:
-        """Return the track without what was seen from one time to another."""
+        """Return the track without the sightings in some half-open intervals: from a first to before a last time."""
         stamps_s = np.array([sighting.stamp_s for sighting in self.sightings])
         kept = np.ones(len(stamps_s), dtype=bool)
         for begin_s, end_s in times_s:
@@ -97,17 +103,17 @@ class Track:
         return self.where(kept)
 
     def where(self, kept: BoolArray) -> Track:
-        """Return the track with some of its sightings only."""
+        """Return the track with those sightings only that are kept, shape (n,)."""
         if kept.all():
             return self
         return Track(tuple(sighting for sighting, is_kept in zip(self.sightings, kept, strict=True) if is_kept))
 
     def without_points(self) -> Track:
-        """Return the track with the boxes of its sightings only."""
+        """Return the track with the boxes of its sightings, but without their points."""
         return Track(tuple(sighting.without_points() for sighting in self.sightings))
 
     def joined(self, other: Track) -> Track:
-        """Return two tracks as one; in frames that hold both, the first one's sighting."""
+        """Return two tracks as one; in frames that hold both, the first one's sighting is kept."""
         mine = {sighting.frame_s for sighting in self.sightings}
         new = tuple(sighting for sighting in other.sightings if sighting.frame_s not in mine)
         if not new:
@@ -116,23 +122,24 @@ class Track:
 
 
 def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | None = None) -> list[Track]:
-    """Link sightings into tracks: nearest to where each track should be by now, over all pairs at once.
+    """Link sightings into tracks: each to the nearest predicted position, over all pairs at once.
 
-    Each track carries a position and a velocity (a Kalman filter with white acceleration). While it is out of sight its
-    place soon becomes too vague to tell who appears there; longer gaps are closed afterwards, where the velocities
-    before and after agree with the way in between. What stands at one place from the beginning to the end, such as
-    growth on uneven ground, is left out: vehicles that pass it would be linked with it.
+    Each track has a position and a velocity (a Kalman filter with white acceleration noise). While it is out of sight,
+    its predicted position soon becomes too uncertain to identify what appears there; longer gaps are closed in a second
+    step, where the velocities before and after agree with the displacement in between. Clusters that are at one place
+    from the beginning to the end, such as vegetation on uneven ground, are left out: vehicles that pass them would be
+    linked with them.
 
     Parameters
     ----------
     frames : iterable of sequence of Sighting
-        In the order of time; consumed once.
+        In chronological order; consumed once.
     settings : TrackSettings
 
     Returns
     -------
     list of Track
-        The one with most sightings first.
+        In descending order of the number of sightings.
     """
     settings = settings or TrackSettings()
     finished: list[Moving] = []
@@ -155,7 +162,7 @@ def link_tracks(frames: Iterable[Sequence[Sighting]], settings: TrackSettings | 
 
 
 def _that_move(frames: Sequence[Sequence[Sighting]], settings: TrackSettings) -> list[list[Sighting]]:
-    """Leave out clusters that stand at one place throughout; what a detector reports is an object even so."""
+    """Leave out clusters that are at one place throughout, but keep a detector's reports: these are objects even so."""
     clusters = [(number, one) for number, frame in enumerate(frames) for one in frame if len(one.points)]
     if not clusters:
         return [list(frame) for frame in frames]
@@ -166,12 +173,12 @@ def _that_move(frames: Sequence[Sequence[Sighting]], settings: TrackSettings) ->
 
 
 def bridged_s(stamps_s: FloatArray) -> float:
-    """Return for how long one missing frame leaves things unseen, however seldom frames come; 0 of a single one."""
+    """Return how long one missing frame leaves objects unseen, at any frame rate; 0 for a single frame."""
     return 2.5 * float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 0.0
 
 
 def blind_s(settings: TrackSettings) -> float:
-    """Return after what time out of sight a track's place is as vague as what is visible of a vehicle jumps."""
+    """Return the time out of sight after which a position is as uncertain as a vehicle's visible part jumps."""
     return float((3 * settings.jitter_m**2 / _agility(settings)) ** (1 / 3))
 
 
@@ -181,17 +188,17 @@ def _agility(settings: TrackSettings) -> float:
 
 
 def _noise(settings: TrackSettings) -> float:
-    """Return the variance of a position, m^2: what it jumps by at most is twice its standard deviation."""
+    """Return the variance of a position, m^2: its largest jump is twice its standard deviation."""
     return (settings.jitter_m / 2) ** 2
 
 
 Links = dict[tuple[int, int], tuple[float, int, int]]
-"""What may follow what: the cost, and how many sightings are then strays, at the end of the one and the beginning of
-the other."""
+"""Possible links from one part to the next: the cost, and the number of sightings that are outliers if so, at the end
+of the one and at the beginning of the other."""
 
 
 class Moving:
-    """A track that grows: its sightings, and where it is and how fast, with the covariance of each axis."""
+    """A growing track: its sightings, and its current position and velocity with the covariance of each axis."""
 
     def __init__(self, first: Sighting, settings: TrackSettings) -> None:
         self.sightings = [first]
@@ -204,14 +211,14 @@ class Moving:
         return self.sightings[-1]
 
     def ahead(self, stamp_s: float, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
-        """Predict the state, shape (2, 2): position and velocity, and its covariance."""
+        """Predict the state, shape (2, 2): position and velocity, and its covariance, which is that of each axis."""
         dt = max(stamp_s - self.last.stamp_s, 0.0)
         step = np.array([[1.0, dt], [0.0, 1.0]])
         grown = _agility(settings) * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
         return step @ self.state, step @ self.covariance @ step.T + grown
 
     def add(self, sighting: Sighting, settings: TrackSettings) -> None:
-        """Take a sighting up."""
+        """Update the state by a sighting."""
         state, covariance = self.ahead(sighting.stamp_s, settings)
         gain = covariance[:, 0] / (covariance[0, 0] + _noise(settings))
         self.state = state + np.outer(gain, sighting.middle - state[0])
@@ -220,10 +227,10 @@ class Moving:
 
 
 def assign(tracks: Sequence[Moving], sightings: Sequence[Sighting], settings: TrackSettings) -> dict[int, int]:
-    """Return the track of each sighting that has one."""
+    """Return the index of the track for each sighting that is linked to one."""
     if not tracks:
         return {}
-    # Within a frame the stamps differ by milliseconds; the vehicles' places are needed at each.
+    # Within a frame the stamps differ by milliseconds; the vehicles' positions are predicted for each.
     now_s = float(np.mean([sighting.stamp_s for sighting in sightings]))
     ahead = [track.ahead(now_s, settings) for track in tracks]
     places = np.array([state[0] for state, _ in ahead])
@@ -235,24 +242,24 @@ def assign(tracks: Sequence[Moving], sightings: Sequence[Sighting], settings: Tr
     distance = np.linalg.norm(expected - here, axis=2) / sigma[:, None] / GATE
     sizes = np.log10([max(sighting.count, 1) for sighting in sightings])
     size_before = np.log10([float(np.median([max(s.count, 1) for s in track.sightings[-5:]])) for track in tracks])
-    # Debris that breaks off a vehicle is near to it but small: a factor of ten counts as much as the whole gate.
+    # Debris that breaks off a vehicle is near it but small: a factor of ten in size costs as much as the whole gate.
     cost = np.hypot(distance, size_before[:, None] - sizes[None])
     cost[distance >= 1.0] = UNLINKED
     return _pairs(cost)
 
 
 def _pairs(cost: FloatArray) -> dict[int, int]:
-    """Return the row of each column that has one, at the least cost in all."""
+    """Return the row of each column that has one, at the least total cost."""
     rows, columns = linear_sum_assignment(np.minimum(cost, UNLINKED))
     return {int(c): int(r) for r, c in zip(rows, columns, strict=True) if cost[r, c] < UNLINKED}
 
 
 def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
-    """Close the gaps between what ends and what begins, over all pairs at once.
+    """Close the gaps between tracks that end and tracks that begin, over all pairs at once.
 
-    What ends with a sighting of something else has lost its way by that; without it the gap may close. Where a track
-    changes its motion as no gap would be closed, two may have met and been exchanged: it is cut there, and goes on as
-    it did unless they fit so much better the other way round.
+    A track that ends with an outlier has lost its object by it; without the outlier the gap may close. Where a track
+    changes its motion so much that a gap there would not be closed, two tracks may have met and been exchanged: it is
+    cut there, and continues as before unless the exchanged parts fit better by the required odds.
     """
     parts: list[Moving] = []
     kept: Links = {}
@@ -275,9 +282,10 @@ def _stitched(tracks: Sequence[Moving], settings: TrackSettings) -> list[Track]:
 
 
 def _following(found: Links) -> dict[int, int]:
-    """Return what follows each part that something follows, at the least cost in all.
+    """Return the successor of each part that has one, at the least total cost.
 
-    What no chain of possible links connects is looked at apart: of many parts, each may be followed by few.
+    Groups of parts that no chain of possible links connects are solved separately: of many parts, each has few possible
+    successors.
     """
     pairs = [pair for pair, (cost, *_) in found.items() if cost < UNLINKED]
     if not pairs:
@@ -300,7 +308,7 @@ def _following(found: Links) -> dict[int, int]:
 
 
 def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Links:
-    """Return which parts may follow which, beside those that do, with the square of the strain as the cost."""
+    """Return which parts may follow which, beside the `kept` links, with the squared strain as the cost."""
     found = dict(kept)
     ends_by = [[_without_last(part, strays, settings) for part in parts] for strays in (0, 1)]
     begins_by = [
@@ -323,12 +331,12 @@ def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Lin
 
 
 def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
-    """Cut a track where it changes its motion most, again and again, as long as no such gap would be closed.
+    """Cut a track recursively where it changes its motion most, as long as a gap with that change would not be closed.
 
     Returns
     -------
     list of tuple
-        Each piece, and the strain between it and the one before; 0 for the first.
+        The strain between each piece and the one before, 0 for the first, and the piece.
     """
     count = len(track.sightings)
     before = _states(track.sightings, settings)
@@ -346,7 +354,7 @@ def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
 
 
 def _states(sightings: Sequence[Sighting], settings: TrackSettings) -> list[Moving]:
-    """Return a track as it was at each of its sightings."""
+    """Return the filtered track as of each of its sightings."""
     moving = Moving(sightings[0], settings)
     states = [_copied(moving)]
     for one in sightings[1:]:
@@ -374,7 +382,7 @@ def _filtered(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
 
 
 def backwards(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
-    """Filter the beginning of a track against time, so that its last sighting is the first one."""
+    """Filter the beginning of a track backwards in time, so that its `last` sighting is the earliest."""
     few = list(sightings[:FILTERED])
     moving = _forwards_in_time(_filtered(_mirrored(few), settings))
     moving.sightings = few[::-1]
@@ -386,25 +394,25 @@ def _mirrored(sightings: Sequence[Sighting]) -> list[Sighting]:
 
 
 def _forwards_in_time(moving: Moving) -> Moving:
-    """Return the same with the velocity in time, not against it."""
+    """Return a track filtered backwards with its velocity in forward time."""
     forwards = copy(moving)
     forwards.state = moving.state * np.array([[1.0], [-1.0]])
     return forwards
 
 
 def strain(before: Moving, after: Moving, gap_s: float, settings: TrackSettings) -> float:
-    """Return the cost of a gap, in gates: of the way at the mean velocity, and of the change of velocity."""
+    """Return the cost of a gap, in gates: of its displacement against the mean velocity, and of the velocity change."""
     agility = _agility(settings)
     way = after.state[0] - before.state[0] - gap_s * (before.state[1] + after.state[1]) / 2
     positions = before.covariance[0, 0] + after.covariance[0, 0]
     speeds = before.covariance[1, 1] + after.covariance[1, 1]
-    # What a random walk of the velocity adds between two known ends, and between two unknown ones.
+    # The variance that a random walk of the velocity adds between two known ends, and between two unknown ones.
     way_sigma = np.sqrt(positions + speeds * gap_s**2 / 4 + agility * gap_s**3 / 12 + _noise(settings))
     change = np.linalg.norm(after.state[1] - before.state[1]) / np.sqrt(speeds + agility * gap_s)
     found = max(float(np.linalg.norm(way) / way_sigma), float(change)) / GATE
-    # One or two sightings tell no velocity, and could be anyone's.
+    # One or two sightings determine no velocity, and could belong to any object.
     vague = np.sqrt(speeds) > settings.max_speed_mps / (2 * GATE)
-    # Nothing stops and drives back within so short a time. Of what stands, one gap in five is left open by that: the
-    # product of two velocities that are only noise has Laplace's distribution.
+    # No vehicle stops and drives back within so short a time. For stationary objects this leaves one gap in five open:
+    # the product of two velocities that are only noise has a Laplace distribution.
     back = before.state[1] @ after.state[1] < -np.sqrt(before.covariance[1, 1] * after.covariance[1, 1])
     return np.inf if vague or back else found

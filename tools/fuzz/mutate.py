@@ -1,4 +1,4 @@
-"""Damage: what disks, networks, editors and malice make of a file."""
+"""Damage to files, as disks, networks, editors and attackers cause it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from operator import xor
 from typing import TypeAlias
 
 Files: TypeAlias = Mapping[str, bytes]
-"""What a reader is given: contents by path within a folder."""
+"""The input of a reader: contents by path within a folder."""
 
 _Change: TypeAlias = Callable[[bytes], bytes]
 
 MOST_BYTES = 1 << 20
-"""Larger inputs only take longer."""
+"""Largest size of an input; larger ones only take longer."""
 
 _NUMBERS = (
     *(b"0", b"-1", b"-0.0", b"nan", b"inf", b"1e400", b"1e308", b"1e-320", b"2147483648", b"4294967295"),
@@ -49,13 +49,13 @@ _SENTENCE = re.compile(rb"\$([^*\r\n]*)\*[0-9A-F]{2}")
 
 
 def mutated(files: Files, others: Sequence[bytes], rng: random.Random) -> dict[str, bytes]:
-    """Return a reader's files with one to four damages to one of them.
+    """Return a reader's files, one of them with one to four damages.
 
     Parameters
     ----------
     files : Files
     others : sequence of bytes
-        Other files' contents, to splice.
+        Contents of other files, to splice.
     rng : random.Random
     """
     found = dict(files)
@@ -65,7 +65,7 @@ def mutated(files: Files, others: Sequence[bytes], rng: random.Random) -> dict[s
 
 
 def _damaged(data: bytes, other: bytes, rng: random.Random) -> bytes:
-    """Damage what is inside of a container three times in four: otherwise its checksums hide what lies deeper."""
+    """Damage the contents of a container three times in four: otherwise its checksums prevent reading any further."""
     rebuild = next((build for magic, build in _CONTAINERS if data.startswith(magic)), None)
     if rebuild is not None and rng.random() < 0.75:
         return rebuild(data, lambda inner: _damaged(inner, other, rng), rng)
@@ -119,7 +119,7 @@ def _quoted(data: bytes, _other: bytes, rng: random.Random) -> bytes:
 
 
 def _binary(data: bytes, _other: bytes, rng: random.Random) -> bytes:
-    # Headers stand at the beginning, so half of the numbers go there.
+    # Headers are at the beginning, so half of the numbers are placed there.
     at = rng.randrange(min(len(data), rng.choice((256, MOST_BYTES))) + 1)
     value = rng.choice(_BINARY)
     return data[:at] + value + data[at + len(value) :]
@@ -184,7 +184,7 @@ def _in_zip(data: bytes, change: _Change, rng: random.Random) -> bytes:
 
 
 def _in_png(data: bytes, change: _Change, _rng: random.Random) -> bytes:
-    """Damage header and pixels, and put the checksums right."""
+    """Damage header and pixels, and correct the checksums."""
     at, parts = 8, [data[:8]]
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
@@ -197,8 +197,8 @@ def _in_png(data: bytes, change: _Change, _rng: random.Random) -> bytes:
 
 
 def _in_sentences(data: bytes, change: _Change, _rng: random.Random) -> bytes:
-    """Damage NMEA's sentences, and put the checksums right."""
-    # A byte before the mark that a container is known by keeps the change from coming here again.
+    """Damage NMEA sentences, and correct the checksums."""
+    # A byte in front of the mark that identifies a container prevents the change from coming here again.
     return _SENTENCE.sub(lambda found: b"$%s*%02X" % (found[1], reduce(xor, found[1], 0)), change(b"\n" + data))
 
 

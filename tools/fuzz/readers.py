@@ -1,4 +1,4 @@
-"""Every reader of the project, as it is called with what lies in a folder."""
+"""Every reader of the project, called with the contents of a folder."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOCAL = ImportOptions(kind="lidar", crs="EPSG:32632", origin=(569000.0, 5363000.
 
 
 def _only(read: Callable[[Path], object], folder: Path) -> object:
-    """Have the only thing in a folder read."""
+    """Read the only file in a folder."""
     (path,) = folder.iterdir()
     return read(path)
 

@@ -1,4 +1,4 @@
-"""A process that reads damaged inputs, so that a crash, a hang or hunger for memory ends nothing else."""
+"""A process that reads damaged inputs, so that a crash, a hang or exhausted memory ends nothing else."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if sys.platform == "linux":
     import resource
 
 Readers: TypeAlias = Mapping[str, Callable[[Path], object]]
-"""What reads the files in a folder, by name; functions of modules, for they go to another process."""
+"""Functions that read the files in a folder, by name; they belong to modules, as they are sent to another process."""
 
 LONGEST_MESSAGE = 1000
 GUARD = 4
-"""Address space may grow by so many times the memory that may be used, for what is never touched costs nothing."""
+"""The address space may grow by this many times the permitted memory, as untouched address space costs nothing."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one input may take.
+    """Resources that one input may take.
 
     Attributes
     ----------
     memory_bytes : int
-        Beyond what the readers' libraries hold.
+        In addition to what the readers' libraries hold.
     cpu_s : float
-        Of the processor; inputs have at most 1 MB, and 0.1 MB/s is slower than any reader should be.
+        Processor time; inputs have at most 1 MB, and 0.1 MB/s is slower than any reader should be.
     """
 
     memory_bytes: int = 1 << 30
@@ -52,10 +52,10 @@ class Seed:
     Attributes
     ----------
     reader, form : str
-        The reader's name, and that of the format.
+        The names of the reader and of the format.
     files : Files
     others : tuple of bytes
-        Of the same reader, to splice.
+        Files of the same reader, to splice.
     """
 
     reader: str
@@ -65,24 +65,24 @@ class Seed:
 
     @property
     def name(self) -> str:
-        """What tells it from the others."""
+        """The unique name of the seed."""
         return f"{self.reader}/{self.form}"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an input.
+    """The outcome of reading an input.
 
     Attributes
     ----------
     accepted : bool
         It was read, not refused.
     finding : str
-        What must not be, in words; empty if all is well.
+        Description of what must not happen; empty if there is nothing.
     where : str
         The line of the sources that it comes from.
     memory_bytes : int
-        That it took, beyond what the process had.
+        Memory that reading took, in addition to the process's earlier use.
     """
 
     accepted: bool
@@ -92,12 +92,12 @@ class Outcome:
 
 
 def damaged(seed: Seed, number: int) -> dict[str, bytes]:
-    """Return the input of a number from a seed; always the same."""
+    """Return the input with a number, made from a seed; it is always the same."""
     return mutated(seed.files, seed.others, random.Random(f"{seed.name} {number}"))
 
 
 def write_files(folder: Path, files: Files) -> None:
-    """Write files in a folder."""
+    """Write files to a folder."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,9 +107,9 @@ def write_files(folder: Path, files: Files) -> None:
 def serve(
     pipe: Connection, folder: Path, readers: Readers, wholes: Sequence[tuple[str, Files]], limits: Limits
 ) -> None:
-    """Read the inputs that come through a pipe in a folder, and answer with what became of each."""
+    """Read the inputs that arrive through a pipe, in a folder, and answer with the outcome of each."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries in C write there whatever they like
-    # The whole seeds first: what libraries need once is no input's fault.
+    # The undamaged seeds come first: what libraries need once is not charged to an input.
     pipe.send([_attempt(readers[reader], folder, files, Limits(1 << 40)) for reader, files in wholes])
     _guard_memory(GUARD * limits.memory_bytes)
     for reader, files in _asked(pipe):
@@ -125,14 +125,14 @@ def _asked(pipe: Connection) -> Iterator[tuple[str, Files]]:
 
 
 def _guard_memory(more_bytes: int) -> None:
-    """Limit the address space, where the system tells how much of it there is already."""
+    """Limit the address space, on systems that report its present size."""
     if sys.platform == "linux":
         limit = _status_bytes("VmSize") + more_bytes
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 def _status_bytes(entry: str) -> int:
-    """Return what Linux tells of this process's memory; elsewhere 0."""
+    """Return an entry of Linux's report on this process's memory, bytes; 0 on other systems."""
     if sys.platform != "linux":
         return 0
     text = Path("/proc/self/status").read_text(encoding="ascii")
@@ -163,7 +163,7 @@ def _attempt(read: Callable[[Path], object], folder: Path, files: Files, limits:
 
 
 def _judged(read: Callable[[Path], object], folder: Path) -> tuple[bool, str, str]:
-    """Return whether an input was accepted, what must not be, and where."""
+    """Return whether an input was accepted, the finding, and its place."""
     try:
         read(folder)
     except LaciError as error:
@@ -189,7 +189,7 @@ def _fault(error: LaciError) -> str:
 
 
 def _place(error: BaseException) -> str:
-    """Return the innermost line of the project's own."""
+    """Return the innermost line of the traceback within the project."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if "site-packages" not in frame.filename and sys.prefix not in frame.filename]
     frame = (ours or frames)[-1]

@@ -1,1 +1,1 @@
-"""Random scenes of a crossing with exact truth: what a sensor sees of them, and what a vehicle says meanwhile."""
+"""Random scenes of a crossing with exact ground truth: a sensor's observations and the messages of a vehicle."""

@@ -14,7 +14,7 @@ from tools.scenes.write import write_scene
 
 
 def settings(texts: list[str]) -> dict[str, object]:
-    """Read factors such as ``height_m=6`` or ``drive=left_turn``."""
+    """Parse factors such as ``height_m=6`` or ``drive=left_turn``."""
     found: dict[str, object] = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -26,7 +26,7 @@ def settings(texts: list[str]) -> dict[str, object]:
 
 
 def main() -> None:
-    """Draw and write."""
+    """Draw a scene and write it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sensor", choices=SENSORS, default="lidar_32")

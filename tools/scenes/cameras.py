@@ -1,4 +1,4 @@
-"""Stereo cameras as they hang at roads: lenses, how the two stand to each other, where they look, and their file."""
+"""Roadside stereo cameras: their lenses, relative pose, mounting, and calibration file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HEIGHT_M = (3.0, 15.0)
 """Mounting heights."""
 
 FOLDED_PX = 0.05
-"""A lens whose pixels do not project back to themselves to this folds over within the image."""
+"""A lens folds over within the image if the round trip of a pixel through its ray errs by more than this."""
 
 
 def rays(lens: Lens, pixels: FloatArray) -> FloatArray:
@@ -32,7 +32,7 @@ def rays(lens: Lens, pixels: FloatArray) -> FloatArray:
     ----------
     lens : Lens
     pixels : ndarray, shape (n, 2)
-        Whole numbers are the middles of pixels.
+        Integers are the centres of pixels.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def looking(position: FloatArray, yaw_rad: float, tilt_rad: float, roll_rad: flo
     position : ndarray, shape (3,)
         In the world, metres.
     yaw_rad, tilt_rad, roll_rad : float
-        Counter-clockwise from the world's x; down; clockwise as the camera sees itself.
+        Counter-clockwise from the world's x; downwards; clockwise from the camera's own point of view.
     """
     cy, sy, ct, st = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(tilt_rad), np.sin(tilt_rad)
     forward = np.array([ct * cy, ct * sy, -st])
@@ -75,7 +75,7 @@ def looking(position: FloatArray, yaw_rad: float, tilt_rad: float, roll_rad: flo
 
 
 def random_mount(rng: np.random.Generator, target: FloatArray, distance_m: float) -> FloatArray:
-    """Hang a camera beside the road so that it looks at a point on the ground.
+    """Draw the pose of a camera beside the road that looks at a point on the ground.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def random_mount(rng: np.random.Generator, target: FloatArray, distance_m: float
     target : ndarray, shape (2,)
         In the world, metres.
     distance_m : float
-        From there along the ground.
+        Horizontal distance from the target.
 
     Returns
     -------
@@ -102,13 +102,14 @@ def random_rig(rng: np.random.Generator) -> StereoRig:
     """Draw a stereo camera."""
     size = SIZES[rng.integers(len(SIZES))]
     baseline = float(rng.choice(BASELINES_M))
-    # From 45 to 80 degrees across: narrower lenses see no crossing, wider ones no car at 40 m.
+    # Fields of view of 45 to 80 degrees: narrower lenses do not cover a crossing, wider ones do not resolve a car at 40
+    # m.
     focal = size[0] / 2 / np.tan(np.radians(rng.uniform(45.0, 80.0)) / 2)
     return raw_rig(rng, size, focal, baseline)
 
 
 def raw_rig(rng: np.random.Generator, size: tuple[int, int], focal_px: float, baseline_m: float) -> StereoRig:
-    """Draw two lenses of the same kind, mounted about as well as two screws allow."""
+    """Draw two lenses of the same kind, mounted about as accurately as two screws allow."""
     strength = rng.choice([0.0, 0.3, 1.0])
     left = _lens(rng, size, focal_px, strength)
     right = _lens(rng, size, focal_px * rng.uniform(0.98, 1.02), strength)
@@ -120,7 +121,7 @@ def raw_rig(rng: np.random.Generator, size: tuple[int, int], focal_px: float, ba
 def mistold(
     rig: StereoRig, focal_error: float, baseline_error: float, turned_deg: tuple[float, float, float]
 ) -> StereoRig:
-    """Return a rig as a calibration tells it that is wrong, see `tools.scenes.disparity.StereoCamera`."""
+    """Return a rig as described by a wrong calibration, see `tools.scenes.disparity.StereoCamera`."""
     longer = np.diag([1.0 + focal_error, 1.0 + focal_error, 1.0])
     left, right = (replace(lens, K=lens.K @ longer) for lens in (rig.left, rig.right))
     pitch, yaw, roll = turned_deg
@@ -142,7 +143,7 @@ def _lens(rng: np.random.Generator, size: tuple[int, int], focal_px: float, stre
 
 
 def _folds(lens: Lens) -> bool:
-    """Tell whether two rays reach the same pixel, as with a polynomial that turns back before the corner."""
+    """Return whether two rays reach the same pixel, as with a polynomial that turns back before the corner."""
     u, v = np.meshgrid(np.linspace(0, lens.size[0] - 1, 9), np.linspace(0, lens.size[1] - 1, 9))
     pixels = np.column_stack([u.ravel(), v.ravel()])
     return bool(np.abs(project(lens, rays(lens, pixels)) - pixels).max() > FOLDED_PX)

@@ -1,4 +1,4 @@
-"""What a vehicle sends: Cooperative Awareness Messages with the flaws that real ones have."""
+"""The messages of a vehicle: Cooperative Awareness Messages with the flaws of real ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tools.scenes.places import Place
 from tools.scenes.traffic import Mover
 
 EPOCH_NS = 1_760_000_000_000_000_000
-"""Unix time of a scene's second zero, by the sensor's clock."""
+"""Unix time of a scene's time zero, by the sensor's clock."""
 
 ReceiverName = Literal["exact", "rtk", "rtk_float", "dgnss", "gnss"]
 RECEIVERS: tuple[ReceiverName, ...] = get_args(ReceiverName)
@@ -22,14 +22,14 @@ RECEIVERS: tuple[ReceiverName, ...] = get_args(ReceiverName)
 Rounding = Literal["none", "nearest", "up"]
 
 NINETY_FIVE = float(np.sqrt(-2 * np.log(0.05)))
-"""Half an axis of the 95 % ellipse of two equal normal variables, in standard deviations: 2.45."""
+"""Semi-axis of the 95 % ellipse of two equal normal variables, in standard deviations: 2.45."""
 
 STANDING_MPS = 0.1
 
 
 @dataclass(frozen=True)
 class Receiver:
-    """Errors of a position, per axis; the correlated part is a Gauss-Markov process of first order.
+    """Errors of a position, per axis; the correlated part is a first-order Gauss-Markov process.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class Receiver:
 
 
 def receiver(name: ReceiverName) -> Receiver:
-    """Return a class of receivers.
+    """Return the errors of a class of receivers.
 
     RTK with fixed ambiguities: 1 cm + 1 ppm (data sheets of u-blox ZED-F9P and Septentrio mosaic); float: decimetres;
-    DGNSS 0.4 to 0.6 m; single-point 1.5 m CEP. Multipath and atmosphere stay correlated for half a minute to minutes
-    (Rankin, ION GPS-94; Roberts et al., 2002), which white noise of the tracking loops is added to.
+    DGNSS 0.4 to 0.6 m; single-point 1.5 m CEP. Multipath and atmospheric errors stay correlated for half a minute to
+    minutes (Rankin, ION GPS-94; Roberts et al., 2002); white noise of the tracking loops is added to them.
     """
     if name == "exact":
         return Receiver(0.0, 0.0, 1.0)
@@ -67,7 +67,7 @@ class CamFlaws:
     rate_hz : float
         Fixed rate; 0 triggers by the rules of ETSI EN 302 637-2: 4 deg, 4 m or 0.5 m/s of change, 0.1 to 1 s.
     loss : float
-        Share of the messages that get lost.
+        Fraction of the messages that are lost.
     clock_offset_s : float
         The messages' clock minus the sensor's.
     heading_sigma_deg : float
@@ -77,13 +77,13 @@ class CamFlaws:
     speed_sigma_mps : float
         0.05 m/s (u-blox ZED-F9P).
     quantised : bool
-        Fields have ETSI's steps: 1e-7 deg, 0.1 deg, 0.01 m/s, 1 ms; altitude 0.01 m.
+        Fields are rounded to ETSI's steps: 1e-7 deg, 0.1 deg, 0.01 m/s, 1 ms; altitude 0.01 m.
     rounding : {"none", "nearest", "up"}
-        Of length and width to 0.1 m.
+        Rounding of length and width to 0.1 m.
     over_mirrors : bool
-        The width is that over the mirrors, as vehicle papers of some countries have it.
+        The width includes the mirrors, as in the vehicle papers of some countries.
     lever_m : tuple of float
-        By how much the antenna's place on the vehicle was mismeasured, forward and left.
+        Error of the antenna's measured position on the vehicle, forward and left.
     """
 
     receiver: ReceiverName = "rtk"
@@ -125,7 +125,7 @@ def cam_log(
         First and last time, by the sensor's clock.
     station : int
     mirror_width_m : float
-        The vehicle's width over its mirrors.
+        The vehicle's width including its mirrors.
     rng : Generator
     """
     times = _sent(mover, flaws, span_s, rng)
@@ -138,7 +138,7 @@ def cam_log(
     speed = np.abs(mover.drive.speed(times) + flaws.speed_sigma_mps * rng.normal(size=len(times)))
     heading = place.heading_deg(centre, _direction(mover, flaws, times, yaw))
     heading = heading + flaws.heading_sigma_deg * rng.normal(size=len(times))
-    # ETSI's smallest is 1 cm.
+    # ETSI's smallest semi-axis is 1 cm.
     semi = np.full(len(times), max(NINETY_FIVE * float(np.hypot(kind.white_m, kind.correlated_m)), 0.01))
     width = mirror_width_m if flaws.over_mirrors else mover.width_m
     log = CamLog(
@@ -159,13 +159,13 @@ def cam_log(
 
 
 def together(logs: Sequence[CamLog]) -> CamLog:
-    """Return the messages of several stations in the order of time."""
+    """Return the messages of several stations in chronological order."""
     order = np.argsort(np.concatenate([log.stamps_ns for log in logs]), kind="stable")
     return CamLog(*(np.concatenate([getattr(log, field.name) for log in logs])[order] for field in fields(CamLog)))
 
 
 def _sent(mover: Mover, flaws: CamFlaws, span_s: tuple[float, float], rng: np.random.Generator) -> FloatArray:
-    """Return when messages are sent that arrive."""
+    """Return the times of the messages that are received."""
     period = 0.1 if flaws.rate_hz == 0.0 else 1.0 / flaws.rate_hz
     times = np.arange(span_s[0] + rng.uniform(0.0, period), span_s[1], period)
     if flaws.rate_hz == 0.0:
@@ -174,7 +174,7 @@ def _sent(mover: Mover, flaws: CamFlaws, span_s: tuple[float, float], rng: np.ra
 
 
 def _triggered(mover: Mover, flaws: CamFlaws, times_s: FloatArray) -> list[int]:
-    """Return which messages are sent: where what would be told has changed since the last one."""
+    """Return the indices of the messages that are sent: those whose contents have changed since the last one."""
     xy, yaw = mover.track(times_s)
     heading = _direction(mover, flaws, times_s, yaw)
     speed = mover.drive.speed(times_s)
@@ -203,7 +203,7 @@ def _wandering(kind: Receiver, times_s: FloatArray, rng: np.random.Generator) ->
 
 
 def _direction(mover: Mover, flaws: CamFlaws, times_s: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return the direction of motion, which turns round when the vehicle reverses, and is kept while it stands."""
+    """Return the direction of motion, which is reversed when the vehicle reverses, and kept while it is stationary."""
     speed = mover.drive.speed(times_s)
     direction = np.where(speed < 0.0, yaw + np.pi, yaw)
     if flaws.heading_of == "front":

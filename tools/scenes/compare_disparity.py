@@ -1,7 +1,7 @@
-"""Prints how the tool's stereo matching errs on rendered pairs, whose disparity is known, beside the fast simulation.
+"""Print the errors of the tool's stereo matching on rendered pairs of known disparity, beside the fast simulation's.
 
-Run from the repository's root: ``python -m tools.scenes.compare_disparity --seeds 3 --frames 3``; with
-``--crossing FOLDER`` also for the road of a data set of path-traced images with a ``truth.json``.
+Run from the repository's root: ``python -m tools.scenes.compare_disparity --seeds 3 --frames 3``; with ``--crossing
+FOLDER`` also for the road of a data set of path-traced images with a ``truth.json``.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from tools.scenes.render import Look, random_look, write_stereo
 from tools.scenes.scene import Scene, draw_scene
 
 GROSS_PX = 1.0
-"""A larger error is another surface's disparity: the refinement itself moves by less than a pixel."""
+"""A larger error is the disparity of another surface: the refinement itself moves by less than a pixel."""
 
 JUMP_PX = 2.0
-"""Where disparity jumps by more at the sender's silhouette, near and far can be told apart."""
+"""Near and far are distinguishable where the disparity jumps by more than this at the sender's silhouette."""
 
 INNER_PX = 12
-"""So far from the next border no window of the matcher or the refinement reaches over it."""
+"""At this distance from the nearest border no window of the matcher or the refinement extends across it."""
 
 REACH_PX = 16
-"""How far outside of a silhouette its disparity is looked for."""
+"""Distance outside of a silhouette within which its disparity is searched for."""
 
 LAGS_PX = 24
 ROADWAY_M = 2.0
@@ -49,14 +49,14 @@ ROADWAY_M = 2.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What the rectified left image shows, each of shape (height, width).
+    """The content of the rectified left image, each of shape (height, width).
 
     Attributes
     ----------
     disparity : ndarray
-        Pixels; NaN where nothing is.
+        Pixels; NaN where a ray meets nothing.
     material, body : ndarray of int64
-        -1 where nothing is.
+        -1 where a ray meets nothing.
     shared : ndarray of bool
         The right camera sees the same point.
     """
@@ -95,16 +95,16 @@ def exact_truth(caster: RayCaster, plane: Rectification, T_world_sensor: FloatAr
 
 @dataclass(frozen=True)
 class Errors:
-    """What matching makes of the pixels of one kind, summed up over frames.
+    """Errors of matching for the pixels of one kind, accumulated over frames.
 
     Attributes
     ----------
     error, claimed : ndarray, shape (n,)
         Measured minus true disparity and its claimed standard deviation, pixels, of the matched pixels.
     open_ : int
-        Pixels without a disparity.
+        Number of pixels without a disparity.
     products : ndarray, shape (lags, 2)
-        Sum and number of products of errors so many columns apart.
+        Sum and number of the products of errors at each distance in columns.
     """
 
     error: FloatArray
@@ -127,7 +127,7 @@ class Errors:
 
 
 def errors_in(values: FloatArray, sigma: FloatArray, true: FloatArray, where: BoolArray) -> Errors:
-    """Compare measured with true disparity in a mask, each of shape (height, width)."""
+    """Compare measured with true disparity within a mask, each of shape (height, width)."""
     error = values - true
     matched = where & np.isfinite(error)
     good = np.where(matched & (np.abs(error) < GROSS_PX), error, np.nan)
@@ -140,7 +140,7 @@ def errors_in(values: FloatArray, sigma: FloatArray, true: FloatArray, where: Bo
 
 
 def described(name: str, rendered: Errors, simulated: Errors) -> str:
-    """Return a line of the table, each figure of the rendered pairs and, after a slash, of the simulation."""
+    """Return a row of the table: each figure for the rendered pairs and, after a slash, for the simulation."""
     both = [measures(errors) for errors in (rendered, simulated)]
     columns = [
         "-" if one is None and other is None else "/".join("-" if text is None else text for text in (one, other))
@@ -152,7 +152,7 @@ def described(name: str, rendered: Errors, simulated: Errors) -> str:
 
 
 def measures(errors: Errors) -> tuple[str | None, ...]:
-    """Return one text for each of `MEASURES`; None where too few are matched."""
+    """Return one text for each of `MEASURES`; None where too few pixels are matched."""
     gaps = f"{100 * errors.open_ / errors.count:.1f}"
     good = np.abs(errors.error) < GROSS_PX
     if good.sum() < FEWEST:
@@ -176,7 +176,7 @@ MEASURES = ("gaps %", "gross %", "bias", "sigma", "rms", "claimed", "e/claim", "
 WIDTHS = (13, 12, 12, 13, 13, 23, 11, 12)
 HEADER = f"{'':<22}{'pixels':>9}" + "".join(f"{name:>{width}}" for name, width in zip(MEASURES, WIDTHS, strict=True))
 FEWEST = 100
-"""So many matched pixels tell a scatter to 7 %."""
+"""Number of matched pixels that determines a dispersion to 7 %."""
 
 
 def correlation_length(products: FloatArray) -> float:
@@ -193,18 +193,18 @@ def correlation_length(products: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Border:
-    """How the outline of something near is drawn: widths in pixels, by the outline's length.
+    """How the outline of a near body is reproduced: counts of pixels, to be divided by the outline's length.
 
     Attributes
     ----------
     outline : int
-        Pixels on the outside that touch it.
+        Pixels on the outside that touch the outline.
     grown : int
-        Pixels outside that carry the near disparity.
+        Pixels outside that have the near disparity.
     worn : int
-        Pixels inside that carry the far one.
+        Pixels inside that have the far one.
     open_ : ndarray of int64, shape (REACH_PX, 2)
-        Pixels outside without a disparity by their distance to the outline, and all of them.
+        Pixels outside without a disparity by their distance to the outline, and all pixels there.
     """
 
     outline: int
@@ -219,7 +219,7 @@ class Border:
 
 
 def border_of(values: FloatArray, truth: Truth, body: int) -> Border:
-    """Measure how far a body's disparity spreads over what is behind it, where the two differ clearly."""
+    """Measure how far a body's disparity extends over the surfaces behind it, where the two differ clearly."""
     inside = truth.body == body
     near: Raster = np.where(inside, truth.disparity, 0.0).astype(np.float32)
     far: Raster = np.where(inside | np.isnan(truth.disparity), np.inf, truth.disparity).astype(np.float32)
@@ -227,7 +227,7 @@ def border_of(values: FloatArray, truth: Truth, body: int) -> Border:
     near, far = np.asarray(cv2.dilate(near, window)), np.asarray(cv2.erode(far, window))
     apart = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     outside = ~inside & (apart <= REACH_PX) & (near - truth.disparity > JUMP_PX) & truth.shared
-    # What glass mirrors is far too, wherever the outline is.
+    # Specular reflections on glass have far disparities too, wherever the outline is.
     within = inside & (truth.disparity - far > JUMP_PX) & (far > 0) & (truth.material != Material.GLASS)
     grown = outside & (np.abs(values - near) < np.abs(values - truth.disparity))
     worn = within & (values < (truth.disparity + far) / 2)
@@ -237,7 +237,7 @@ def border_of(values: FloatArray, truth: Truth, body: int) -> Border:
 
 
 def described_border(name: str, border: Border) -> str:
-    """Return a line about an outline."""
+    """Return a line of text about an outline."""
     length = max(border.outline, 1)
     gaps = " ".join(f"{100 * a / max(n, 1):.0f}" for a, n in border.open_[:12].tolist())
     return (
@@ -248,7 +248,7 @@ def described_border(name: str, border: Border) -> str:
 
 @dataclass(frozen=True)
 class Figures:
-    """Errors by kind of surface, and of the sender's outline."""
+    """Errors by kind of surface, and at the sender's outline; ``contrast`` is that of the road."""
 
     kinds: tuple[tuple[str, Errors], ...]
     border: Border
@@ -268,7 +268,7 @@ def figures(values: FloatArray, sigma: FloatArray, truth: Truth, sender: int, le
     filled = np.nan_to_num(truth.disparity).astype(np.float32)
     jump = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > JUMP_PX
     inner = cv2.dilate(jump.astype(np.uint8), np.ones((2 * INNER_PX + 1,) * 2, np.uint8)) == 0
-    # At the image's border windows are cut off.
+    # Windows are cut off at the image's border.
     inner[:INNER_PX] = inner[-INNER_PX:] = inner[:, :INNER_PX] = inner[:, -INNER_PX:] = False
     of_sender = truth.body == sender
     fair = inner & truth.shared
@@ -312,14 +312,14 @@ def matched_frames(
 
 
 def of_scene(scene: Scene, look: Look, frames: int) -> tuple[Figures, Figures]:
-    """Return the figures of matching on rendered pairs, and of the fast simulation, of the same frames."""
+    """Return the figures of matching on rendered pairs, and those of the fast simulation, for the same frames."""
     camera = replace(scene.sensor, stride=1) if isinstance(scene.sensor, StereoCamera) else None
     assert camera is not None, scene.sensor_kind
     mounted = Mounted(camera, scene.caster, scene.T_world_sensor)
     # The rig of the rendered pairs is known exactly.
     flaws = replace(scene.stereo_flaws, offset_px=0.0)
     sender = len(scene.bodies) - 1
-    # The middle third of a recording: the sender is near.
+    # The middle third of a recording, where the sender is near.
     times = scene.times_s[(np.linspace(0.35, 0.65, frames) * (len(scene.times_s) - 1)).astype(np.int64)]
     rendered: list[Figures] = []
     simulated: list[Figures] = []

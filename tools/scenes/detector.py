@@ -1,4 +1,4 @@
-"""What a detector of boxes makes of a scene: exact boxes of all that moves, with noise, and some missing."""
+"""A simulated box detector: the exact boxes of all moving objects of a scene, with noise, and with some missing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REACH_M = 60.0
 
 @dataclass(frozen=True)
 class DetectorFlaws:
-    """How boxes differ from the truth: standard deviations, and the share that is missing."""
+    """Errors of the boxes: standard deviations, and the fraction of boxes that are missing."""
 
     position_m: float = 0.1
     yaw_deg: float = 2.0
@@ -25,7 +25,7 @@ class DetectorFlaws:
 
 
 def detect(scene: Scene, flaws: DetectorFlaws | None = None) -> DetectionLog:
-    """Return boxes, without numbers of tracks, of what moves in the field of view, hidden or not, within `REACH_M`."""
+    """Return the boxes, without track numbers, of all movers in the field of view within `REACH_M`, hidden or not."""
     flaws = flaws or DetectorFlaws()
     rng = np.random.default_rng([scene.seed, 13])
     movers = (scene.sender, *scene.others)
@@ -58,7 +58,7 @@ def _boxes(
 
 
 def yaw_about(axes: Axes, ahead: FloatArray) -> FloatArray:
-    """Return where vectors in the sensor frame, shape (n, 3), point to, as `DetectionLog` has it."""
+    """Return the yaw of vectors in the sensor frame, shape (n, 3), as `DetectionLog` defines it."""
     upright = int(np.argmax(np.abs(axes.up)))
     zero = np.eye(3)[1 if upright == 0 else 0]
     aside = np.cross(np.eye(3)[upright], zero)

@@ -1,4 +1,4 @@
-"""A stereo camera without images: true depth along pixels' rays, and what block matching makes of it."""
+"""A stereo camera without images: true depth along pixels' rays, and a simulation of block matching on it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ StereoName = Literal["stereo_02", "stereo_05", "stereo_10"]
 STEREOS: tuple[StereoName, ...] = get_args(StereoName)
 
 EDGE_PX = 8
-"""Windows reach so far: nearer to the image's border they are cut off."""
+"""Half-width of the matching windows: nearer to the image's border they are cut off."""
 
 JUMP_PX = 1.5
 """A larger step of disparity between neighbouring rays is a border between two surfaces."""
@@ -31,16 +31,16 @@ JUMP_PX = 1.5
 
 @dataclass(frozen=True)
 class Surface:
-    """What matching makes of a material.
+    """Results of matching on a material.
 
     Attributes
     ----------
     open_ : float
-        Share of its pixels without a disparity.
+        Fraction of its pixels without a disparity.
     sigma_px : float
-        Standard deviation of a disparity, of what is matched: the middle one, as it varies with the texture.
+        Standard deviation of the matched disparities: the median, as it varies with the texture.
     gross : float
-        Share of the matched pixels that have something else's disparity.
+        Fraction of the matched pixels that have the disparity of another surface.
     """
 
     open_: float
@@ -63,38 +63,41 @@ SURFACES = {
     Material.LAMP: Surface(0.1, 0.1, 0.01),
 }
 """Measured on rendered pairs, matched by the tool itself: ``python -m tools.scenes.compare_disparity`` with ``--first
-100 --seeds 3 --frames 3`` and with ``--first 200 --seeds 4 --frames 2``, the scenes' mean, rounded. Scenes differ: car
-paint is open by 0.08 to 0.48, glass by 0.24 to 0.61, painted lines by 0 to 0.64 where they are overexposed; up to 0.09
-of paint and 0.25 of glass is gross. Lamps, which were too small, are taken for metal."""
+100 --seeds 3 --frames 3`` and with ``--first 200 --seeds 4 --frames 2``, the scenes' mean, rounded. Scenes differ: 0.08
+to 0.48 of car paint is open, 0.24 to 0.61 of glass, and 0 to 0.64 of painted lines where they are overexposed; up to
+0.09 of paint and 0.25 of glass is gross. Lamps, which were too small, have the values of metal."""
 
 SKY = Surface(1.0, 0.1, 0.0)
 
 MOST_OPEN = 0.99
-"""Where more is open, as in the sky, nothing that is matched is left whose texture could be told."""
+"""Upper bound of the open fraction for the median texture of the matched pixels: above it, as in the sky, nothing is
+matched."""
 
 SPREAD = 0.6
-"""Standard deviation of the logarithm of sigma within a material; the same comparison: the root mean square is 1.4
-times the middle one, exp(SPREAD^2)."""
+"""Standard deviation of the logarithm of sigma within a material; from the same comparison: the root mean square is 1.4
+times the median, exp(SPREAD^2)."""
 
 TOLD = 0.5
-"""Share of sigma that the matcher claims, besides its floor; the same comparison: 0.103 to 0.130 px on the road, 0.103
-to 0.205 px on paint, the lowest and highest tenth left out."""
+"""Fraction of sigma that the matcher claims, in addition to its floor; from the same comparison: 0.103 to 0.130 px on
+the road, 0.103 to 0.205 px on paint, from the tenth to the ninetieth percentile."""
 
 WINDOW_SIGMA_PX = 4.0
-"""Noise is smooth over this: its correlation falls to 1 / e at twice as much; the same comparison: at 7 to 8 px."""
+"""Noise is smoothed with this standard deviation: its correlation falls to 1 / e at twice this distance; in the same
+comparison, at 7 to 8 px."""
 
 GROSS_SIGMA_PX = 5.0
-"""Mismatches are smooth over this: the matcher drops islands of less than 100 pixels."""
+"""Mismatches are smoothed with this standard deviation: the matcher drops islands of less than 100 pixels."""
 
 GROSS_PX = (1.0, 2.0)
-"""By so much they are too far at least, and so much more, as a standard deviation; the same comparison: medians of 1.3
-to 1.9 px on paint and 1 to 5 px on glass, which shows what it mirrors."""
+"""Mismatches are too far by at least the first, and by more with the second as a standard deviation; in the same
+comparison, medians of 1.3 to 1.9 px on paint and 1 to 5 px on glass, which shows specular reflections."""
 
 ALBEDOS = (0.04, 0.8)
-"""Of black and of white bodies: whatever scatters little shows what it mirrors."""
+"""Albedos of black and of white bodies: the less light a body scatters, the more its specular reflections show."""
 
 BESIDE_PX, BESIDE_OPEN = 6, 0.2
-"""So far outside of a near outline this share at least is open; the same comparison: 0.1 to 0.4."""
+"""Within this distance outside of a near outline, at least this fraction is open; in the same comparison, 0.1 to
+0.4."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +110,12 @@ class StereoCamera:
     baseline_m, focal_px : float
     size_px : tuple of int
     stride : int
-        A ray for every pixel so far apart, in both directions.
+        Spacing of the pixels that have a ray, in both directions.
     period_s : float
     focal_error, baseline_error : float
-        By which share its calibration has them too long.
+        Relative errors of focal length and baseline in its calibration; positive if it overestimates them.
     turned_deg : tuple of float
-        By which its right camera has turned since it was calibrated, see `StereoSettings.turn_deg`.
+        Rotation of its right camera since it was calibrated, see `StereoSettings.turn_deg`.
     """
 
     name: StereoName
@@ -127,12 +130,12 @@ class StereoCamera:
 
     @property
     def turned_px(self) -> float:
-        """By how much a turn sideways makes disparities larger; rows tell the other two, so that they are known."""
+        """Increase of the disparities by the right camera's yaw; rows determine pitch and roll, so these are known."""
         return -self.focal_px * float(np.radians(self.turned_deg[1]))
 
     @cached_property
     def as_told(self) -> StereoCamera:
-        """What its calibration says that it is."""
+        """The camera as its calibration describes it."""
         return replace(
             self,
             focal_px=self.focal_px * (1.0 + self.focal_error),
@@ -148,7 +151,7 @@ class StereoCamera:
 
     @cached_property
     def pixels(self) -> tuple[FloatArray, FloatArray]:
-        """Column and row of each ray's pixel from the principal point, shape (rows, columns)."""
+        """Column and row of each ray's pixel, relative to the principal point, shape (rows, columns)."""
         width, height = self.size_px
         u = np.arange(self.stride // 2, width, self.stride) - (width - 1) / 2
         v = np.arange(self.stride // 2, height, self.stride) - (height - 1) / 2
@@ -177,7 +180,7 @@ class StereoCamera:
         return StereoRig(lens, lens, np.eye(3), np.array([-self.baseline_m, 0.0, 0.0]))
 
     def sees(self, points: FloatArray) -> BoolArray:
-        """Tell which points, shape (n, 3), in the sensor frame, are in the field of view."""
+        """Return which points, shape (n, 3), in the sensor frame, are in the field of view."""
         depth = np.maximum(points[:, 2], 1e-6)
         seen: BoolArray = points[:, 2] > 0.5
         for axis, extent in enumerate(self.size_px):
@@ -192,7 +195,7 @@ def stereo_camera(name: StereoName, focal_px: float = 1100.0) -> StereoCamera:
 
 @dataclass(frozen=True)
 class Mounted:
-    """A camera that hangs in a scene; what stands still is met by the same rays in every frame.
+    """A camera mounted in a scene; its rays' intersections with static bodies are the same in every frame.
 
     Attributes
     ----------
@@ -207,20 +210,20 @@ class Mounted:
 
     @cached_property
     def directions(self) -> FloatArray:
-        """Of each ray in the world, unit, shape (rows * columns, 3)."""
+        """Unit direction of each ray in the world, shape (rows * columns, 3)."""
         unit = self.camera.rays / self.camera.ray_lengths[:, None]
         turned: FloatArray = unit @ self.T_world_sensor[:3, :3].T
         return turned
 
     @cached_property
     def moving(self) -> BoolArray:
-        """Tell which bodies, and last the sky, show as a change; swaying leaves do all the time, and pass for noise."""
+        """Bodies, with the sky appended, that appear as a change; leaves sway permanently, which is taken for noise."""
         leafy = (bool((body.mesh.material == Material.FOLIAGE).any()) for body in self.caster.bodies)
         moving = [not body.static and not leaves for body, leaves in zip(self.caster.bodies, leafy, strict=True)]
         return np.array([*moving, False])
 
     def hits(self, time_s: float) -> Hits:
-        """Return what the rays meet."""
+        """Return the first intersections of the rays."""
         return self.caster.before(self._still, self.T_world_sensor[:3, 3], self.directions, time_s)
 
     @cached_property
@@ -237,17 +240,17 @@ class StereoFlaws:
     noise : float
         Scales the standard deviation of disparities.
     offset_px : float
-        Of all disparities: rectification keeps 0.03 to 0.05 px.
+        Offset of all disparities: rectification leaves 0.03 to 0.05 px.
     bleed_px : float
-        By so much a near surface grows at its borders; 0.3 to 1.7 in the comparison of
-        `SURFACES`, where a fifth of what has grown is open.
+        Growth of a near surface at its borders; 0.3 to 1.7 in the comparison of
+        `SURFACES`, where a fifth of the growth is open.
     gross : float
-        Scales the share of mismatches.
+        Scales the fraction of mismatches.
     open_ : float
-        Scales the share of pixels without a disparity.
+        Scales the fraction of pixels without a disparity.
     gloss_px : float
-        By so much disparities are too small where nothing is seen but what a body mirrors: on sides of cars that are
-        grazed by 13 deg, the median was 0 to 0.45 px too small in nine rendered scenes.
+        Decrease of disparities where only a body's specular reflection is visible: on sides of cars at a grazing angle
+        of 13 deg, the median was 0 to 0.45 px too small in nine rendered scenes.
     """
 
     noise: float = 1.0
@@ -267,9 +270,9 @@ class Matched:
     disparity_px, sigma_px : ndarray, shape (rows, columns)
         NaN where nothing is matched.
     moving : ndarray of bool, shape (rows, columns)
-        Near to what moves.
+        Near a moving body.
     body : ndarray of int64, shape (rows, columns)
-        What each ray truly meets; -1 for nothing.
+        The body that each ray truly meets; -1 for none.
     """
 
     disparity_px: FloatArray
@@ -287,7 +290,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     flaws : StereoFlaws
     time_s : float
     seed : tuple of int
-        Of the scene and of the frame.
+        Seeds of the scene and of the frame.
     """
     rng = np.random.default_rng(seed)
     camera, hits = mounted.camera, mounted.hits(time_s)
@@ -300,10 +303,10 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     matched = _bled(true, flaws.bleed_px / camera.stride, rng)
     beside = _bled(true, float(round(BESIDE_PX / camera.stride)), rng) > true
     open_ = np.where(open_ < 1.0, flaws.open_ * open_, 1.0)
-    # The worst texture is open: what is matched has more than the middle of all.
+    # The worst texture is open: the median texture of the matched pixels is above that of all.
     middle = ndtri((1.0 + np.minimum(open_, MOST_OPEN)) / 2)
     open_ = np.maximum(open_, np.where(beside, flaws.open_ * BESIDE_OPEN, 0.0))
-    # Both images' near surfaces grow, so what has grown passes the check from right to left.
+    # The near surfaces of both images grow, so the grown pixels pass the left-right consistency check.
     hidden = _occluded(camera, true) & (matched <= true + JUMP_PX)
     sigma = flaws.noise * sigma * np.exp(SPREAD * (middle - texture))
     told = np.hypot(StereoSettings().disparity_floor_px, TOLD * sigma)
@@ -350,15 +353,15 @@ def reproject(camera: StereoCamera, stamp_ns: int, matched: Matched, where: Bool
 
 
 def _surfaces(caster: RayCaster, faces: IntArray) -> tuple[FloatArray, ...]:
-    """Return where rays meet bodies: share without a disparity, standard deviation, share of mismatches, `mirror`."""
+    """Return for each ray: fraction without a disparity, standard deviation, fraction of mismatches, `mirror`."""
     kinds = [*((SURFACES[material], mirror(material)) for material in Material), (SKY, 0.0)]
     table = np.array([(kind.open_, kind.sigma_px, kind.gross, shiny) for kind, shiny in kinds])
-    # A ray that meets nothing has the last number.
+    # A ray that meets nothing has the last index.
     return tuple(table[np.append(caster.materials, len(Material))[faces]].T)
 
 
 def _mirrored(mounted: Mounted, hits: Hits, shiny: FloatArray, seed: int) -> FloatArray:
-    """Return how much of the contrast that rays meet is mirrored, shape (n,), where they meet what is so shiny."""
+    """Return which fraction of the contrast at each ray is specular, shape (n,), from the reflectance ``shiny``."""
     least, most = np.log(ALBEDOS)
     of_body = np.exp(np.random.default_rng([seed, 6]).uniform(least, most, len(mounted.caster.bodies) + 1))
     scattered, cos = of_body[hits.body], -(mounted.directions * hits.normal).sum(axis=1)
@@ -368,7 +371,7 @@ def _mirrored(mounted: Mounted, hits: Hits, shiny: FloatArray, seed: int) -> Flo
 
 
 def _texture(caster: RayCaster, body: IntArray, faces: IntArray, seed: int) -> FloatArray:
-    """Return how well a body and its triangles can be matched, a normal number each, their sum where rays meet them."""
+    """Return how well the surface at each ray can be matched: a normal number of the body plus one of the triangle."""
     rng = np.random.default_rng([seed, 5])
     of_body, of_face = (np.append(rng.normal(size=n), 0.0) for n in (len(caster.bodies), len(caster.materials)))
     sums: FloatArray = of_body[body] + of_face[faces]
@@ -376,7 +379,7 @@ def _texture(caster: RayCaster, body: IntArray, faces: IntArray, seed: int) -> F
 
 
 def _bled(true: FloatArray, cells: float, rng: np.random.Generator) -> FloatArray:
-    """Let near surfaces grow by so many cells of the grid, at random where it is a part of one."""
+    """Grow near surfaces by a number of grid cells; a fraction of a cell is grown at random."""
     grown: FloatArray = true.copy()
     whole, part = int(cells), cells - int(cells)
     for step in range(whole + 1):
@@ -389,7 +392,7 @@ def _bled(true: FloatArray, cells: float, rng: np.random.Generator) -> FloatArra
 
 
 def _occluded(camera: StereoCamera, true: FloatArray) -> BoolArray:
-    """Tell which pixels the right camera does not see: something to their right lies before them there."""
+    """Return which pixels the right camera does not see: a pixel to their right occludes them there."""
     u = camera.pixels[0]
     column = u - true
     beyond = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
@@ -400,8 +403,8 @@ def _occluded(camera: StereoCamera, true: FloatArray) -> BoolArray:
 
 
 def _smooth(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> FloatArray:
-    """Return Gaussian noise of unit variance that is smooth over ``sigma`` cells."""
+    """Return Gaussian noise of unit variance, smoothed with a standard deviation of ``sigma`` cells."""
     blurred = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     kernel = cv2.getGaussianKernel(int(8 * sigma) | 1, sigma)
-    # The variance of a sum of independent numbers is the sum of the squared weights.
+    # The variance of a weighted sum of independent numbers is the sum of the squared weights.
     return np.asarray(blurred, dtype=np.float64) / float((kernel**2).sum())

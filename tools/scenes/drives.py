@@ -1,4 +1,4 @@
-"""How vehicles move: the rear axle follows a path, and the body with it."""
+"""How vehicles move: the rear axle follows a path, and the body follows it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ STEP_S, STEP_M = 5e-3, 0.02
 TOWED_STEP_S = 0.02
 
 LATERAL_MPS2 = 2.5
-"""Drivers take a bend so fast that it presses with 2 to 3 m/s^2 (Levison et al., FHWA-RD-01-108)."""
+"""Largest lateral acceleration at which drivers take a bend: 2 to 3 m/s^2 (Levison et al., FHWA-RD-01-108)."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The motion of a vehicle's rear axle; the kinematic bicycle model: the body points along the rear axle's path.
+    """The motion of a vehicle's rear axle (kinematic bicycle model): the body is aligned with the rear axle's path.
 
     Attributes
     ----------
@@ -35,15 +35,15 @@ class Drive:
     legs : tuple of (float, float)
         Length in metres and turn to the left in radians; straight before the first and after the last.
     ramp_m : float
-        Over this stretch of the path curvature passes from one leg's to the next one's, linearly.
+        Length of path over which the curvature passes linearly from one leg's to the next one's.
     speeds : tuple of (float, float)
-        Time in s and m/s, linear in between; negative is backwards.
+        Time in s and speed in m/s, linear in between; negative is backwards.
     ease_s : float
-        Over this time acceleration passes from one stretch of speeds to the next one's, so that the jerk is limited.
+        Time over which the acceleration passes from one interval of speeds to the next, so that the jerk is limited.
     pivot : tuple of float
         A time in s, and the distance along the path in m at that time.
     wander : tuple of float
-        Drivers do not keep their lane exactly: amplitude and wavelength in m, and a phase in rad.
+        Deviation from the lane's middle: amplitude and wavelength in m, and a phase in rad.
     """
 
     start: tuple[float, float]
@@ -72,7 +72,7 @@ class Drive:
         return np.interp(driven, self._path[0], self._path[4])
 
     def placed(self, yaw_rad: float, xy: tuple[float, float] = (0.0, 0.0)) -> Drive:
-        """Return the drive turned about the origin and then shifted."""
+        """Return the drive rotated about the origin and then translated."""
         x, y = (rotate_xy(yaw_rad, np.array(self.start)) + xy).tolist()
         return replace(self, start=(x, y), yaw_rad=self.yaw_rad + yaw_rad)
 
@@ -113,7 +113,7 @@ class Drive:
         wave = 2 * np.pi / wavelength
         yaw = self.yaw_rad + _cumulated(curvature, path, -self.ramp_m) + amplitude * wave * np.cos(wave * path + phase)
         curvature = curvature - amplitude * wave**2 * np.sin(wave * path + phase)
-        # Before its ramp the first leg is straight.
+        # The first leg is straight before its ramp.
         x = self.start[0] - self.ramp_m * np.cos(self.yaw_rad) + _cumulated(np.cos(yaw), path, -self.ramp_m)
         y = self.start[1] - self.ramp_m * np.sin(self.yaw_rad) + _cumulated(np.sin(yaw), path, -self.ramp_m)
         return path, x, y, yaw, curvature
@@ -121,16 +121,16 @@ class Drive:
 
 @dataclass(frozen=True)
 class Towed:
-    """The motion of a trailer's axle: its hitch goes with what tows it, and its wheels do not slip sideways.
+    """The motion of a trailer's axle: its hitch moves with the towing vehicle, and its wheels do not slip sideways.
 
     Attributes
     ----------
     drive : Drive
-        Of the rear axle of what tows it.
+        The drive of the towing vehicle's rear axle.
     hitch_m : float
-        So far ahead of that axle it hangs.
+        Position of the hitch ahead of that axle.
     drawbar_m : float
-        From the hitch to its own axle.
+        Distance from the hitch to the trailer's axle.
     """
 
     drive: Drive
@@ -138,7 +138,7 @@ class Towed:
     drawbar_m: float
 
     def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the trailer's axle, shape (n, 2), and its yaw, shape (n,), unwrapped."""
+        """Return the trailer axle's positions, shape (n, 2), and the trailer's yaw, shape (n,), unwrapped."""
         yaw = np.interp(times_s, *self._yaw)
         behind = rotate_xy(yaw, np.tile([-self.drawbar_m, 0.0], (len(yaw), 1)))
         return self._hitch(times_s) + behind, yaw
@@ -160,7 +160,7 @@ class Towed:
 
 
 def _cumulated(rate: FloatArray, over: FloatArray, zero: float) -> FloatArray:
-    """Return the integral from ``zero``."""
+    """Return the integral of a rate from ``zero``."""
     total = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(over))])
     since: FloatArray = total - np.interp(zero, over, total)
     return since
@@ -168,14 +168,14 @@ def _cumulated(rate: FloatArray, over: FloatArray, zero: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Lanes:
-    """What a drive must know of a crossing at the origin, whose arms lie along the axes.
+    """The dimensions of a crossing that drives depend on; it is at the origin, and its arms lie along the axes.
 
     Attributes
     ----------
     offset_m : float
-        The lane's middle is so far to the right of the road's.
+        Offset of the lane's middle from the road's, to the right.
     ring_m : float
-        Radius on which one drives around the middle of a roundabout.
+        Radius at which vehicles drive around the middle of a roundabout.
     """
 
     offset_m: float
@@ -185,7 +185,7 @@ class Lanes:
 def draw_drive(
     rng: np.random.Generator, kind: DriveKind, lanes: Lanes, tightest_m: float, speed_mps: float | None, middle_s: float
 ) -> Drive:
-    """Draw a drive that comes along x, to the right of the axis, and is at its manoeuvre's middle at ``middle_s``.
+    """Draw a drive that comes along x, to the right of the axis, and is half through its manoeuvre at ``middle_s``.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def draw_drive(
     kind : DriveKind
     lanes : Lanes
     tightest_m : float
-        Smallest radius that the vehicle can turn.
+        Smallest turning radius of the vehicle.
     speed_mps : float or None
         None draws it: 3 to 20 m/s, slower in bends.
     middle_s : float
@@ -215,7 +215,7 @@ def draw_drive(
     )
     if kind not in ("left_turn", "right_turn"):
         return drive
-    # Smoothed curvature shifts the end: start so that the turn ends in its lane.
+    # The smoothed curvature shifts the end of the path: the start is moved so that the turn ends in its lane.
     bare = replace(drive, wander=(0.0, 50.0, 0.0))
     path, x = bare._path[:2]
     wanted = lanes.offset_m if kind == "left_turn" else -lanes.offset_m
@@ -226,7 +226,7 @@ def draw_drive(
 def _legs(
     rng: np.random.Generator, kind: DriveKind, lanes: Lanes, tightest_m: float
 ) -> tuple[tuple[tuple[float, float], ...], tuple[float, float]]:
-    """Return the legs, and where the first begins."""
+    """Return the legs, and where the first one begins."""
     right = np.pi / 2
     if kind in ("left_turn", "right_turn"):
         turn = right if kind == "left_turn" else -right
@@ -243,7 +243,7 @@ def _legs(
 def _around(
     rng: np.random.Generator, lanes: Lanes, tightest_m: float
 ) -> tuple[tuple[tuple[float, float], ...], tuple[float, float]]:
-    """Enter to the right, go around to the left, leave to the right: circles that touch one another."""
+    """Return legs that enter to the right, go around to the left, leave to the right: circles that touch each other."""
     entry = max(rng.uniform(10.0, 16.0), tightest_m)
     ring = max(lanes.ring_m, tightest_m)
     down = lanes.offset_m + entry

@@ -1,4 +1,4 @@
-"""Triangles that stand or move, and what rays hit of them."""
+"""Ray casting: static and moving triangle meshes, and what rays hit of them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from embreex.rtcore_scene import EmbreeScene
 from laci_stereo.core.frames import FloatArray, IntArray, transform
 
 KNOT_S = 5e-3
-"""Within a sweep poses are interpolated over this: a car that brakes with 9 m/s^2 is off by a t^2 / 8 = 0.03 mm."""
+"""Interval at which poses are interpolated within a sweep: for a car braking at 9 m/s^2 the error is a t^2 / 8 = 0.03
+mm."""
 
 
 class Material(IntEnum):
-    """What a triangle is made of."""
+    """The material of a triangle."""
 
     ROAD = 0
     PAINT = 1
@@ -71,7 +72,7 @@ class Mesh:
 
 
 def merged(meshes: Sequence[Mesh]) -> Mesh:
-    """Put meshes of the same frame together."""
+    """Concatenate meshes of the same frame."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     return Mesh(
         np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)]),
@@ -87,16 +88,16 @@ def merged(meshes: Sequence[Mesh]) -> Mesh:
 
 @dataclass(frozen=True)
 class Body:
-    """Something rigid in the world.
+    """A rigid object in the world.
 
     Attributes
     ----------
     name : str
     mesh : Mesh
     pose : callable
-        Time in seconds to ``T_world_body``, shape (4, 4).
+        Maps a time in seconds to ``T_world_body``, shape (4, 4).
     static : bool
-        It stays where it is at time zero.
+        The body keeps its pose at time zero.
     """
 
     name: str
@@ -107,16 +108,16 @@ class Body:
 
 @dataclass(frozen=True)
 class Hits:
-    """The first thing that each of n rays meets.
+    """The first intersection of each of n rays.
 
     Attributes
     ----------
     distance_m : ndarray, shape (n,)
-        Infinite where nothing is met.
+        Infinite where a ray meets nothing.
     body, triangle : ndarray of int64, shape (n,)
-        Indices of the body and of the triangle in its mesh; -1 where nothing is met.
+        Indices of the body and of the triangle in its mesh; -1 where a ray meets nothing.
     normal : ndarray, shape (n, 3)
-        Of the triangle, unit, in the world, towards the ray's origin; zero where nothing is met.
+        Unit normal of the triangle, in the world, towards the ray's origin; zero where a ray meets nothing.
     """
 
     distance_m: FloatArray
@@ -128,8 +129,9 @@ class Hits:
 class RayCaster:
     """Casts rays at bodies.
 
-    Those that stand are one scene of Embree; each that moves is a scene in its own frame, into which rays are brought.
-    Embree works in single precision and only tells the triangle; the distance is then computed in double precision.
+    The static bodies form one Embree scene; each moving body is a scene in its own frame, into which rays are
+    transformed. Embree works in single precision and is used only to find the triangle; the distance is then computed
+    in double precision.
 
     Parameters
     ----------
@@ -150,9 +152,9 @@ class RayCaster:
         self._first_face = np.cumsum([0, *(len(body.mesh.material) for body in bodies)])[:-1].astype(np.int64)
 
     def faces(self, hits: Hits) -> IntArray:
-        """Return the number of each triangle that was hit among those of all bodies, in which order ``materials`` is.
+        """Return the index of each triangle that was hit among those of all bodies, in the order of ``materials``.
 
-        -1 where nothing is met.
+        -1 where a ray meets nothing.
         """
         faces: IntArray = hits.triangle.copy()
         met = hits.body >= 0
@@ -160,7 +162,7 @@ class RayCaster:
         return faces
 
     def cast(self, origins: FloatArray, directions: FloatArray, time_s: float) -> Hits:
-        """Find what rays meet first.
+        """Find the first intersection of rays.
 
         Parameters
         ----------
@@ -169,17 +171,17 @@ class RayCaster:
         directions : ndarray, shape (n, 3)
             Unit vectors in the world.
         time_s : float
-            Of the moving bodies.
+            Time at which the moving bodies are met.
         """
         return self.before(self.still(origins, directions), origins, directions, time_s)
 
     def before(self, still: Hits, origins: FloatArray, directions: FloatArray, time_s: float) -> Hits:
-        """Find what the same rays meet of the moving bodies before what they meet of those that stand.
+        """Find the first intersection of rays whose intersections with the static bodies are known already.
 
         Parameters
         ----------
         still : Hits
-            As `still` finds it; it depends on no time.
+            The result of `still` for the same rays; it does not depend on time.
         origins, directions, time_s
             See `cast`.
         """
@@ -199,7 +201,7 @@ class RayCaster:
         return hits
 
     def _pose(self, index: int, time_s: float) -> FloatArray:
-        """Return a body's pose; of the latest time all are kept."""
+        """Return a body's pose; all poses of the latest time are cached."""
         if time_s != self._posed_s:
             self._posed_s, self._poses = time_s, {}
         if index not in self._poses:
@@ -207,9 +209,9 @@ class RayCaster:
         return self._poses[index]
 
     def to_moving(self, origins: FloatArray, directions: FloatArray, reach_m: float, time_s: float) -> FloatArray:
-        """Return how far it is from each of n origins in each of k directions to a body that moves, shape (n, k).
+        """Return the distance from each of n origins in each of k directions to a moving body, shape (n, k).
 
-        Infinite where none is met; those farther than ``reach_m`` may be left out.
+        Infinite where there is none; bodies farther than ``reach_m`` may be left out.
         """
         nearest = np.full((len(origins), len(directions)), np.inf)
         for index, target in self._moving:
@@ -226,7 +228,7 @@ class RayCaster:
         return nearest
 
     def still(self, origins: FloatArray, directions: FloatArray) -> Hits:
-        """Find what rays meet first of the bodies that stand; see `cast`."""
+        """Find the first intersection of rays with the static bodies; see `cast`."""
         distance, triangle, normal = self._still.cast(origins, directions)
         met = triangle >= 0
         body = np.full(len(directions), -1, dtype=np.int64)
@@ -235,7 +237,7 @@ class RayCaster:
         return Hits(distance, body, triangle, normal)
 
     def sweep(self, origin: FloatArray, directions: FloatArray, times_s: FloatArray) -> Hits:
-        """Find what rays of a sweep meet first, each at its own time.
+        """Find the first intersection of the rays of a sweep, each at its own time.
 
         Parameters
         ----------
@@ -267,7 +269,7 @@ class RayCaster:
 
 
 def _interpolated(pose: Callable[[float], FloatArray], times_s: FloatArray) -> FloatArray:
-    """Return the poses at these times, shape (n, 4, 4); turning by 1 rad/s they are orthogonal to 1e-5."""
+    """Return the poses at these times, shape (n, 4, 4); at 1 rad/s their rotations are orthogonal to 1e-5."""
     first = np.floor(times_s.min() / KNOT_S)
     share, before = np.modf(times_s / KNOT_S - first)
     which = before.astype(np.int64)
@@ -278,7 +280,7 @@ def _interpolated(pose: Callable[[float], FloatArray], times_s: FloatArray) -> F
 
 
 class _Target:
-    """A mesh in its own frame, ready for rays."""
+    """A mesh in its own frame, prepared for ray casting."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -294,7 +296,7 @@ class _Target:
             TriangleMesh(self._scene, mesh.vertices.astype(np.float32), mesh.triangles.astype(np.int32))
 
     def close(self, T_world_body: FloatArray, points: FloatArray, reach_m: float) -> IntArray:
-        """Return the points, in the world, from which the mesh's bounding sphere is not farther than ``reach_m``."""
+        """Return the points, in the world, whose distance to the mesh's bounding sphere is below ``reach_m``."""
         middle = T_world_body[:3, :3] @ self._middle + T_world_body[:3, 3]
         apart = points - middle
         return np.flatnonzero(np.einsum("ij,ij->i", apart, apart) < (self._radius_m + reach_m) ** 2)
@@ -302,7 +304,7 @@ class _Target:
     def near(
         self, T_world_body: FloatArray, origins: FloatArray, directions: FloatArray, margin_m: float = 0.0
     ) -> IntArray:
-        """Return the rays, in the world, that pass through the mesh's bounding sphere, grown by a margin."""
+        """Return the rays, in the world, that pass through the mesh's bounding sphere, enlarged by a margin."""
         radius = self._radius_m + margin_m
         to_middle = T_world_body[:3, :3] @ self._middle + T_world_body[:3, 3] - origins
         if origins.ndim == 1:

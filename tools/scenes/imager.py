@@ -1,4 +1,4 @@
-"""From light to the numbers of an image file: exposure, vignetting, noise, mosaic, and gamma."""
+"""From light to the pixel values of an image file: exposure, vignetting, noise, Bayer mosaic, and gamma."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GREY = np.array([0.3, 0.6, 0.1], np.float32)
 
 @dataclass(frozen=True)
 class Sensor:
-    """How light becomes numbers, the same for both cameras but for the gain.
+    """How light becomes pixel values, the same for both cameras except for the gain.
 
     Attributes
     ----------
@@ -24,11 +24,11 @@ class Sensor:
         Electrons. The defaults are the Sony IMX174's as measured by EMVA 1288 (32.7 ke and 6.8 e: Point Grey, "Sony
         Pregius Global Shutter CMOS Imaging Performance", 2015), a common global-shutter sensor.
     exposure : float
-        Share of the full well that the brightest twentieth of the left image's surfaces exceeds.
+        Fraction of the full well that the brightest twentieth of the left image's surfaces exceeds.
     right_gain : float
-        Of the right image relative to the left.
+        Gain of the right image relative to the left.
     vignetting : float
-        Light lost in the corners.
+        Fraction of light lost in the corners.
     gamma : float
         Output is input to the power of 1 / gamma.
     bits : int
@@ -48,7 +48,7 @@ class Sensor:
 
 
 def develop(radiance: Raster, lens: Lens, sensor: Sensor, scale: float, rng: np.random.Generator) -> Raster:
-    """Turn light into the numbers of an image file.
+    """Turn light into the pixel values of an image file.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ def develop(radiance: Raster, lens: Lens, sensor: Sensor, scale: float, rng: np.
     lens : Lens
     sensor : Sensor
     scale : float
-        Share of the full well for a unit of radiance.
+        Fraction of the full well for a unit of radiance.
     rng : Generator
-        Of the noise.
+        Draws the noise.
 
     Returns
     -------
@@ -68,11 +68,11 @@ def develop(radiance: Raster, lens: Lens, sensor: Sensor, scale: float, rng: np.
     """
     light = _mosaic(radiance) if sensor.colour else radiance @ GREY
     electrons = light * _vignette(lens, sensor.vignetting) * np.float32(scale * sensor.full_well_e)
-    # Photons arrive independently: variance equals mean; then the amplifier's own noise.
+    # Photons arrive independently: variance equals mean; the amplifier adds its own noise.
     sigma = np.sqrt(electrons + np.float32(sensor.read_noise_e**2))
     electrons += sigma * rng.standard_normal(electrons.shape, dtype=np.float32)
     share = np.clip(electrons / np.float32(sensor.full_well_e), 0.0, 1.0) ** np.float32(1.0 / sensor.gamma)
-    # A converter of 12 bits, as these sensors have; 16-bit files hold its numbers shifted.
+    # The converter has 12 bits, as those of these sensors do; 16-bit files contain its numbers shifted.
     raw = np.rint(share * 4095.0).astype(np.uint16) << 4 if sensor.bits == 16 else np.rint(share * 255).astype(np.uint8)
     return np.asarray(cv2.cvtColor(raw, cv2.COLOR_BayerRGGB2BGR)) if sensor.colour else raw
 

@@ -1,4 +1,4 @@
-"""Where on Earth a scene is."""
+"""Places on Earth for scenes."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ GEOD = Geod(ellps="WGS84")
 
 @dataclass(frozen=True)
 class Place:
-    """A scene's frame on the map: UTM = origin + ``scale`` * the scene's xy, turned by ``yaw_rad``.
+    """A scene's frame on the map: UTM = origin + ``scale`` * (xy of the scene, rotated by ``yaw_rad``).
 
     Attributes
     ----------
     name : str
     latitude_deg, longitude_deg : float
-        Of the origin.
+        Position of the origin.
     epsg : int
-        Of the UTM zone.
+        EPSG code of the UTM zone.
     yaw_rad : float
-        Of the scene's x axis, counter-clockwise from grid east.
+        Direction of the scene's x axis, counter-clockwise from grid east.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Place:
 
     @cached_property
     def scale(self) -> float:
-        """Grid metres per true metre, by a geodesic of 100 m to the east and one to the north."""
+        """Grid metres per true metre, from two geodesics of 100 m, one to the east and one to the north."""
         utm = self.origin_utm + np.array([[-50.0, 0.0], [50.0, 0.0], [0.0, -50.0], [0.0, 50.0]])
         east, north = utm.T.tolist()
         lon, lat = (np.array(values) for values in self.proj(east, north, inverse=True))
@@ -90,4 +90,4 @@ PLACES = (
     Place("Ushuaia", -54.8, -68.3, 32719),
     Place("date line", -16.8, 179.97, 32760),
 )
-"""Both hemispheres, the borders of zones, high latitudes."""
+"""Both hemispheres, zone borders, high latitudes."""

@@ -1,7 +1,8 @@
-"""Stereo image pairs of a scene by ray casting: exact lenses, sun and sky, soft mirrors, and a sensor's noise.
+"""Stereo image pairs of a scene by ray casting: exact lenses, sun and sky, weak specular reflection, and sensor noise.
 
-What stands still is rendered once for each camera; of each frame only the pixels that a moving body, its shadow or
-what it darkens can touch. Of these, what is matt and stands is only darkened; the rest is rendered anew.
+The static bodies are rendered once for each camera; in each frame, only the pixels that a moving body, its shadow or
+its ambient occlusion can change are rendered again. Of these, static matt surfaces are only darkened; the rest is
+traced anew.
 """
 
 from __future__ import annotations
@@ -24,16 +25,17 @@ from tools.scenes.textures import mirror
 
 Lattice = tuple[int, int]
 STANDING_SAMPLES: Lattice = (13, 5)
-"""In a pixel at an edge, a square lattice: no two in the same row, column or diagonal, for thirteen is prime."""
+"""Samples in a pixel at an edge: a square lattice with no two in the same row, column or diagonal, as thirteen is
+prime."""
 
 MOVING_SAMPLES: Lattice = (5, 2)
-"""The same where something moves: the next frame has other samples of the same edge."""
+"""Likewise for an edge where something moves: the next frame samples the same edge at other points."""
 
 GROUPS = 4
-"""Of samples; each asks another part of the sky."""
+"""Groups of samples; each group samples other directions of the sky."""
 
 STRIDE = 4
-"""Of the pixels that tell what a moving body can touch."""
+"""Spacing of the pixels that are tested for whether a moving body can change them."""
 
 CREASE = 0.9
 """Cosine between the normals of neighbouring pixels below which an edge lies between them."""
@@ -42,17 +44,18 @@ STEP = 0.05
 """Relative difference in distance of neighbouring pixels that is an edge."""
 
 LENS_BLUR_PX = 0.45
-"""Together with the pixel's own square and the textures' filter a contrast of about 0.2 at the finest pattern."""
+"""Standard deviation of the lens's blur, pixels: together with the pixel's own square and the textures' filter, it
+leaves a contrast of about 0.2 at the finest pattern."""
 
 CHUNK = 1 << 17
 
 OTHER_KEYS = 1 << 32
-"""Bodies are numbered anew as soon as some move; by so much their keys differ."""
+"""Offset of the keys of what is rendered anew: with the moving bodies, bodies are numbered differently."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Under which light and by which sensor a scene is recorded."""
+    """The light and the sensor with which a scene is recorded."""
 
     light: Light
     sensor: Sensor
@@ -60,7 +63,7 @@ class Look:
 
 def random_look(rng: np.random.Generator) -> Look:
     """Draw a clear, hazy or overcast day and a sensor."""
-    # Share of the light that comes straight from the sun: clear 0.8, hazy 0.5, overcast nothing.
+    # Fraction of the light that comes directly from the sun: clear 0.8, hazy 0.5, overcast none.
     straight = float(rng.choice([0.8, 0.8, 0.5, 0.0]))
     sun = np.array([1.0, 0.95, 0.87]) * straight
     blue = np.array([0.75, 0.95, 1.3]) if straight > 0.6 else np.array([0.95, 1.0, 1.05])
@@ -78,7 +81,7 @@ def random_look(rng: np.random.Generator) -> Look:
 
 @dataclass(frozen=True)
 class Layer:
-    """An image before the lens's blur, with what tells its edges, each of shape (height, width, ...)."""
+    """An image before the lens's blur, with what determines its edges, each of shape (height, width, ...)."""
 
     radiance: Raster
     key: Raster
@@ -86,12 +89,12 @@ class Layer:
     normal: Raster
 
     def flat(self) -> Layer:
-        """Return the same memory, pixel by pixel."""
+        """Return a view of the same memory, pixel by pixel."""
         key, distance_m = self.key.reshape(-1), self.distance_m.reshape(-1)
         return Layer(self.radiance.reshape(-1, 3), key, distance_m, self.normal.reshape(-1, 3))
 
     def copy(self) -> Layer:
-        """Return one of its own."""
+        """Return a copy with its own memory."""
         return Layer(self.radiance.copy(), self.key.copy(), self.distance_m.copy(), self.normal.copy())
 
 
@@ -110,7 +113,7 @@ class Eye:
 
     @property
     def origin(self) -> FloatArray:
-        """Where it is, shape (3,)."""
+        """Position of the camera, shape (3,)."""
         return self.T_world_camera[:3, 3]
 
     @property
@@ -141,7 +144,7 @@ def eyes(rig: StereoRig, T_world_left: FloatArray) -> tuple[Eye, Eye]:
 
 
 class Renderer:
-    """Renders what one camera sees of bodies.
+    """Renders the view of one camera.
 
     Parameters
     ----------
@@ -159,7 +162,7 @@ class Renderer:
 
     @cached_property
     def background(self) -> Layer:
-        """What stands still."""
+        """The image of the static bodies."""
         width, height = self.eye.lens.size
         empty = Layer(
             np.zeros((height, width, 3), np.float32),
@@ -173,7 +176,7 @@ class Renderer:
 
     @cached_property
     def _standing(self) -> tuple[Surface, Lit]:
-        """What stands still, pixel by pixel, and the light on it; of the sky it means nothing."""
+        """The static surface at each pixel, and the light on it; meaningless for the sky."""
         flat = self.background.flat()
         distance = np.where(flat.key >= 0, flat.distance_m, 0.0)
         view = self.eye.middles
@@ -188,7 +191,7 @@ class Renderer:
 
     @cached_property
     def _glossy(self) -> BoolArray:
-        """Which pixels show what stands still and mirrors, shape (n,)."""
+        """Pixels that show a static surface with specular reflection, shape (n,)."""
         shiny = np.array([mirror(kind) > 0.0 for kind in Material])
         key = self.background.flat().key
         glossy: BoolArray = (key >= 0) & shiny[key // 2 % len(Material)]
@@ -204,7 +207,7 @@ class Renderer:
         return cv2.GaussianBlur(layer.radiance, (5, 5), LENS_BLUR_PX)
 
     def _move(self, layer: Layer, touched: BoolArray, time_s: float) -> None:
-        """Render what moves, and darken what it takes light from."""
+        """Render the moving bodies, and darken the static surfaces that they take light from."""
         flat, places = layer.flat(), np.flatnonzero(touched)
         none = np.full(len(places), -1)
         still = Hits(flat.distance_m[places].astype(np.float64), none, none, np.zeros((len(places), 3)))
@@ -223,7 +226,7 @@ class Renderer:
         _smooth(self._all, self.eye, layer, edges, time_s, MOVING_SAMPLES)
 
     def touched(self, time_s: float) -> BoolArray:
-        """Tell which pixels moving bodies, their shadows or their darkening can change, shape (height, width)."""
+        """Return which pixels moving bodies, their shadows or their darkening can change, shape (height, width)."""
         width, height = self.eye.lens.size
         rows, columns = slice(STRIDE // 2, None, STRIDE), slice(STRIDE // 2, None, STRIDE)
         directions = self.eye.middles.reshape(height, width, 3)[rows, columns].reshape(-1, 3)
@@ -236,7 +239,7 @@ class Renderer:
             R = T_body_world[:3, :3]
             low, high = body.mesh.vertices.min(axis=0), body.mesh.vertices.max(axis=0)
             away = np.linalg.norm(self.eye.origin @ R.T + T_body_world[:3, 3] - (low + high) / 2)
-            # No pixel is farther than half a stride's diagonal from one that is looked at.
+            # No pixel is farther than half a stride's diagonal from one that is tested.
             grown = STRIDE * self.eye.spread * (away + np.linalg.norm(high - low))
             origin = self.eye.origin @ R.T + T_body_world[:3, 3]
             coarse |= _pierces(origin[None], directions @ R.T, low - grown, high + grown)
@@ -252,7 +255,7 @@ class Renderer:
 
 
 def _pierces(origins: FloatArray, directions: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
-    """Tell which rays pass through a box that is upright in their frame (slabs)."""
+    """Return which rays pass through a box that is aligned with the axes of their frame (slabs)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / directions
         one, other = (low - origins) * inverse, (high - origins) * inverse
@@ -263,7 +266,7 @@ def _pierces(origins: FloatArray, directions: FloatArray, low: FloatArray, high:
 
 
 def _sample(shader: Shader, eye: Eye, layer: Layer, places: IntArray, time_s: float) -> None:
-    """Render pixels by one sample each."""
+    """Render pixels with one sample each."""
     flat = layer.flat()
     for chunk in _chunks(places, CHUNK):
         found = shader.trace(eye.origin, eye.middles[chunk], eye.spread, time_s)
@@ -272,7 +275,7 @@ def _sample(shader: Shader, eye: Eye, layer: Layer, places: IntArray, time_s: fl
 
 
 def _smooth(shader: Shader, eye: Eye, layer: Layer, edges: IntArray, time_s: float, lattice: Lattice) -> None:
-    """Render pixels through which an edge passes, by several samples each."""
+    """Render pixels that an edge crosses with several samples each."""
     width = eye.lens.size[0]
     flat = layer.flat()
     flat.radiance[edges] = 0.0
@@ -293,7 +296,7 @@ def _chunks(items: IntArray, size: int) -> Iterator[IntArray]:
 
 
 def _edges(layer: Layer) -> BoolArray:
-    """Tell the pixels on either side of where body, material, shadow, direction or distance changes."""
+    """Return the pixels on either side of a change of body, material, shadow, direction or distance."""
     edges = np.zeros(layer.key.shape, dtype=bool)
     for one, other in (
         ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
@@ -304,7 +307,7 @@ def _edges(layer: Layer) -> BoolArray:
             stepped = np.abs(near - far) > STEP * np.minimum(near, far)
         bent = np.einsum("ijk,ijk->ij", layer.normal[one], layer.normal[other]) < CREASE
         same = layer.key[one] == layer.key[other]
-        # Nothing bends or steps within the sky.
+        # There are no bends or steps within the sky.
         between = ~same | ((bent | stepped) & (layer.key[one] >= 0))
         edges[one] |= between
         edges[other] |= between
@@ -312,7 +315,7 @@ def _edges(layer: Layer) -> BoolArray:
 
 
 def exposure_scale(layer: Layer, sensor: Sensor) -> float:
-    """Return the share of the full well for a unit of radiance, from the left camera's background."""
+    """Return the fraction of the full well for a unit of radiance, from the left camera's background."""
     solid = layer.radiance[layer.key >= 0] @ GREY
     return float(sensor.exposure / np.quantile(solid, 0.95)) if len(solid) else 1.0
 
@@ -360,17 +363,17 @@ def write_stereo(
     bodies : sequence of Body
     rig : StereoRig
     T_world_left : ndarray, shape (4, 4)
-        Of the raw left camera.
+        Pose of the raw left camera.
     times_s : ndarray, shape (n,)
-        At which the bodies stand for the frames.
+        Times of the bodies' poses in the frames.
     stamps_ns : sequence of int, length n
     folder : Path
-        Is made if it does not exist.
+        Created if it does not exist.
     look : Look
     seed : int
-        Of the sensors' noise.
+        Seed of the sensors' noise.
     told : StereoRig or None
-        As the calibration has the rig; None: as it is.
+        The rig that the calibration file describes; None writes the true one.
     """
     sides = [folder / "left", folder / "right"]
     for side in sides:

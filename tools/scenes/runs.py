@@ -1,4 +1,4 @@
-"""Runs of the benchmark of scenes: what came of each, as lines of a file and as a table."""
+"""Runs of the benchmark of scenes: the outcome of each, as lines of a file and as a table."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ HONEST_SIGMAS, WRONG_SIGMAS = 3.0, 5.0
 
 @dataclass(frozen=True)
 class Run:
-    """One scene by one method.
+    """One scene, calibrated by one method.
 
     Attributes
     ----------
     sensor : str
-        A row of the table: a kind of sensor, ``_rendered`` behind it where images were rendered, or ``detections``.
+        A row of the table: a kind of sensor, with ``_rendered`` appended where images were rendered, or ``detections``.
     method : str
     seed : int
     good : bool
         See `tools.scenes.worth.is_good`.
     refused : str
-        Why; empty for what is accepted.
+        The reason; empty for an accepted run.
     track_xy_cm, track_z_cm, rotation_deg, position_cm, sigma_ratio, rotation_ratio
         See `tools.scenes.scene.Errors`; NaN where there is no result.
     draw_s, observe_s, locate_s : float
-        The first two are of the scene, whatever the number of methods; simulation is a part of observing.
+        Durations; the first two are those of the scene, for all methods together; simulation is a part of observing.
     """
 
     sensor: str
@@ -54,7 +54,7 @@ class Run:
 
     @property
     def drawn(self) -> bool:
-        """There is such a scene."""
+        """Whether the scene could be drawn."""
         return not self.refused.startswith(NO_SCENE)
 
 
@@ -107,7 +107,7 @@ def _share(count: int, of: int) -> str:
 
 
 def beyond(runs: Sequence[Run]) -> str:
-    """Return, for each row, the seeds of accepted runs that are farther off than they claim, and by how many sigma."""
+    """Return the seeds of the accepted runs of each row whose error exceeds 3 sigma, and by how many sigma."""
     lines = []
     for (sensor, method), mine in _by_row(runs):
         accepted = [run for run in mine if not run.refused]
@@ -120,7 +120,7 @@ def beyond(runs: Sequence[Run]) -> str:
 
 
 def seconds(runs: Sequence[Run]) -> str:
-    """Return, for each row, what a scene took on average."""
+    """Return the mean durations per scene for each row."""
     lines = []
     for (sensor, method), mine in _by_row(runs):
         if mine:
@@ -135,7 +135,7 @@ PARTS = ("draw", "observe", "locate")
 
 
 def reasons(runs: Sequence[Run]) -> str:
-    """Return what was refused and why, the numbers in it left out so that like ones are counted together."""
+    """Return the reasons of refusals with their counts, digits masked so that similar ones are counted together."""
     refused = (run for run in runs if run.refused)
     plain = ((run.method, "".join("#" if letter.isdigit() else letter for letter in run.refused)) for run in refused)
     counted = Counter(
@@ -145,7 +145,7 @@ def reasons(runs: Sequence[Run]) -> str:
 
 
 def report(runs: Sequence[Run]) -> str:
-    """Return all that is told of runs."""
+    """Return the whole report on runs."""
     return (
         f"{table(runs)}\n\naccepted, but beyond 3 sigma:\n{beyond(runs)}\n\nrefused because:\n{reasons(runs)}\n\n"
         f"seconds per scene:\n{seconds(runs)}\n"
@@ -153,7 +153,7 @@ def report(runs: Sequence[Run]) -> str:
 
 
 def read_runs(path: Path) -> list[Run]:
-    """Read the runs in a file, without a last line that was cut off."""
+    """Read the runs in a file, without a truncated last line."""
     if not path.exists():
         return []
     with path.open(newline="") as file:
@@ -175,7 +175,7 @@ def _parsed(row: dict[str, str]) -> Run:
 
 
 def recorded(batches: Iterable[list[Run]], path: Path, before: Sequence[Run] = ()) -> Iterator[list[Run]]:
-    """Write runs into a file as they come, behind those that were there before, and pass them on."""
+    """Write runs to a file as they arrive, after the earlier ones, and yield them."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(Run)])

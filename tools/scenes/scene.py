@@ -1,4 +1,4 @@
-"""Whole scenes: drawn from a seed, every factor of which can be set, with their truth."""
+"""Whole scenes with their ground truth, drawn from a seed; every factor can be set instead of drawn."""
 
 from __future__ import annotations
 
@@ -66,19 +66,19 @@ HANGINGS: dict[Hanging, Axes] = {
 
 STATION = 4711
 NEAR_M = 50.0
-"""Within this distance the sender must be seen."""
+"""The sender must be visible within this horizontal distance from the sensor, metres."""
 
 NEEDED_FRAMES = 40
-"""In so many frames it must be seen, unless asked otherwise."""
+"""Number of frames in which the sender must be in view, unless set otherwise."""
 
 NEEDED_M = 15.0
-"""So far it must drive meanwhile: through the crossing, that is."""
+"""Distance that the sender must drive in these frames, metres: enough to get through the crossing."""
 
 SCORED_M = 60.0
-"""The track is scored within this distance from the sensor."""
+"""The errors of a calibration are evaluated on the track within this distance from the sensor, metres."""
 
 GUSTS_HZ, MASTS_HZ = (0.1, 0.5), (0.7, 2.0)
-"""How often gusts come, and how fast a mast of 5 to 15 m swings to and fro."""
+"""Frequencies of gusts, and at which a mast of 5 to 15 m sways."""
 
 TRIES = 60
 
@@ -91,7 +91,7 @@ class SceneError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Factors:
-    """What makes up a scene; None is drawn. Each is drawn from a stream of its own, so that one changes no other.
+    """The factors of a scene; one that is None is drawn, from a random stream of its own, so that it changes no other.
 
     Attributes
     ----------
@@ -107,49 +107,51 @@ class Factors:
     verges : bool
         The road has verges instead of kerbs and pavements.
     density : float
-        Scales how much stands around.
+        Scales the number of houses, walls, plants, poles and bins around the crossing.
     vehicles, walkers, cyclists, parked : int
+        Numbers of other road users and of parked cars.
     near_m : float
-        So near the first three come to the sender; None is wherever they go.
+        Distance within which the vehicles, walkers and cyclists come to the sender; None leaves it to chance.
     shrubs : int
-        Hedges at the kerbs that it passes, in gusts of wind.
+        Number of hedges, swaying in gusts, behind the kerbs along the sender's path.
     height_m, tilt_deg, roll_deg : float
-        Of the sensor: over the road, and how it looks.
+        The sensor's height above the road, its tilt downwards and its roll.
     away_m : float
-        From the middle of the crossing.
+        The sensor's horizontal distance from the middle of the crossing.
     hanging : str
-        Which way a LiDAR's axes point, of `HANGINGS`.
+        Orientation of a LiDAR's axes, a key of `HANGINGS`.
     frames : int
     frame_rate_hz : float
         None is the sensor's own.
     min_seen, min_driven_m
-        Frames in which the sender must be in view, and the metres that it drives meanwhile.
+        Least number of frames in which the sender is in view, and least distance that it drives in them, metres.
     receiver, cam_rate_hz, loss, clock_offset_s, heading_sigma_deg, heading_of, quantised, rounding, over_mirrors
         See `CamFlaws`.
     lever_sigma_m : float
         Standard deviation of the lever arm's error, per axis.
     stations : int
-        Other vehicles that send, each with flaws of its own.
+        Number of other vehicles that send, each with flaws of its own.
     stamping_s : float
-        By how much each of their clocks differs from the sender's, one standard deviation.
+        Standard deviation of the difference between each other station's clock and the sender's.
     noise, rain, point_times
         See `LidarFlaws`; ``noise`` also scales a stereo camera's.
     begin_deg : float
-        Where the scans of a LiDAR that sees all around begin, counter-clockwise from its forward.
+        Azimuth at which the scans of a LiDAR with a full horizontal field of view begin, counter-clockwise from
+        forward.
     turning : str
-        How a LiDAR turns, of `TURNINGS`; one that takes all points at once is a flash.
+        How a LiDAR scans, one of `TURNINGS`; a flash LiDAR takes all points at once.
     lean_deg : float
-        By how much a LiDAR's mast leans in gusts, along x and along y: one standard deviation.
+        Angle by which a LiDAR's mast leans in gusts, about x and about y: one standard deviation.
     stamp_jitter_s : float
-        Standard deviation by which the frames' stamps miss the frames.
+        Standard deviation of the error of the frames' stamps.
     systematic : float
         Scales the sensors' errors that are common to many points.
     bleed_px, gross, gloss_px, focal_px
-        Of stereo cameras; ``gross`` scales the share of mismatches, and see `StereoFlaws`.
+        For stereo cameras; ``gross`` scales the fraction of mismatches, for the others see `StereoFlaws`.
     focal_error, baseline_error : float
-        By which share a stereo calibration has them too long.
+        Relative errors of focal length and baseline in the stereo calibration; positive if it overestimates them.
     turned_deg : tuple of float
-        By which the right camera has turned since then.
+        Pitch, yaw and roll of the right camera since the stereo calibration.
     """
 
     layout: LayoutKind | None = None
@@ -208,7 +210,7 @@ class Factors:
 
 @dataclass(frozen=True)
 class Draw:
-    """Random numbers of a scene: one stream for each name, so that what is set leaves the rest as it was."""
+    """The random numbers of a scene: one stream per name, so that setting one factor leaves the others unchanged."""
 
     seed: int
     attempt: int
@@ -218,29 +220,29 @@ class Draw:
         return np.random.default_rng([self.seed, self.attempt, zlib.crc32(name.encode())])
 
     def given(self, value: T | None, name: str, drawn: Callable[[np.random.Generator], T]) -> T:
-        """Return what is set, or else what is drawn."""
+        """Return the value if it is set, else a drawn one."""
         return drawn(self.rng(name)) if value is None else value
 
     def choice(self, value: T | None, name: str, options: Sequence[T], weights: Sequence[float] | None = None) -> T:
-        """Return what is set, or else one of the options."""
+        """Return the value if it is set, else one of the options."""
         p = None if weights is None else np.array(weights) / sum(weights)
         return self.given(value, name, lambda rng: options[int(rng.choice(len(options), p=p))])
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene, in its own frame: metric, z = 0 the best plane of the road (see `Place` for the way to the map).
+    """A scene in its own frame: metric, z = 0 is the best plane of the road (`Place` relates it to the map).
 
     Attributes
     ----------
     seed : int
     sensor_kind : SensorKind
     factors : Factors
-        As asked for.
+        As requested.
     place : Place
     site : Site
     vehicle : Vehicle
-        Of the sender.
+        The sender's vehicle.
     sender : Mover
     others : tuple of Mover
     sensor : Lidar or StereoCamera
@@ -249,15 +251,15 @@ class Scene:
     T_world_sensor : ndarray, shape (4, 4)
         "World" is the scene's frame here.
     times_s : ndarray, shape (n,)
-        Of the frames' stamps, by the sensor's clock, after `EPOCH_NS`.
+        Times of the frames by the sensor's clock, in seconds after `EPOCH_NS`.
     messages : CamLog
     cam_flaws : CamFlaws
     lidar_flaws : LidarFlaws
     stereo_flaws : StereoFlaws
     drive_kind : DriveKind
-        Of the sender.
+        The sender's kind of drive.
     in_view : ndarray of bool, shape (n,)
-        In which frames the sender is in view, see `frames_in_view`.
+        Frames in which the sender is in view, see `frames_in_view`.
     """
 
     seed: int
@@ -292,18 +294,18 @@ class Scene:
 
     @cached_property
     def caster(self) -> RayCaster:
-        """Casts rays at the bodies."""
+        """The ray caster for these bodies."""
         return RayCaster(self.bodies)
 
     @property
     def stamps_ns(self) -> IntArray:
-        """Of the frames, shape (n,)."""
+        """Stamps of the frames, nanoseconds, shape (n,)."""
         jitter = np.random.default_rng([self.seed, 17]).normal(size=len(self.times_s)).clip(-3.0, 3.0)
         stamps_s = self.times_s + self.factors.stamp_jitter_s * jitter
         return EPOCH_NS + np.round(stamps_s * 1e9).astype(np.int64)
 
     def T_world_sensor_at(self, time_s: float) -> FloatArray:
-        """Return where the sensor is while its mast leans: about its foot, slowly in gusts and as a mast swings."""
+        """Return the sensor's pose while its mast leans about its foot: slowly in gusts, faster as the mast sways."""
         rng = np.random.default_rng([self.seed, 19])
         turns = time_s * np.array([rng.uniform(*GUSTS_HZ, 2), rng.uniform(*MASTS_HZ, 2)])
         x_deg, y_deg = self.factors.lean_deg * np.sin(2.0 * np.pi * (turns + rng.random((2, 2)))).sum(axis=0)
@@ -313,17 +315,17 @@ class Scene:
 
     @cached_property
     def track_utm(self) -> FloatArray:
-        """The middle of the sender's box in UTM at the frames' stamps, shape (n, 2)."""
+        """Centre of the sender's box in UTM at the times of the frames, shape (n, 2)."""
         return self.track_utm_of(STATION)
 
     def track_utm_of(self, station: int) -> FloatArray:
-        """Return the same of the vehicle of a station: others may send as well."""
+        """Return the centre of the box of a station's vehicle, likewise: others may send as well."""
         mover = self.sender if station == STATION else _talking(self.others)[station - STATION - 1]
         return self.place.to_utm(mover.track(self.times_s)[0])
 
     @cached_property
     def T_utm_sensor(self) -> FloatArray:
-        """The best rigid transform from the sensor into UTM around the track near it, shape (4, 4)."""
+        """The best rigid transform from the sensor into UTM around the part of the track near it, shape (4, 4)."""
         xy = self.sender.track(self.times_s)[0]
         near = np.linalg.norm(xy - self.T_world_sensor[:2, 3], axis=1) < SCORED_M
         return self.place.T_utm_scene(xy[near].mean(axis=0) if near.any() else xy.mean(axis=0)) @ self.T_world_sensor
@@ -336,7 +338,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Errors:
-    """How far a calibration is from the truth.
+    """Errors of a calibration with respect to the ground truth.
 
     Attributes
     ----------
@@ -344,9 +346,9 @@ class Errors:
         Root mean square error of ground points under the vehicle's true track, in the plane and in height.
     rotation_deg, position_cm : float
     sigma_ratio : float
-        ``track_xy_cm`` over what the calibration's covariance claims for the same points.
+        ``track_xy_cm`` over the value that the calibration's covariance predicts for the same points.
     rotation_ratio : float
-        The error of yaw, or of tilt where that is worse, over what is claimed of it.
+        Error of the yaw over its predicted standard deviation, or that ratio of the tilt if it is larger.
     """
 
     track_xy_cm: float
@@ -358,9 +360,9 @@ class Errors:
 
 
 def errors_of(calibration: Calibration, scene: Scene) -> Errors:
-    """Hold a calibration against the truth: ground points along the track within 60 m, carried over by both.
+    """Compare a calibration with the ground truth: both map the same ground points, along the track within `SCORED_M`.
 
-    The track is that of the vehicle whose messages were taken. Both must be in the same UTM zone: on a border, pass
+    The track is that of the vehicle whose messages were used. Both must be in the same UTM zone: on a border, pass
     ``scene.crs`` to the calibration.
     """
     assert calibration.world.crs == scene.crs, f"{calibration.world.crs} is not {scene.crs}"
@@ -370,7 +372,7 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
     ground = np.column_stack([track, np.zeros(len(track))])
     error = transform(T_found @ invert(T_true), ground) - ground
     track_xy = float(np.sqrt((error[:, :2] ** 2).sum(axis=1).mean()))
-    # The sine of half the angle: an arc cosine near 1 is blind below 0.001 deg.
+    # The sine of half the angle is used: an arc cosine near 1 cannot resolve less than 0.001 deg.
     apart = float(np.linalg.norm(T_found[:3, :3] - T_true[:3, :3])) / np.sqrt(8.0)
     return Errors(
         track_xy_cm=100 * track_xy,
@@ -383,7 +385,7 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
 
 
 def _claimed_xy_m(calibration: Calibration, track_utm: FloatArray) -> float:
-    """Return the root mean square error in the plane that a calibration claims for ground points."""
+    """Return the root mean square error in the plane that a calibration predicts for ground points."""
     arms = calibration.world.from_utm(track_utm) - calibration.centre_world[:2]
     return Doubt(calibration.covariance[2:5, 2:5], arms).track_xy_m
 
@@ -407,7 +409,7 @@ def draw_scene(seed: int, sensor_kind: SensorKind, **overrides: Any) -> Scene:
     Raises
     ------
     SceneError
-        If the sender was in view for too few frames in every one of `TRIES` drawings.
+        If the sender was in view for too few frames, or for too short a drive, in each of `TRIES` attempts.
     """
     factors = Factors(**overrides)
     most = 0
@@ -429,7 +431,7 @@ def draw_scene(seed: int, sensor_kind: SensorKind, **overrides: Any) -> Scene:
 
 
 def frames_in_view(scene: Scene) -> BoolArray:
-    """Tell in which frames, shape (n,), the sender is near and 40 % of what faces the sensor can be seen."""
+    """Return in which frames, shape (n,), the sender is near and 40 % of its surface facing the sensor is visible."""
     mesh = scene.vehicle.mesh
     step = max(len(mesh.triangles) // 60, 1)
     middles = mesh.vertices[mesh.triangles[::step]].mean(axis=1)
@@ -529,7 +531,7 @@ def _drive_and_layout(draw: Draw, factors: Factors) -> tuple[DriveKind, LayoutKi
     ]
     if not pairs:
         raise SceneError(f"a drive {factors.drive!r} does not fit a layout {factors.layout!r}; needed are two that do")
-    # Every drive is as likely as any other, however many layouts it fits.
+    # Each drive is equally likely, however many layouts it fits.
     kind = draw.choice(None, "drive kind", sorted({kind for kind, _ in pairs}))
     return kind, draw.choice(None, "layout", [layout for own, layout in pairs if own == kind])
 
@@ -559,7 +561,7 @@ def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCam
 def _mount(
     draw: Draw, factors: Factors, road_free: Callable[[FloatArray], bool], sensor: Lidar | StereoCamera
 ) -> tuple[FloatArray, Axes] | None:
-    """Hang the sensor beside the road so that it looks to the middle of the crossing, roughly."""
+    """Draw a pose beside the road, looking roughly at the middle of the crossing; None if no free place is found."""
     rng = draw.rng("mount")
     height = draw.given(factors.height_m, "height", lambda rng: float(rng.uniform(3.0, 15.0)))
     away = draw.given(factors.away_m, "away", lambda rng: float(rng.uniform(max(8.0, 1.2 * height), 30.0)))
@@ -574,7 +576,7 @@ def _mount(
         return None
     target = rng.normal(0.0, 3.0, 2)
     yaw = float(np.arctan2(*(target - xy)[::-1]))
-    # The middle of the field looks at the middle of a car.
+    # The middle of the field of view looks at the middle of a car.
     down = float(np.degrees(np.arctan2(height - 0.8, np.linalg.norm(target - xy)))) + rng.normal(0.0, 2.0)
     if isinstance(sensor, Lidar):
         _, low, high = sensor.field_rad
@@ -600,7 +602,7 @@ def _rolled(roll_rad: float) -> FloatArray:
 
 
 def _cam_flaws(draw: Draw, factors: Factors, whose: str = "") -> CamFlaws:
-    """Draw what is wrong with a sender's messages; ``whose`` tells it from others."""
+    """Draw the flaws of a station's messages; ``whose`` names the random streams of stations other than the sender."""
     lever = factors.lever_sigma_m * draw.rng(f"lever{whose}").normal(size=2)
     clock_s = draw.given(factors.clock_offset_s, "clock", lambda rng: float(rng.normal(0.0, 0.005)))
     stamping_s = float(draw.rng(f"stamping{whose}").normal(0.0, factors.stamping_s)) if whose else 0.0
@@ -667,9 +669,9 @@ def _stereo_flaws(draw: Draw, factors: Factors) -> StereoFlaws:
 
 @dataclass
 class Recorded:
-    """What the sensor of a scene recorded (implements `PointCloudSource`); each frame is simulated once and kept.
+    """The recording of a scene's sensor (implements `PointCloudSource`); each frame is simulated once and kept.
 
-    A LiDAR's scans go through the same adapter as a user's: its estimates of noise, field of view and edges.
+    A LiDAR's scans go through the same adapter as a user's, with its estimates of noise, field of view and edges.
     """
 
     scene: Scene
@@ -700,7 +702,7 @@ class Recorded:
         return (self._cloud(index, whole=False) for index in range(len(self)))
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield some whole frames, spread over the recording."""
+        """Yield some whole frames: of a camera, those with the fewest moving points and others spread over time."""
         if self.kind == "lidar":
             return self._adapter.survey()
         ranked = sorted(range(len(self)), key=lambda index: int(self._matched(index).moving.sum()))
@@ -766,7 +768,7 @@ class SimulatedScans:
 
     @property
     def stamps_ns(self) -> IntArray:
-        """Of the scans, shape (n,)."""
+        """Stamps of the scans, nanoseconds, shape (n,)."""
         return self.recorded.scene.stamps_ns
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""What the tool sees of a scene: by the fast simulation, in rendered images, or by a detector's boxes."""
+"""A scene as the tool observes it: by the fast simulation, in rendered images, or by a detector's boxes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Way = Literal["simulated", "rendered", "detections"]
 
 
 class Seen(Protocol):
-    """All that a calibration starts from; one serves several methods."""
+    """All inputs of a calibration; the same ones serve several methods."""
 
     def locate(self, settings: Settings) -> Calibration:
         """Calibrate."""
@@ -35,7 +35,7 @@ class Seen(Protocol):
 
 @dataclass(frozen=True)
 class Observed:
-    """What was observed, and where the senders were (implements `Seen`).
+    """What was observed, and the senders' tracks (implements `Seen`).
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Observed:
 
 @dataclass(frozen=True)
 class Filmed:
-    """Images and messages as files, which are calibrated as a user's (implements `Seen`).
+    """Images and messages as files, calibrated like a user's (implements `Seen`).
 
     Attributes
     ----------
@@ -68,14 +68,14 @@ class Filmed:
     crs: str
 
     def locate(self, settings: Settings) -> Calibration:
-        """Calibrate, with all that the images tell of their calibration."""
+        """Calibrate, including the correction of the stereo calibration from the images."""
         folder = Path(self.folder.name)
         options = Options(camera=StereoSettings(workers=1), crs=self.crs, core=settings)
         return prepare(folder / "left", folder / "right", folder / "cam.csv", options).run().calibration
 
 
 def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
-    """Observe a scene, and lay out where the senders were.
+    """Observe a scene, and place the senders' tracks in the world.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""LiDARs: where their beams go and when, and what becomes of a beam that meets something."""
+"""LiDARs: directions and times of their beams, and the returns of beams that meet a surface."""
 
 from __future__ import annotations
 
@@ -31,48 +31,50 @@ REFLECTIVITY = {
     Material.CLOTH: 0.3,
     Material.LAMP: 0.5,
 }
-"""Diffuse, at 905 nm (asphalt, concrete, grass, leaves: ECOSTRESS spectral library; tyres and glass: almost none)."""
+"""Diffuse reflectivity at 905 nm (asphalt, concrete, grass, leaves: ECOSTRESS spectral library; tyres and glass: almost
+none)."""
 
 PAINT_REFLECTIVITY = (0.05, 0.7)
-"""Car paint: from black to white (Pandey et al., and the makers' colour panels)."""
+"""Reflectivity of car paint, from black to white (Pandey et al., and the makers' colour panels)."""
 
 
 ROUGH = (Material.ROAD, Material.KERB, Material.GRASS, Material.WALL, Material.FOLIAGE, Material.TYRE, Material.CLOTH)
-"""These throw back more at a grazing angle than cos(angle): Oren and Nayar 1994."""
+"""Rough surfaces, which reflect more at a grazing angle than cos(angle): Oren and Nayar 1994."""
 
 ROUGH_COS, ROUGH_SIN2 = 0.784, 0.33
-"""Their A and B for a roughness of 0.5 rad, seen from where the light comes: A cos + B sin^2."""
+"""A and B of that model for a roughness of 0.5 rad, viewed from the direction of the light: A cos + B sin^2."""
 
 
 SPECKLE = 0.15
-"""Standard deviation of an intensity, of its value: coherent light on a rough surface, over few speckles."""
+"""Relative standard deviation of an intensity: coherent light on a rough surface, averaged over few speckles."""
 
 DROP = 0.05
-"""What a drop of rain throws back."""
+"""Reflectivity of a raindrop."""
 
 
 @dataclass(frozen=True)
 class Lidar:
-    """A scanner; its own axes are x forward, y left, z up.
+    """A LiDAR; its own axes are x forward, y left, z up.
 
     Attributes
     ----------
     name : LidarName
     azimuth_rad, elevation_rad : ndarray, shape (n,)
-        Of each beam of a frame; of one that does not repeat, of the first frame.
+        Directions of the beams of a frame; of the first frame if the pattern does not repeat.
     offset_s : ndarray, shape (n,)
-        When each beam is fired, after the frame's stamp.
+        Time at which each beam is fired, after the frame's stamp.
     layer : ndarray of int64, shape (n,)
-        Which laser fires it.
+        Index of the laser that fires it.
     period_s : float
-        Between frames.
+        Time between frames.
     range_sigma_m : float
-        Noise of a range.
+        Standard deviation of a range.
     pointing_rad : tuple of float
-        Standard deviation of where in its width a beam is returned, horizontally and vertically.
+        Standard deviation of the return's direction within the beam's width, horizontally and vertically.
     reach_m : float
-        Half of the beams that meet a surface of 10 % reflectivity squarely at this distance come back.
+        Half of the beams that meet a surface of 10 % reflectivity perpendicularly at this distance are returned.
     repeats : bool
+        All frames have the same beams.
     """
 
     name: LidarName
@@ -89,8 +91,8 @@ class Lidar:
     def at_rate(self, frame_rate_hz: float) -> Lidar:
         """Return the scanner at another frame rate.
 
-        A faster one fires as many beams a second: it leaves out columns, or ends its pattern earlier. A slower one
-        turns as it did, and frames are left out.
+        A faster one fires as many beams per second: it leaves out columns, or ends its pattern earlier. A slower one
+        scans at its usual speed, and pauses between frames.
         """
         period_s = 1.0 / frame_rate_hz
         share = min(period_s / self.period_s, 1.0)
@@ -110,7 +112,7 @@ class Lidar:
         )
 
     def beginning(self, begin_deg: float) -> Lidar:
-        """Return the scanner with its scans cut at another azimuth than behind, if it sees all around."""
+        """Return the scanner with its scans cut at another azimuth than behind, if its field of view is all around."""
         if not self.repeats or self.field_rad[0] < 3.0:
             return self
         turned = (np.radians(begin_deg) - self.azimuth_rad) % (2 * np.pi)
@@ -124,14 +126,14 @@ class Lidar:
         )
 
     def turning(self, way: Turning) -> Lidar:
-        """Return the scanner with its beams fired in this order; one whose frames differ has its own."""
+        """Return the scanner with its beams fired in this order; one whose pattern does not repeat keeps its own."""
         if not self.repeats or way == "clockwise":
             return self
         return replace(self, offset_s=0.0 * self.offset_s if way == "at once" else self.offset_s.max() - self.offset_s)
 
     @cached_property
     def field_rad(self) -> tuple[float, float, float]:
-        """Half the width of the field, and its lowest and highest elevation."""
+        """Half the width of the field of view, and its lowest and highest elevation."""
         return (
             float(np.abs(self.azimuth_rad).max()),
             float(self.elevation_rad.min()),
@@ -139,7 +141,7 @@ class Lidar:
         )
 
     def sees(self, points: FloatArray) -> BoolArray:
-        """Tell which points, shape (n, 3), in the sensor's own axes, are in the field of view."""
+        """Return which points, shape (n, 3), in the sensor's own axes, are in the field of view."""
         half, low, high = self.field_rad
         azimuth = np.arctan2(points[:, 1], points[:, 0])
         elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
@@ -154,7 +156,7 @@ class Lidar:
 
 
 def lidar(name: LidarName) -> Lidar:
-    """Return a scanner like one that is sold; figures are the data sheets'.
+    """Return a scanner like a commercial one; the figures are the data sheets'.
 
     ============= ============================ ============================================================
     lidar_8       SICK LD-MRS, 8 layers        6.4 deg, 0.25 deg, 12.5 Hz, 0.1 m (1 sigma, statistical),
@@ -167,8 +169,8 @@ def lidar(name: LidarName) -> Lidar:
                                                0.03 x 0.28 deg
     ============= ============================ ============================================================
 
-    Where in its width a beam is returned is uniform: width / sqrt(12). A tall beam of the LD-MRS is cut by the layers'
-    own width in the same way.
+    The direction of a return is uniformly distributed over the beam's width: its standard deviation is width /
+    sqrt(12). The tall beam of the LD-MRS is limited by the layers' own width, a quarter of it, in the same way.
     """
     mrad = 1e-3
     if name == "lidar_8":
@@ -199,7 +201,7 @@ def _spinning(
     beam_rad: tuple[float, float],
     reach_m: float,
 ) -> Lidar:
-    """Return a scanner that turns clockwise, seen from above, from the left border or from behind."""
+    """Return a scanner that rotates clockwise, seen from above, starting at the left border or behind."""
     azimuth = np.radians(np.arange(width_deg / 2 - step_deg / 2, -width_deg / 2, -step_deg))
     fired = (azimuth[0] - azimuth) / (2 * np.pi) * period_s
     a, e = np.meshgrid(azimuth, np.radians(layers_deg), indexing="ij")
@@ -210,7 +212,7 @@ def _spinning(
 
 
 def _rosette(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where two counter-rotating prisms send a beam (Risley): it fills an ellipse over time."""
+    """Return a beam's direction after two counter-rotating prisms (Risley): it fills an ellipse over time."""
     one, two = 2 * np.pi * 116.7 * times_s, -2 * np.pi * 77.2 * times_s
     across, up = np.radians(81.7) / 4, np.radians(25.1) / 4
     azimuth: FloatArray = across * (np.cos(one) + np.cos(two))
@@ -226,11 +228,11 @@ class LidarFlaws:
     noise : float
         Scales the noise of ranges.
     rain : float
-        Share of the beams that a drop in front of the scanner returns.
+        Fraction of the beams that are returned by a drop in front of the scanner.
     point_times : bool
-        Scans tell each point's own time.
+        Scans contain each point's own time.
     bias_m : float
-        Offset of all ranges; makers promise about their noise, a quarter of which is usual.
+        Offset of all ranges; makers specify that it is below about the noise, and a quarter of that is usual.
     layer_sigma_m : float
         Standard deviation of the lasers' own offsets (Glennie and Lichti 2010: 0.5 to 1.5 cm uncalibrated).
     """
@@ -252,9 +254,9 @@ class Swept:
         In the scanner's own axes, x forward, y left, z up.
     offset_s : ndarray, shape (n,)
     body : ndarray of int64, shape (n,)
-        What each point is on; -1 for rain.
+        Index of the body that each point is on; -1 for rain.
     intensity : ndarray, shape (n,)
-        255 is a white surface that is met squarely, whatever the distance, as scanners report it.
+        255 is a white surface met perpendicularly, at any distance, as scanners report it.
     """
 
     points: FloatArray
@@ -286,11 +288,11 @@ def sweep(
     flaws : LidarFlaws
     caster : RayCaster
     T_world_scanner : ndarray, shape (4, 4)
-        From the scanner's own axes.
+        Maps from the scanner's own axes.
     index : int
     seed : int
     first_s : float
-        When the first frame begins.
+        Time at which the first frame begins.
     """
     rng = np.random.default_rng([seed, index])
     azimuth, elevation = scanner.beams(index)
@@ -305,7 +307,7 @@ def sweep(
     range_m = hits.distance_m + flaws.noise * scanner.range_sigma_m * rng.normal(size=n)
     range_m = range_m + flaws.bias_m + flaws.layer_sigma_m * lasers[scanner.layer]
     drops = rng.random(n) < flaws.rain
-    # Back-scatter of drops falls with the square of the distance (Goodin et al. 2019): most are near.
+    # Back-scatter of drops decreases with the square of the distance (Goodin et al. 2019): most are near.
     range_m = np.where(drops, np.minimum(1.0 / rng.uniform(0.05, 1.0, n), range_m), range_m)
     keep = (returned | drops) & (range_m > 0.5)
     points = unit(azimuth[keep], elevation[keep]) * range_m[keep, None]
@@ -316,7 +318,7 @@ def sweep(
 
 
 def _reflected(caster: RayCaster, hits: Hits, directions: FloatArray, seed: int) -> FloatArray:
-    """Return what share of its light a surface throws back, against a white one that is met squarely, shape (n,)."""
+    """Return the fraction of light that a surface reflects, relative to a white one met perpendicularly, shape (n,)."""
     met = np.flatnonzero(hits.body >= 0)
     body = hits.body[met]
     material = caster.materials[caster.faces(hits)[met]]
@@ -332,7 +334,7 @@ def _reflected(caster: RayCaster, hits: Hits, directions: FloatArray, seed: int)
 
 
 def _returned(scanner: Lidar, hits: Hits, reflected: FloatArray) -> FloatArray:
-    """Return the probability that a beam comes back: by the power that does, reflectivity * cos(angle) / distance^2."""
+    """Return the probability that a beam is returned, by the received power: reflectivity * cos(angle) / distance^2."""
     power = reflected / 0.1 * (scanner.reach_m / hits.distance_m) ** 2
-    # Half at the threshold; noise of the detector blurs it over a factor of two or so.
+    # One half at the threshold; the detector's noise blurs it over a factor of about two.
     return power**3 / (1.0 + power**3)

@@ -1,4 +1,4 @@
-"""The light along rays: sun and its shadows, the sky and what hides it, and what glossy surfaces mirror."""
+"""The light along rays: the sun and its shadows, the sky and its occlusion, and specular reflection."""
 
 from __future__ import annotations
 
@@ -13,34 +13,36 @@ from tools.scenes.geometry import Body, Material, RayCaster
 from tools.scenes.textures import Patch, mirror, mirrored, noise, octaves, reflectance
 
 STRETCHES = (1, 2, 4, 8)
-"""Samples of the texture along the longer side of what a pixel covers."""
+"""Numbers of texture samples along the longer side of a ray's footprint."""
 
 AMBIENT_RAYS = 16
-"""Directions, even over the sky, from which its light is asked for."""
+"""Number of directions, uniformly distributed over the sky, in which its light is sampled."""
 
 AMBIENT_REACH_M = 3.0
-"""A moving body hides the sky from what is so near, less and less: its own height twice."""
+"""Distance within which a moving body occludes the sky, with an effect that decreases to zero: twice the body's
+height."""
 
 LIFT_M = 2e-3
-"""Rays start so far above a surface: beyond single precision at 100 m, below any part of a car."""
+"""Height above a surface at which rays start: more than the single-precision error at 100 m, less than any part of a
+car."""
 
 GLINT = 300.0
 """Exponent of the sun's glint on clear coat and glass: 3 degrees wide."""
 
 GROUND_GLOW = 0.15
-"""Share of the light that the ground throws back: between asphalt and dry grass."""
+"""Fraction of the light that the ground reflects: between asphalt and dry grass."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """Sun and sky; radiance is in units of a white, matt surface that faces the clear sun.
+    """Sun and sky; radiance is relative to a white, matt surface that faces the clear sun.
 
     Attributes
     ----------
     to_sun : ndarray, shape (3,)
-        Unit, in the world.
+        Unit vector in the world.
     sun, sky : ndarray, shape (3,)
-        Red-green-blue: of the sun on a surface that faces it; mean of the sky.
+        Red-green-blue: light of the sun on a surface that faces it; mean of the sky.
     clouds : float
         Contrast of the clouds.
     """
@@ -55,7 +57,7 @@ class Light:
         up = directions[:, 2]
         flat = directions / np.maximum(up, 0.05)[:, None]
         cloud = noise(flat, np.full(len(up), 0.02), octaves(0.5, (0.3, 0.5, 0.8)), 7) if self.clouds else 0.0
-        # The mean over the upper half, weighted with the cosine, is 1.
+        # The cosine-weighted mean over the upper hemisphere is 1.
         bright = (2.0 - 1.5 * np.clip(up, 0.0, 1.0)) * np.clip(
             1.0 + self.clouds * np.clip(3.0 * up, 0.0, 1.0) * cloud, 0.2, 3.0
         )
@@ -63,7 +65,7 @@ class Light:
 
     @property
     def level(self) -> FloatArray:
-        """Light on the level ground, shape (3,)."""
+        """Light on level ground, shape (3,)."""
         lit: FloatArray = self.sun * self.to_sun[2] + self.sky
         return lit
 
@@ -76,13 +78,13 @@ def sun_at(azimuth_deg: float, elevation_deg: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Samples:
-    """What rays met, and the light that comes along them.
+    """The surfaces that rays met, and the light that comes along them.
 
     Attributes
     ----------
     radiance : ndarray, shape (n, 3)
     key : ndarray, shape (n,)
-        Body, material and whether the sun shines there, in one number; -1 for the sky, -2 below it.
+        Body, material and whether the sun shines there, in one number; -1 for the sky, -2 for below the horizon.
     distance_m : ndarray, shape (n,)
     normal : ndarray, shape (n, 3)
     """
@@ -95,15 +97,15 @@ class Samples:
 
 @dataclass(frozen=True)
 class Lit:
-    """The light on surfaces as long as nothing moves.
+    """The light on surfaces in the absence of moving bodies.
 
     Attributes
     ----------
     light : ndarray, shape (n, 3)
-        Over that on a surface that faces the clear sun.
+        Relative to the light on a surface that faces the clear sun.
     sunlit : ndarray of bool, shape (n,)
     open_ : ndarray of bool, shape (n, AMBIENT_RAYS)
-        From this part of the sky light arrives.
+        The directions of the sky from which light arrives.
     """
 
     light: FloatArray
@@ -116,14 +118,14 @@ class Lit:
 
 @dataclass(frozen=True)
 class Shader:
-    """The light along rays.
+    """Computes the light along rays.
 
     Attributes
     ----------
     caster : RayCaster
     light : Light
     ambient : tuple of int
-        Of the `AMBIENT_RAYS` directions, the first from which the sky's light is asked for, and the step to the next.
+        Which of the `AMBIENT_RAYS` directions of the sky are sampled: the first, and the step to the next.
     """
 
     caster: RayCaster
@@ -140,10 +142,10 @@ class Shader:
         origins : ndarray, shape (n, 3) or (3,)
         directions : ndarray, shape (n, 3)
         spread : float
-            Angle that a ray stands for, rad.
+            Angular width of a ray, rad.
         time_s : float
         mirrors : bool
-            Whether glossy surfaces show what they mirror; what they mirror does not.
+            Whether glossy surfaces show specular reflections; what they reflect does not.
         """
         hits = self.caster.cast(origins, directions, time_s)
         radiance = np.empty((len(directions), 3))
@@ -191,14 +193,14 @@ class Shader:
         return self.caster.cast(starts, np.tile(direction, (len(starts), 1)), time_s).body < 0
 
     def _hidden(self, starts: FloatArray, direction: FloatArray, time_s: float) -> FloatArray:
-        """Return how much of the sky in a direction is hidden: by what moves less and less up to its reach."""
+        """Return how much of the sky in a direction is occluded; moving bodies fade out up to `AMBIENT_REACH_M`."""
         hits = self.caster.cast(starts, np.tile(direction, (len(starts), 1)), time_s)
         moving = np.array([*(not body.static for body in self.caster.bodies), False])[hits.body]
         fading = np.clip(1.0 - hits.distance_m / AMBIENT_REACH_M, 0.0, 1.0)
         return np.where(moving, fading, (hits.body >= 0).astype(np.float64))
 
     def _irradiance(self, surface: Surface, sunlit: BoolArray, time_s: float) -> FloatArray:
-        """Return the light on a surface over that on one that faces the clear sun, shape (n, 3)."""
+        """Return the light on a surface relative to that on one that faces the clear sun, shape (n, 3)."""
         straight = np.where(sunlit, surface.normal @ self.light.to_sun, 0.0)
         below = GROUND_GLOW * (1.0 - surface.normal[:, 2]) / 2
         light = straight[:, None] * self.light.sun + below[:, None] * self.light.level
@@ -208,13 +210,13 @@ class Shader:
             cosine = surface.normal @ direction
             towards = np.flatnonzero(cosine > 0.0)
             hidden = self._hidden(surface.above[towards], direction, time_s)[:, None]
-            # What stands in the way throws back some of the light itself.
+            # What occludes the sky reflects some light itself.
             from_there = (1.0 - hidden) * sky + hidden * GROUND_GLOW * self.light.level
             light[towards] += weight * cosine[towards, None] * from_there
         return light
 
     def lit(self, surface: Surface, sunlit: BoolArray) -> Lit:
-        """Return the light on surfaces without what moves."""
+        """Return the light on surfaces in the absence of moving bodies."""
         directions = _upper_hemisphere(AMBIENT_RAYS)
         free = [
             self.caster.still(surface.above, np.tile(direction, (len(sunlit), 1))).body < 0 for direction in directions
@@ -223,7 +225,7 @@ class Shader:
         return Lit(self._irradiance(surface, sunlit, 0.0), sunlit, open_)
 
     def dimmed(self, surface: Surface, lit: Lit, time_s: float) -> tuple[FloatArray, BoolArray]:
-        """Return the share of the light that what moves leaves to what stands, shape (n, 3), and what is sunlit."""
+        """Return the fraction of light that moving bodies leave to static surfaces, shape (n, 3), and which are lit."""
         light, sunlit = lit.light.astype(np.float64), lit.sunlit.copy()
         directions = _upper_hemisphere(AMBIENT_RAYS)
         if self.light.sun.any():
@@ -265,14 +267,14 @@ class Shader:
 
 @dataclass(frozen=True)
 class Surface:
-    """Where rays met bodies.
+    """The points where rays met bodies.
 
     Attributes
     ----------
     points, normal, view : ndarray, shape (n, 3)
-        In the world; the normal points towards the viewer, the view away from him.
+        In the world; the normal points towards the viewer, the view away from the viewer.
     footprint_m : ndarray, shape (n,)
-        What a ray covers across.
+        Width of a ray, across it.
     body : ndarray of int64, shape (n,)
     """
 
@@ -288,18 +290,18 @@ class Surface:
         return self.points + LIFT_M * self.normal
 
     def part(self, chosen: IntArray) -> Surface:
-        """Return some of them."""
+        """Return a subset of the points."""
         points, normal, view = self.points[chosen], self.normal[chosen], self.view[chosen]
         return Surface(points, normal, view, self.footprint_m[chosen], self.body[chosen])
 
 
 def _seed(body: Body) -> int:
-    # By the shape too, or the sender would have the same colour in every scene.
+    # The seed depends on the shape too, or the sender would have the same colour in every scene.
     return zlib.crc32(np.ascontiguousarray(body.mesh.vertices).tobytes(), zlib.crc32(body.name.encode()))
 
 
 def _averaged(material: Material, surface: Surface, T_world_body: FloatArray, seed: int) -> FloatArray:
-    """Return the reflectance that a ray averages: several samples where it covers more along than across."""
+    """Return the reflectance averaged over a ray: several samples where its footprint is longer along than across."""
     R = T_world_body[:3, :3]
     cosine = np.abs(np.einsum("ij,ij->i", surface.view, surface.normal)).clip(0.02, 1.0)
     along = surface.view + cosine[:, None] * surface.normal
@@ -319,7 +321,7 @@ def _averaged(material: Material, surface: Surface, T_world_body: FloatArray, se
 
 
 def _upper_hemisphere(count: int) -> FloatArray:
-    """Return directions that are even over the upper half sphere: a golden spiral."""
+    """Return directions that are uniformly distributed over the upper hemisphere: a golden spiral."""
     k = np.arange(count)
     z = (k + 0.5) / count
     azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k

@@ -9,7 +9,7 @@ import numpy as np
 from laci_stereo.core.frames import FloatArray, IntArray
 from tools.scenes.geometry import Material, Mesh
 
-# Two triangles for each of the faces below, above, in front, behind, left and right; corners count x fastest.
+# Two triangles for each of the faces below, above, in front, behind, left and right; corner indices count x fastest.
 _BOX_FACES = np.array(
     [0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5]
 ).reshape(12, 3)
@@ -18,19 +18,19 @@ _BOX_FACES = np.array(
 def box(low: Sequence[float], high: Sequence[float], material: Material) -> Mesh:
     """Return an upright box between two corners, metres."""
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
-    # The corners come with z fastest; the faces count x fastest.
+    # The corners are generated with z fastest; the faces count x fastest.
     ordered = corners.reshape(2, 2, 2, 3).transpose(2, 1, 0, 3).reshape(-1, 3)
     return Mesh(ordered.astype(np.float64), _BOX_FACES, np.full(12, material, dtype=np.int64))
 
 
 def loft(rings: FloatArray, material: IntArray, low_cap: Material, high_cap: Material) -> Mesh:
-    """Join closed outlines of equal length one upon another, and close the lowest and the highest.
+    """Join closed outlines of equal length, one above another, and close the lowest and the highest.
 
     Parameters
     ----------
     rings : ndarray, shape (levels, n, 3)
     material : ndarray of int64, shape (levels - 1, n)
-        Of the face between point i and i + 1 of a ring, above it.
+        Material of the face above the edge between points i and i + 1 of a ring.
     low_cap, high_cap : Material
     """
     levels, n, _ = rings.shape
@@ -77,7 +77,7 @@ def wheel(x_m: float, y_m: float, radius_m: float, width_m: float) -> Mesh:
 
 
 def leaves(middles: FloatArray, size_m: float, rng: np.random.Generator) -> Mesh:
-    """Return a triangle of random attitude around each of the points, shape (n, 3)."""
+    """Return a randomly oriented triangle around each of the points, shape (n, 3)."""
     n = len(middles)
     corners = middles[:, None] + size_m * rng.normal(size=(n, 3, 3)) / 2
     return Mesh(corners.reshape(-1, 3), np.arange(3 * n).reshape(n, 3), np.full(n, Material.FOLIAGE, dtype=np.int64))

@@ -1,4 +1,4 @@
-"""What surfaces look like: procedural reflectance in the coordinates of the body, without detail finer than a pixel."""
+"""Appearance of surfaces: procedural reflectance in the body's frame, without detail finer than a pixel."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ TILE = 128
 """Side of the periodic cube of noise, voxels."""
 
 BAND = (1 / 12, 1 / 6)
-"""Its frequencies, cycles per voxel: linear interpolation is faithful to a sixth."""
+"""Frequency band of the noise, cycles per voxel: linear interpolation is accurate up to a sixth."""
 
 WAVE = 9.0
 """Its middle wavelength, voxels."""
 
 BLUR = 0.45
-"""Standard deviation of the texture's filter in pixels: what would alias, beyond half a cycle per pixel, is damped
-to a third at the limit and to a fiftieth at twice the limit."""
+"""Standard deviation of the texture's filter in pixels: frequencies that would alias, beyond half a cycle per pixel,
+are damped to a third at the limit and to a fiftieth at twice the limit."""
 
 FAINT = 0.02
-"""An octave that the filter leaves less of is not looked up."""
+"""An octave of which the filter leaves less than this is not evaluated."""
 
 
 @lru_cache(maxsize=1)
@@ -45,26 +45,26 @@ def _tile() -> FloatArray:
 
 @lru_cache(maxsize=4096)
 def _placement(seed: int, octave: int) -> tuple[FloatArray, FloatArray]:
-    """How an octave lies in the body's frame: a rotation, so that a plane through the cube never repeats."""
+    """Pose of an octave in the body's frame: it is rotated, so that a plane through the cube never repeats."""
     rng = np.random.default_rng([seed, octave])
     return Rotation.random(rng=rng).as_matrix(), rng.uniform(0.0, TILE, 3)
 
 
 def remaining(footprint_m: FloatArray, wavelength_m: float) -> FloatArray:
-    """Return which share of a wave's amplitude the pixel leaves: the transform of a Gaussian."""
+    """Return the fraction of a wave's amplitude that remains after the pixel's filter: the transform of a Gaussian."""
     share: FloatArray = np.exp(-2.0 * (np.pi * BLUR / wavelength_m * footprint_m) ** 2)
     return share
 
 
 def noise(points: FloatArray, footprint_m: FloatArray, waves: Mapping[float, float], seed: int) -> FloatArray:
-    """Return a sum of octaves of noise, as a pixel averages it.
+    """Return a sum of octaves of noise, as averaged by a pixel.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
         In the body's frame, metres.
     footprint_m : ndarray, shape (n,)
-        What a pixel covers.
+        Width that a pixel covers.
     waves : mapping of float to float
         Wavelength, metres, to standard deviation.
     seed : int
@@ -97,8 +97,9 @@ class Patch:
     points, normals : ndarray, shape (n, 3)
         In the body's frame, metres.
     footprint_m : ndarray, shape (n,)
+        Width that a pixel covers.
     seed : int
-        Of the body.
+        Seed of the body's appearance.
     """
 
     points: FloatArray
@@ -121,7 +122,8 @@ _CARS = np.array([[75, 75, 75], [2, 2, 2], [35, 36, 38], [12, 12, 13], [40, 2, 3
 """Reflectance of car paints, red-green-blue: white, black, silver, grey, red, blue, green."""
 
 DOOR_M, TRIM_M, SEAM_M = 1.05, 0.45, 0.008
-"""Along a vehicle's sides: from door gap to door gap, from crease to strip, and how wide these dark lines are."""
+"""Spacing of the door gaps along a vehicle's sides, vertical spacing of creases and trim, and width of these dark
+lines."""
 
 BRICK_M = (0.25, 0.075)
 MORTAR_M = 0.01
@@ -157,7 +159,7 @@ def _car(patch: Patch) -> FloatArray:
 
 def _cloth(patch: Patch) -> FloatArray:
     rng = np.random.default_rng(patch.seed)
-    # Jacket, trousers and so on change over the height of a body.
+    # The pieces of clothing, such as jacket and trousers, change over the height of a body.
     piece = np.floor(patch.points[:, 2] / 0.8).astype(np.int64) % 4
     return rng.uniform(0.03, 0.4, (4, 3))[piece] * _tinted(patch, (1.0, 1.0, 1.0), _FOLDS)
 
@@ -184,7 +186,7 @@ def _bricks(patch: Patch) -> FloatArray:
 
 
 def _covered(x: FloatArray, width: FloatArray, share: float) -> FloatArray:
-    """Return how much of an interval around x the first share of each unit covers."""
+    """Return the covered fraction of an interval around x, where the first ``share`` of each unit is covered."""
 
     def integral(at: FloatArray) -> FloatArray:
         whole = np.floor(at)
@@ -197,7 +199,7 @@ def _covered(x: FloatArray, width: FloatArray, share: float) -> FloatArray:
 
 
 def _hashed(i: FloatArray, j: FloatArray, seed: int) -> FloatArray:
-    """Return a number from -1 to 1 for each pair of whole numbers: the fraction of a large sine."""
+    """Return a pseudo-random number from -1 to 1 for each pair of integers: the fraction of a large sine."""
     value: FloatArray = np.sin(i * 12.9898 + j * 78.233 + seed % 1000) * 43758.5453
     return 2.0 * (value - np.floor(value)) - 1.0
 
@@ -219,7 +221,7 @@ _REFLECTANCE: Mapping[Material, Callable[[Patch], FloatArray]] = MappingProxyTyp
     }
 )
 
-# From Fresnel's equations at normal incidence: clear coat and glass of index 1.5; glass has two faces.
+# From Fresnel's equations at normal incidence: clear coat and glass have an index of 1.5; glass has two faces.
 _MIRROR: Mapping[Material, float] = MappingProxyType(
     {Material.CAR_PAINT: 0.04, Material.GLASS: 0.08, Material.LAMP: 0.04, Material.METAL: 0.1}
 )
@@ -231,7 +233,7 @@ def reflectance(material: Material, patch: Patch) -> FloatArray:
 
 
 def mirrored(at_normal: FloatArray, cos: FloatArray) -> FloatArray:
-    """Return the share of light that is mirrored, shape (n,), by that at normal incidence and the angle's cosine.
+    """Return the specular reflectance, shape (n,), from that at normal incidence and the angle's cosine.
 
     Schlick, Computer Graphics Forum 1994, equation 15.
     """
@@ -240,5 +242,5 @@ def mirrored(at_normal: FloatArray, cos: FloatArray) -> FloatArray:
 
 
 def mirror(material: Material) -> float:
-    """Return the share of light that a material mirrors at normal incidence; 0 for what is matt."""
+    """Return the fraction of light that a material reflects specularly at normal incidence; 0 if it is matt."""
     return _MIRROR.get(material, 0.0)

@@ -1,4 +1,4 @@
-"""Who drives, walks and cycles, without running into one another."""
+"""Other road users, that drive, walk and cycle without colliding."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from tools.scenes.vehicles import Trailer, Vehicle, VehicleKind, draw_vehicle
 from tools.scenes.world import LayoutKind, Road, lift, standing
 
 STEERING_RAD = 0.6
-"""Wheels of road vehicles turn by up to 35 deg."""
+"""Wheels of road vehicles steer by up to 35 deg."""
 
 CLEARANCE_M = 0.7
 
 TRIES, NEAR_TRIES = 25, 200
-"""To find room for someone; few ways lead past the sender."""
+"""Attempts to find room for a road user; few paths lead near the sender."""
 
 
 @dataclass(frozen=True)
 class Mover:
-    """Something that moves on the road.
+    """A road user that moves.
 
     Attributes
     ----------
     name : str
     mesh : Mesh
-        In the vehicle frame: origin on the ground under the middle of the box.
+        In the vehicle frame: origin on the ground under the centre of the box.
     length_m, width_m : float
     rear_axle_m, wheelbase_m : float
-        Where what follows the drive is along x, and how far apart the two contacts with the road are.
+        Position along x of the point that follows the drive, and the distance between the two contacts with the road.
     drive : Drive
     road : Road
     trailer : Trailer or None
-        That it tows.
+        The trailer that it tows.
     """
 
     name: str
@@ -53,12 +53,12 @@ class Mover:
     trailer: Trailer | None = None
 
     def track(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the middle of the box, shape (n, 2), and the body's yaw, shape (n,)."""
+        """Return the centre of the box, shape (n, 2), and the body's yaw, shape (n,)."""
         xy, yaw = self.drive.at(times_s)
         return xy + rotate_xy(yaw, np.tile([-self.rear_axle_m, 0.0], (len(xy), 1))), yaw
 
     def pose(self, time_s: float) -> FloatArray:
-        """Return ``T_world_vehicle``, shape (4, 4): the wheels stand on the road."""
+        """Return ``T_world_vehicle``, shape (4, 4), with the wheels on the road."""
         xy, yaw = self.drive.at(np.array([time_s]))
         ahead = rotate_xy(float(yaw[0]), np.array([self.wheelbase_m / 2, 0.0]))
         T = lift(self.road, xy[0] + ahead, float(yaw[0]), self.wheelbase_m, max(self.width_m - 0.3, 0.3))
@@ -66,7 +66,7 @@ class Mover:
         return T
 
     def trailer_pose(self, time_s: float) -> FloatArray:
-        """Return ``T_world_trailer``, shape (4, 4): its hitch and its wheels are as high over the road as always."""
+        """Return ``T_world_trailer``, shape (4, 4): hitch and wheels keep their height above the road."""
         assert self.trailer is not None
         xy, yaw = self._towed.at(np.array([time_s]))
         half = self.trailer.drawbar_m / 2
@@ -82,7 +82,7 @@ class Mover:
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The mover for the ray caster, after what it tows."""
+        """The mover for the ray caster, after its trailer."""
         own = Body(self.name, self.mesh, self.pose, static=False)
         if self.trailer is None:
             return (own,)
@@ -105,7 +105,7 @@ def vehicle_mover(name: str, vehicle: Vehicle, drive: Drive, road: Road) -> Move
 
 
 def lanes_of(road: Road) -> Lanes:
-    """Return where one drives: in the middle of the half on one's own side."""
+    """Return the lanes: in the middle of each half of the road."""
     return Lanes(min(road.half_m / 2, 1.9), (road.ring_m + road.island_m) / 2)
 
 
@@ -118,7 +118,7 @@ _ARMS: dict[LayoutKind, tuple[int, ...]] = {
 
 
 def possible(layout: LayoutKind, kind: DriveKind) -> list[int]:
-    """Return by how many quarters a drive that comes along x can be turned so that its arms exist.
+    """Return by how many quarter turns a drive that comes along x can be rotated so that its arms exist.
 
     Arms are numbered counter-clockwise from the one along +x; a drive comes from arm 2 and leaves through 0, 1 or 3.
     """
@@ -138,7 +138,7 @@ def place_drive(
     middle_s: float,
     left_hand: bool,
 ) -> Drive:
-    """Draw a drive of a kind over a crossing; where one drives on the left it is the mirror image."""
+    """Draw a drive of a kind across a crossing; where traffic drives on the left it is mirrored."""
     tightest = vehicle.wheelbase_m / np.tan(STEERING_RAD)
     other: dict[DriveKind, DriveKind] = {"left_turn": "right_turn", "right_turn": "left_turn"}
     drawn = other.get(kind, kind) if left_hand else kind
@@ -148,7 +148,7 @@ def place_drive(
 
 
 def collide(one: Mover, other: Mover, times_s: FloatArray, clearance_m: float = CLEARANCE_M) -> bool:
-    """Tell whether two come nearer than that (separating axes of their rectangles)."""
+    """Return whether two movers come nearer than the clearance (separating axes of their rectangles)."""
     (xy_a, yaw_a), (xy_b, yaw_b) = one.track(times_s), other.track(times_s)
     apart = xy_b - xy_a
     separate = np.zeros(len(times_s), dtype=bool)
@@ -169,7 +169,7 @@ def draw_traffic(
     left_hand: bool,
     near_m: float | None = None,
 ) -> tuple[Mover, ...]:
-    """Draw so many vehicles, walkers and cyclists; those for whom no room is found are left out.
+    """Draw vehicles, walkers and cyclists; those for which no room is found are left out.
 
     Parameters
     ----------
@@ -177,11 +177,12 @@ def draw_traffic(
     road : Road
     sender : Mover
     counts : tuple of int
+        Numbers of vehicles, walkers and cyclists.
     times_s : ndarray, shape (n,)
-        When they must not collide.
+        Times at which they must not collide.
     left_hand : bool
     near_m : float or None
-        So near all of them come to the sender in the middle half of that time.
+        Distance within which all of them come to the sender during the middle half of that time.
     """
     movers: list[Mover] = [sender]
     checked = np.linspace(times_s[0] - 0.5, times_s[-1] + 0.5, 60)
@@ -209,7 +210,7 @@ def _other_vehicle(rng: np.random.Generator, road: Road, name: str, times_s: Flo
 
 
 def _walker(rng: np.random.Generator, road: Road, name: str, times_s: FloatArray, left_hand: bool) -> Mover:
-    """Return someone on the pavement, or who crosses a road; 1.2 to 1.6 m/s (Weidmann 1993: 1.34 +- 0.26 m/s)."""
+    """Return a walker on the pavement or across a road; 1.2 to 1.6 m/s (Weidmann 1993: 1.34 +- 0.26 m/s)."""
     beside = road.half_m + road.corner_m / 3 + rng.uniform(1.0, 2.5)
     along = rng.uniform(-12.0, 12.0)
     start = (along, -beside if left_hand else beside)
@@ -236,7 +237,7 @@ def _cyclist(rng: np.random.Generator, road: Road, name: str, times_s: FloatArra
 
 
 def walker_mesh(tall_m: float, broad_m: float) -> Mesh:
-    """Return someone who looks along x."""
+    """Return a walker who faces along x."""
     cloth, half = Material.CLOTH, broad_m / 2
     legs = [
         turned_solid([(0.0, 0.08, 0.06), (0.48 * tall_m, 0.09, 0.09)], cloth, 8).moved(
@@ -252,7 +253,7 @@ def walker_mesh(tall_m: float, broad_m: float) -> Mesh:
 
 
 def cyclist_mesh() -> Mesh:
-    """Return a bicycle and who rides it."""
+    """Return a bicycle with its rider."""
     wheels = [wheel(x, 0.0, 0.34, 0.04) for x in (-0.5, 0.55)]
     frame = box((-0.5, -0.02, 0.4), (0.5, 0.02, 0.75), Material.METAL)
     bar = box((0.38, -0.3, 0.98), (0.44, 0.3, 1.04), Material.METAL)
@@ -269,7 +270,7 @@ def _shifted(x_m: float, y_m: float) -> FloatArray:
 
 
 def park(rng: np.random.Generator, road: Road, count: int) -> tuple[Body, ...]:
-    """Park so many cars at the kerbs, on roads wide enough, and else behind them."""
+    """Park cars at the kerbs of roads that are wide enough, otherwise behind them."""
     bodies = []
     kinds: Sequence[VehicleKind] = ("saloon", "estate", "hatchback", "suv", "van")
     for number in range(count):

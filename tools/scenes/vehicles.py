@@ -1,4 +1,4 @@
-"""Vehicles as meshes: rounded, tapered, with windows, mirrors and wheels, of drawn dimensions."""
+"""Vehicles as meshes: rounded and tapered, with windows, mirrors and wheels, of drawn dimensions."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ PAINT, GLASS, METAL = Material.CAR_PAINT, Material.GLASS, Material.METAL
 
 @dataclass(frozen=True)
 class Trailer:
-    """What a vehicle tows, in a frame of its own: origin on the ground under the middle of its box, x forward, y left.
+    """A towed trailer, in its own frame: origin on the ground under the centre of its box, x forward, y left.
 
     Attributes
     ----------
     width_m : float
     hitch_m : float
-        Where it hangs, along the x axis of the vehicle that tows it.
+        Position of the hitch along the x axis of the towing vehicle.
     drawbar_m : float
-        From there to its axle, or to the middle of its axles.
+        Distance from the hitch to the trailer's axle, or to the middle of its axles.
     axle_m : float
-        Where that is along its own x (negative).
+        Position of the axle along the trailer's own x axis (negative).
     mesh : Mesh
     """
 
@@ -46,21 +46,21 @@ class Trailer:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle, in the vehicle frame: origin on the ground under the middle of its box, x forward, y left.
+    """A vehicle, in the vehicle frame: origin on the ground under the centre of its box, x forward, y left.
 
     Attributes
     ----------
     kind : str
     length_m, width_m, height_m : float
-        Of the body, without mirrors: what the mesh without them spans exactly; of a lorry with its trailer in line.
-        A car that tows tells its own length: it does not know its trailer's (trailerPresentWithUnknownLength,
-        ETSI TS 102 894-2).
+        Dimensions of the body without mirrors, exactly the extent of the mesh without them; of a lorry with its trailer
+        in line. A car that tows reports its own length: it does not know its trailer's
+        (trailerPresentWithUnknownLength, ETSI TS 102 894-2).
     mirror_width_m : float
-        Over the mirrors.
+        Width including the mirrors.
     rear_axle_m, wheelbase_m : float
-        Where the rear axle is along x, and from there to the front axle; of the vehicle that tows.
+        Position of the rear axle along x, and distance from there to the front axle; of the towing vehicle.
     mesh : Mesh
-        Without what is towed.
+        Without the trailer.
     trailer : Trailer or None
     """
 
@@ -84,11 +84,11 @@ class Ring:
     z_m, front_m, rear_m, width_m : float
         Height, the ends along x, and the width.
     radius_m : float
-        Of the corners.
+        Radius of the corners.
     bow_m : float
-        By how much the front's corners stand back behind its middle; the rear's by half of that.
+        Distance of the front's corners behind its middle; half of it at the rear.
     taper : float
-        Share of the width that is lost at the front; half of it at the rear.
+        Fraction by which the width decreases at the front; half of it at the rear.
     """
 
     z_m: float
@@ -117,7 +117,7 @@ class Ring:
         xy = np.concatenate(parts)
         ahead = xy[:, 0] / half[0]
         across = xy[:, 1] / half[1]
-        # Outside of the middle third the sides draw in; cubic, so that no edge shows.
+        # Outside of the middle third the sides taper; cubically, so that no edge is visible.
         drawn_in = self.taper * (_ease(ahead) + 0.5 * _ease(-ahead))
         bowed = self.bow_m * across**2 * (_ease(ahead) - 0.5 * _ease(-ahead))
         middle = (self.front_m + self.rear_m) / 2
@@ -131,7 +131,7 @@ def _ease(ahead: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Skin:
-    """Materials between two rings; ``posts`` are the stretches of the sides, as shares from rear to front, of paint."""
+    """Materials between two rings; ``posts`` are painted intervals of the sides, as fractions from rear to front."""
 
     front: Material = PAINT
     side: Material = PAINT
@@ -162,7 +162,7 @@ def body(rings: Sequence[Ring], skins: Sequence[Skin], low: Material = METAL, hi
 
 @dataclass(frozen=True)
 class Shape:
-    """What differs between cars; shares are of the length from the front, heights of the vehicle's height.
+    """Dimensions by which cars differ; fractions are of the length, from the front, or of the height.
 
     Attributes
     ----------
@@ -171,11 +171,11 @@ class Shape:
     bonnet, windscreen : tuple of float
         Where the windscreen begins, and how long it is, measured along the length.
     boot, rear_window : tuple of float
-        The same at the rear.
+        The equivalent at the rear.
     belt : tuple of float
         Height of the windows' lower edge.
     windows : tuple of (float, float)
-        The stretch of the greenhouse's sides, from its rear to its front, that has windows.
+        Interval of the greenhouse's sides, from its rear to its front, that has windows.
     """
 
     length_m: tuple[float, float]
@@ -189,7 +189,7 @@ class Shape:
     windows: tuple[float, float] = (0.06, 0.94)
 
 
-# Extremes over the European models of the last twenty years, from the makers' brochures, rounded.
+# Extremes of the European models of the last twenty years, from the makers' brochures, rounded.
 SALOON = Shape((4.4, 5.0), (1.76, 1.90), (1.40, 1.50), (0.24, 0.29), (0.10, 0.15), (0.10, 0.15), (0.10, 0.15))
 ESTATE = Shape((4.4, 4.95), (1.76, 1.90), (1.44, 1.56), (0.23, 0.27), (0.10, 0.14), (0.01, 0.02), (0.04, 0.09))
 HATCHBACK = Shape((3.6, 4.4), (1.63, 1.82), (1.43, 1.56), (0.20, 0.26), (0.12, 0.16), (0.01, 0.03), (0.06, 0.12))
@@ -216,7 +216,7 @@ def draw_vehicle(rng: np.random.Generator, kind: VehicleKind) -> Vehicle:
 
 
 def without_mirrors(vehicle: Vehicle) -> Mesh:
-    """Return the mesh of the body and the wheels alone; mirrors are the last two boxes of each vehicle's mesh."""
+    """Return the mesh of the body and the wheels only; the mirrors are the last two boxes of each vehicle's mesh."""
     mesh = vehicle.mesh
     return Mesh(mesh.vertices[:-16], mesh.triangles[:-24], mesh.material[:-24])
 
@@ -319,7 +319,7 @@ def _lorry(rng: np.random.Generator) -> Vehicle:
 
 
 def _articulated(rng: np.random.Generator) -> Vehicle:
-    """Build a tractor and the semi-trailer on it, 16.5 m at most (Directive 96/53/EC)."""
+    """Build a tractor with a semi-trailer, 16.5 m long at most (Directive 96/53/EC)."""
     width, height = rng.uniform(2.48, 2.55), rng.uniform(3.7, 4.0)
     wheelbase, before_axle, kingpin = rng.uniform(3.5, 3.8), rng.uniform(0.4, 0.7), rng.uniform(1.4, 1.7)
     ahead = 1.4 + wheelbase - before_axle
@@ -347,7 +347,7 @@ def _articulated(rng: np.random.Generator) -> Vehicle:
 
 
 def _with_caravan(rng: np.random.Generator) -> Vehicle:
-    """Build a car and the caravan, or the trailer with a box, on its ball."""
+    """Build a car that tows a caravan, or a trailer with a box."""
     car = _car(rng, *CARS[int(rng.choice([1, 3, 4]))])
     caravan = rng.random() < 0.5
     length, width = (rng.uniform(4.2, 6.0), rng.uniform(2.1, 2.5)) if caravan else rng.uniform((1.8, 1.2), (3.2, 1.8))
@@ -362,7 +362,7 @@ def _with_caravan(rng: np.random.Generator) -> Vehicle:
 
 
 def _cab(rng: np.random.Generator, front_m: float, highest_m: float) -> tuple[Mesh, float]:
-    """Return a lorry's cab, and where what stands behind it may begin."""
+    """Return a lorry's cab, and the foremost position of the load behind it."""
     length, width, gap = rng.uniform(1.7, 2.3), rng.uniform(2.2, 2.48), rng.uniform(0.15, 0.9)
     ring = Ring(0.35, front_m, front_m - length, width, rng.uniform(0.12, 0.3), rng.uniform(0.05, 0.12), 0.0)
     height = rng.uniform(2.6, min(3.6, highest_m))
@@ -379,7 +379,7 @@ def _cab(rng: np.random.Generator, front_m: float, highest_m: float) -> tuple[Me
 
 
 def _guard(rear_m: float, width_m: float) -> Mesh:
-    """Return the bar that keeps cars from driving below a lorry."""
+    """Return the underrun guard, the bar that keeps cars from driving below a lorry."""
     half = width_m / 2 - 0.06
     return box((rear_m + 0.05, -half, 0.45), (rear_m + 0.2, half, 0.62), METAL)
 

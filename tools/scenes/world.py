@@ -1,6 +1,6 @@
 """Crossings: the road's surface, kerbs, buildings, poles, hedges and trees, in the scene's frame.
 
-The scene's frame is metric, z up along the normal of the road: z = 0 is the plane that fits the carriageway best.
+The scene's frame is metric, with z up along the normal of the road: z = 0 is the best-fitting plane of the carriageway.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ LayoutKind = Literal["cross", "tee", "street", "roundabout"]
 LAYOUTS: tuple[LayoutKind, ...] = get_args(LayoutKind)
 
 REACH_M = 90.0
-"""So far the ground extends from the middle."""
+"""The ground extends to this distance from the middle of the crossing."""
 
 FITTED_M = 35.0
-"""Within this distance from the middle the carriageway defines z = 0: about as far as one sees a car well."""
+"""The carriageway within this distance from the middle defines z = 0: about as far as a car is well visible."""
 
 
 PAVEMENT_M = 2.5
@@ -34,7 +34,7 @@ PAVEMENT_M = 2.5
 PAVEMENT_RISE = 0.025
 
 EDGE_STEP_M = 0.5
-"""Corners of the surface between verges are no farther apart along these, so that it ends there."""
+"""Largest spacing of the surface's vertices along its edges to verges, so that it ends there."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Wave:
 
 @dataclass(frozen=True)
 class Road:
-    """The carriageway's plan and surface; its arms lie along x and, but for a street, along y.
+    """The carriageway's plan and surface; its arms lie along x and, except for a street, along y.
 
     Attributes
     ----------
@@ -58,22 +58,23 @@ class Road:
     corner_m : float
         Radius of the kerbs at the corners.
     ring_m, island_m : float
-        Of a roundabout: radius of its outer kerb and of its island; zero for others.
+        Radius of a roundabout's outer kerb and of its island; zero for other layouts.
     kerb_m : float
         Height of the kerbs.
     verge : float, optional
-        Roads in the country have verges without kerbs in place of pavements, which fall by that much, as a share.
+        Downward slope, as a fraction, of the verges that country roads have in place of kerbs and pavements.
     crown : float
-        Cross fall on either side of the middle, as a share.
+        Cross fall on either side of the middle, as a fraction.
     bend_per_m : tuple of float
-        Vertical curvature along x and y, 1/m: the road falls off or rises behind the crossing.
+        Vertical curvature along x and y, 1/m: the road descends or rises beyond the crossing.
     waves : tuple of Wave
+        Undulation of the carriageway.
     rises : tuple of float
-        Slopes of the land behind the pavements, in each quarter.
+        Slopes of the land behind the pavements, in each quadrant.
     bumps : tuple of Wave
-        Of that land.
+        Undulation of that land.
     plane : tuple of float
-        Slope along x and y, and height, taken off so that z = 0 fits best.
+        Slope along x and y, and height, that are subtracted so that z = 0 fits best.
     """
 
     kind: LayoutKind
@@ -91,10 +92,10 @@ class Road:
     plane: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def height(self, xy: FloatArray) -> FloatArray:
-        """Return the height of the carriageway's surface, also where it would be under a kerb, shape (n,)."""
+        """Return the height of the carriageway's surface, shape (n,), extended below kerbs and pavements."""
         x, y = xy[:, 0], xy[:, 1]
         across = np.abs(y) if self.kind == "street" else np.minimum(np.abs(x), np.abs(y))
-        # Beyond the kerb the ground is level.
+        # Beyond the kerb there is no cross fall.
         height = -self.crown * np.minimum(across, self.half_m)
         # A parabola up to 40 m, straight from there.
         for at, bend in zip((x, y), self.bend_per_m, strict=True):
@@ -106,9 +107,10 @@ class Road:
         return levelled
 
     def land(self, xy: FloatArray) -> FloatArray:
-        """Return the height of what lies behind the kerbs or on the verges, shape (n,).
+        """Return the height of the land behind the kerbs, or of the verges, shape (n,).
 
-        Pavements fall by 2.5 % towards the road, verges away from it; behind them the land goes its own ways.
+        Pavements fall by 2.5 % towards the road, verges away from it; behind them the land has slopes and bumps of its
+        own.
         """
         x, y = xy[:, 0], xy[:, 1]
         strip = (self.kind == "street") | ((self.kind == "tee") & (y > 0.0))
@@ -129,20 +131,20 @@ class Road:
         return height
 
     def _behind_corner(self, xy: FloatArray) -> FloatArray:
-        """Return how far behind the edges of two arms and the round corner between them points are, shape (n,)."""
+        """Return the distance of points behind the edges of two arms and the round corner between them, shape (n,)."""
         off = self.half_m + self.corner_m - np.abs(xy)
         behind: FloatArray = self.corner_m - np.linalg.norm(off.clip(0.0), axis=1) - off.max(axis=1).clip(max=0.0)
         return behind
 
     def between_edges(self, xy: FloatArray) -> BoolArray:
-        """Tell which points, shape (n, 2), are between the kerbs or verges, with round corners and the island."""
+        """Return which points, shape (n, 2), are between the kerbs or verges, including round corners and island."""
         between: BoolArray = self.on_carriageway(xy) | (np.linalg.norm(xy, axis=1) < self.ring_m)
         if self.kind in ("cross", "tee"):
             between |= (self._behind_corner(xy) < 0.0) & ((xy[:, 1] < self.half_m) | (self.kind != "tee"))
         return between
 
     def on_carriageway(self, xy: FloatArray) -> BoolArray:
-        """Tell which points, shape (n, 2), are between the kerbs; round corners count as cut off."""
+        """Return which points, shape (n, 2), are between the kerbs; the areas at round corners do not count."""
         x, y = xy[:, 0], xy[:, 1]
         on = np.abs(y) < self.half_m
         if self.kind != "street":
@@ -152,7 +154,7 @@ class Road:
         return on & (square >= self.island_m**2)
 
     def levelled(self) -> Road:
-        """Return the road with its best plane taken off."""
+        """Return the road with its best-fitting plane subtracted."""
         grid = np.arange(-FITTED_M + 0.125, FITTED_M, 0.25)
         xy = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
         xy = xy[(np.linalg.norm(xy, axis=1) < FITTED_M) & self.on_carriageway(xy)]
@@ -171,18 +173,18 @@ class Line:
 
     @property
     def kind(self) -> str:
-        """Lanelet2's type."""
+        """Its type in Lanelet2."""
         return "line_thin" if self.width_m < 0.2 else "stop_line"
 
     @property
     def subtype(self) -> str:
-        """Lanelet2's subtype."""
+        """Its subtype in Lanelet2."""
         return "dashed" if self.dashed else "solid"
 
 
 @dataclass(frozen=True)
 class Edge:
-    """What a map has beside paint: a polyline in the plan, shape (n, 2), metres, with Lanelet2's type and subtype."""
+    """A map feature other than paint: a polyline in the plan, shape (n, 2), metres, with its types in Lanelet2."""
 
     xy: FloatArray
     kind: str
@@ -191,7 +193,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class Site:
-    """A crossing with all that stands around it.
+    """A crossing with everything around it.
 
     Attributes
     ----------
@@ -199,7 +201,7 @@ class Site:
     lines : tuple of Line
     bodies : tuple of Body
     edges : tuple of Edge
-        Kerbs, and the walls of what stands around.
+        Kerbs, and the walls of buildings and other walls.
     """
 
     road: Road
@@ -216,9 +218,9 @@ def draw_road(
     ``uneven`` scales crown, bends and waves: 0 is a plane. ``land`` scales slopes and bumps behind the pavements, or
     behind ``verges``.
 
-    Cross falls are 2.5 % in straights (RASt 06 and RAA), less within crossings; waves of up to 1 cm are what an
-    international roughness index of 2 to 4 m/km means, and longer ones are as much higher as on roads of ISO 8608's
-    classes B to C: standard deviations of 6 to 13 mm from 25 to 90 m. Verges fall by up to 12 % (RAL 2012).
+    Cross falls are 2.5 % on straight roads (RASt 06 and RAA), less within crossings. Waves of up to 1 cm correspond to
+    an international roughness index of 2 to 4 m/km; longer ones are higher, as on roads of ISO 8608's classes B to C:
+    standard deviations of 6 to 13 mm from 25 to 90 m. Verges fall by up to 12 % (RAL 2012).
     """
     half = float(rng.choice([3.25, 3.5, 5.0, 6.5, 7.0]))
     ring = float(rng.uniform(13.0, 18.0)) if kind == "roundabout" else 0.0
@@ -255,26 +257,26 @@ def _waves(rng: np.random.Generator, lengths_m: tuple[float, float], highest_m: 
 
 
 def still(T_world_body: FloatArray) -> Callable[[float], FloatArray]:
-    """Return the pose of what does not move."""
+    """Return the pose of a static body, as a function of time."""
     return lambda _: T_world_body
 
 
 def standing(name: str, mesh: Mesh, xy: FloatArray, yaw_rad: float, z_m: float) -> Body:
-    """Return a body that stands somewhere."""
+    """Return a static body at a place."""
     return Body(name, mesh, still(rigid(rotation_z(yaw_rad), np.array([xy[0], xy[1], z_m]))), static=True)
 
 
 def build_site(rng: np.random.Generator, road: Road, keep_free: Sequence[tuple[float, float]], density: float) -> Site:
-    """Build the ground and draw what stands on it.
+    """Build the ground and draw the objects on it.
 
     Parameters
     ----------
     rng : Generator
     road : Road
     keep_free : sequence of (float, float)
-        Where sensors stand: nothing is put near them or between them and the middle of the crossing.
+        Positions of sensors: nothing is placed near them or between them and the middle of the crossing.
     density : float
-        Scales how much stands around; 0 is an empty plain.
+        Scales the number of objects; 0 is an empty plain.
     """
     lines = _lines(road)
     meshes = [_carriageway(road), *_blocks(road), *(_paint(road, line) for line in lines)]
@@ -300,7 +302,7 @@ def _kerb_edges(road: Road) -> Iterator[Edge]:
 
 
 def _walls(body: Body) -> Iterator[Edge]:
-    """Yield what a map has of a box: the foot of its sides, or the middle line of one that is thin."""
+    """Yield a box as a map represents it: the foot of its sides, or the centre line of a thin one."""
     T = body.pose(0.0)
     foot = body.mesh.vertices[body.mesh.vertices[:, 2] < 0.0, :2]
     (a, b), (c, d) = foot.min(axis=0), foot.max(axis=0)
@@ -330,9 +332,9 @@ def _thing(rng: np.random.Generator, spots: _Spots, kind: str, name: str) -> Bod
 
 
 def shrubs(rng: np.random.Generator, road: Road, way_xy: FloatArray, count: int) -> tuple[Body, ...]:
-    """Draw hedges behind the kerbs that a vehicle passes on its way, shape (n, 2); where no room is, there is none.
+    """Draw hedges behind the kerbs that a vehicle passes on its path, shape (n, 2), wherever there is room.
 
-    They lean in gusts, a third of the time: what sways always is taken for noise, not for a change.
+    They lean in gusts, a third of the time: permanent swaying would be taken for noise, not for a change.
     """
     bodies = []
     ahead = np.gradient(way_xy, axis=0)
@@ -432,7 +434,7 @@ _MAKERS: dict[str, Callable[[np.random.Generator], tuple[Mesh, float, float]]] =
 
 @dataclass
 class _Spots:
-    """Free places beside the road; what is drawn is taken."""
+    """Free places beside the road; each one that is drawn becomes occupied."""
 
     rng: np.random.Generator
     road: Road
@@ -442,7 +444,7 @@ class _Spots:
         self.taken: list[tuple[float, float, float]] = [(x, y, 1.0) for x, y in self.keep_free]
 
     def draw(self, radius_m: float, back_m: float) -> FloatArray | None:
-        """Return a place for something of that radius, so far behind the kerb; None if none was found."""
+        """Return a place for an object of that radius, at that distance behind the kerb; None if none is found."""
         for _ in range(40):
             xy = self.rng.uniform(-55.0, 55.0, 2)
             around = xy + (radius_m + back_m) * self._circle
@@ -462,7 +464,7 @@ class _Spots:
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
     def _before(self, eye: FloatArray, xy: FloatArray, radius_m: float) -> bool:
-        """Tell whether a thing stands between an eye and the middle of the crossing."""
+        """Return whether an object stands between an eye and the middle of the crossing."""
         length = float(np.hypot(*eye))
         if length < 1.0:
             return False
@@ -480,7 +482,7 @@ def _carriageway(road: Road) -> Mesh:
     index = np.arange(len(xy)).reshape(x.shape)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]))
     triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([b, d, c])])
-    # Cells that are wholly under the blocks are never seen.
+    # Cells that are entirely below the blocks are never visible.
     middle = vertices[triangles].mean(axis=1)[:, :2]
     near = np.abs(middle).min(axis=1) < road.half_m + road.corner_m + 2.0
     near |= np.linalg.norm(middle, axis=1) < road.ring_m + 2.0
@@ -489,7 +491,7 @@ def _carriageway(road: Road) -> Mesh:
 
 
 def _between_verges(road: Road, grid: FloatArray) -> Mesh:
-    """Build a carriageway that ends at its edges: no block hides what lies beyond."""
+    """Build a carriageway that ends at its edges: there is no block to hide the surface beyond."""
     edges = np.concatenate([_dense(edge_xy) for edge_xy, _ in _kerbs(road)])
     apart_m = cKDTree(edges).query(grid)[0]
     xy = np.concatenate([grid[road.between_edges(grid) & (apart_m > EDGE_STEP_M)], edges])
@@ -507,7 +509,7 @@ def _dense(xy: FloatArray) -> FloatArray:
 
 _BACK_M = (0.0, 0.12, 1.0, 2.5, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 26.0, 34.0, 45.0, 60.0, 80.0)
 _PAVEMENTS = 4
-"""Rows of triangles up to the pavement's end, the kerb's with them."""
+"""Number of rows of triangles up to the pavement's end, including the kerb's."""
 
 
 def _kerbs(road: Road) -> list[tuple[FloatArray, FloatArray]]:
@@ -534,7 +536,7 @@ def _kerbs(road: Road) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def _blocks(road: Road) -> list[Mesh]:
-    """Build what lies behind the kerbs: swept from the kerb's line away from the road."""
+    """Build the land behind the kerbs: swept from the kerb's line away from the road."""
     corners = [_block(road, kerb_xy, away) for kerb_xy, away in _kerbs(road)]
     if road.island_m:
         high = float(road.height(np.zeros((1, 2)))[0]) + road.kerb_m
@@ -553,7 +555,7 @@ def _signs(road: Road) -> list[FloatArray]:
 
 
 def _block(road: Road, kerb_xy: FloatArray, away: FloatArray) -> Mesh:
-    # Swept obliquely, the distance behind the kerb is shorter than the step.
+    # With an oblique sweep, the distance behind the kerb is shorter than the step.
     rows = [kerb_xy, *(kerb_xy + back * away for back in _BACK_M)]
     heights = [road.height(kerb_xy) - 0.05, *map(road.land, rows[1:])]
     vertices = np.concatenate([np.column_stack([xy, z]) for xy, z in zip(rows, heights, strict=True)])
@@ -567,7 +569,7 @@ def _block(road: Road, kerb_xy: FloatArray, away: FloatArray) -> Mesh:
 
 
 def _lines(road: Road) -> tuple[Line, ...]:
-    """Return the middle lines of the arms, dashed, their borders, and the lines where one waits."""
+    """Return the dashed centre lines of the arms, their edge lines, and the stop lines."""
     start = max(road.ring_m, road.half_m + road.corner_m) + 1.0
     half = road.half_m
     along = np.arange(start, 60.0, 1.0)
@@ -585,7 +587,7 @@ def _lines(road: Road) -> tuple[Line, ...]:
 
 
 def _paint(road: Road, line: Line) -> Mesh:
-    """Lay a line 2 mm over the road; dashes are 3 m with gaps of 3 m."""
+    """Place a line 2 mm above the road; dashes are 3 m long, with gaps of 3 m."""
     a, b = line.xy[:-1], line.xy[1:]
     if line.dashed:
         keep = np.arange(len(a)) % 6 < 3
@@ -599,13 +601,13 @@ def _paint(road: Road, line: Line) -> Mesh:
 
 
 def lift(road: Road, xy: FloatArray, yaw_rad: float, wheelbase_m: float, track_m: float) -> FloatArray:
-    """Return the pose ``T_world_vehicle`` of a vehicle, shape (4, 4), whose four wheels stand on the road.
+    """Return the pose ``T_world_vehicle`` of a vehicle, shape (4, 4), with its four wheels on the road.
 
     Parameters
     ----------
     road : Road
     xy : ndarray, shape (2,)
-        Of the middle between the axles.
+        Point midway between the axles.
     yaw_rad : float
     wheelbase_m, track_m : float
     """
@@ -615,7 +617,7 @@ def lift(road: Road, xy: FloatArray, yaw_rad: float, wheelbase_m: float, track_m
     z = road.height(wheels @ flat[:2, :2].T + xy)
     pitch = (z[0] + z[1] - z[2] - z[3]) / 2 / wheelbase_m
     roll = (z[0] + z[2] - z[1] - z[3]) / 2 / track_m
-    # Slopes of a few percent: the axes are made orthogonal, with forward kept over the yaw's direction.
+    # For slopes of a few percent: the axes are made orthogonal, with forward kept above the direction of the yaw.
     forward = flat[:3, 0] + [0.0, 0.0, pitch]
     left = flat[:3, 1] + [0.0, 0.0, roll]
     forward /= np.linalg.norm(forward)

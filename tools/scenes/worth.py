@@ -1,4 +1,4 @@
-"""Whether a drive is worth calibrating with, by the truth."""
+"""Whether a drive is suitable for calibration, by the ground truth."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ GOOD_FRAMES = 40
 GOOD_SIDES = 2
 GOOD_TURN_DEG = 30.0
 GOOD_CHANGE = 0.1
-"""Of the speed, the largest of the drive being 1."""
+"""Change of speed relative to the largest speed of the drive."""
 
 OBLIQUE_DEG = 10.0
-"""From less than this off its plane a side is a sixth of its length wide: nothing that counts as seen."""
+"""Seen at less than this angle to its plane, a side appears a sixth of its length wide: it does not count as seen."""
 
 SIDE_FRAMES = 10
-"""A side that is seen in fewer frames, a quarter of those that are needed, does not count."""
+"""A side that is seen in fewer frames, a quarter of the frames needed, does not count."""
 
 
 def is_good(scene: Scene) -> bool:
-    """Tell whether a calibration is to be expected: the sender is long in view, from two sides, and turns or brakes.
+    """Return whether a calibration can be expected: the sender is long in view, from two sides, and turns or brakes.
 
-    In view in `GOOD_FRAMES` frames, in which `GOOD_SIDES` of its sides are seen, and it turns by `GOOD_TURN_DEG` or
-    changes its speed by `GOOD_CHANGE`.
+    It is in view in `GOOD_FRAMES` frames, in which `GOOD_SIDES` of its sides are seen, and it turns by `GOOD_TURN_DEG`
+    or changes its speed by `GOOD_CHANGE`.
     """
     if scene.seen < GOOD_FRAMES or sides_seen(scene) < GOOD_SIDES:
         return False
@@ -36,7 +36,7 @@ def sides_seen(scene: Scene) -> int:
     xy, yaw = scene.sender.track(scene.times_s[scene.in_view])
     sensor = rotate_xy(-yaw, scene.T_world_sensor[:2, 3] - xy)
     half = np.array([scene.sender.length_m, scene.sender.width_m]) / 2
-    # How far the sensor is before each side's plane, over how far it is away: the sine of the angle off the plane.
+    # Distance of the sensor in front of each side's plane, over its distance: the sine of the angle off the plane.
     before = np.concatenate([sensor - half, -sensor - half], axis=1) / np.linalg.norm(sensor, axis=1, keepdims=True)
     facing = before > np.sin(np.radians(OBLIQUE_DEG))
     return int((facing.sum(axis=0) >= SIDE_FRAMES).sum())
@@ -55,7 +55,7 @@ def speed_change(scene: Scene) -> float:
 
 
 def _speed_mps(scene: Scene) -> FloatArray:
-    # From just around each frame: what is not in view says nothing.
+    # From times close to each frame: motion while out of view must not count.
     step_s = 0.01
     ahead, behind = (scene.sender.track(scene.times_s + shift)[0] for shift in (step_s, -step_s))
     speed: FloatArray = np.linalg.norm(ahead - behind, axis=1) / (2 * step_s)

@@ -1,4 +1,4 @@
-"""A scene as files: scans or images, messages, the lane map and the truth."""
+"""A scene as files: scans or images, messages, the lane map and the ground truth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CAM_HEADER = (
 TRUTH_STEP_S = 0.1
 
 RENDERED_STEP = 2
-"""Of the frames every second is rendered, 5 per second."""
+"""Every second frame is rendered: 5 per second."""
 
 
 def write_scene(scene: Scene, out: Path) -> None:
@@ -112,7 +112,7 @@ def write_cams(log: CamLog, path: Path) -> None:
 
 
 def write_map(lines: Sequence[Line | Edge], place: Place, path: Path) -> None:
-    """Write lines as ways of an OSM file, as Lanelet2 keeps them."""
+    """Write lines as ways of an OSM file, in Lanelet2's format."""
     number = 0
     nodes, ways = [], []
     for line in lines:
@@ -129,7 +129,7 @@ def write_map(lines: Sequence[Line | Edge], place: Place, path: Path) -> None:
 
 
 def truth(scene: Scene) -> dict[str, object]:
-    """Return the truth as ``truth.json`` has it: the vehicle's middle ten times a second, and where the sensor is."""
+    """Return the contents of ``truth.json``: the vehicle's centre ten times a second, and the sensor's pose."""
     first, last = float(scene.times_s[0]) - 0.5, float(scene.times_s[-1]) + 0.5
     times = np.arange(first, last, TRUTH_STEP_S)
     track = scene.place.to_utm(scene.sender.track(times)[0])
