@@ -1,1 +1,1 @@
-"""Whether a map's lines lie on the road's: paint, kerbs and walls that a sensor saw, held against a calibration."""
+"""Checks of a calibration against a map's lines (paint, kerbs, walls), and of a stereo calibration against images."""

@@ -1,4 +1,4 @@
-"""The shift and turn at which most of a map's lines lie on paint."""
+"""Alignment of a map's lines with paint: a search for the shift and turn at which most lines lie on stripes."""
 
 from __future__ import annotations
 
@@ -13,45 +13,49 @@ from laci_stereo.check.sections import Sections
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 
 SHIFT_M = 1.0
-"""Looked for to all sides: what is worse is no calibration, and a lane's other line comes next."""
+"""Search range in all directions: a calibration with a larger error is useless, and farther off lies a lane's other
+line."""
 
 TURN_RAD = np.radians(2.0)
 GRID_M = 0.07
-"""Between tried places of a section: less than the tolerance, 5 cm at least, and half of the narrowest stripe."""
+"""Largest distance between trial positions of a section: less than the tolerance, which is at least 5 cm, plus half of
+the narrowest stripe."""
 
 BESIDE = 3.0
-"""Tolerances within which evidence counts."""
+"""Distance within which evidence counts, in tolerances."""
 
 RIVAL_SHARE = 2 / 3
-"""A second alignment with so much of the best one's evidence is as good: two of three lines may well be alone to be
-painted, while one of two or three beside kerbs is what a wrong one finds."""
+"""Fraction of the best alignment's evidence from which a second one counts as equally good: of three lines, two may
+well be the only painted ones, while a wrong alignment finds one of two or three beside kerbs."""
 
 MOST_RIVALS = 4
-"""Kerbs on both sides of a line, and the lane's other line."""
+"""Largest number of rivals: the kerbs on both sides of a line, and the lane's other line."""
 
 MOST_SECTIONS = 300
-"""Evenly chosen: more of a line say little more of where it is."""
+"""Largest number of sections, chosen uniformly: more sections of a line hardly add information on its position."""
 
 LEAST_MOVED = 6.0
-"""Sections that a rival must move elsewhere: two dashes, for a single one may well be matched by chance."""
+"""Number of sections that a rival must move to other paint: two dashes, because a single one may be matched by
+chance."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where the lines that are seen lie beside the map's, all of them together.
+    """Common displacement of the visible lines relative to the map's lines.
 
     Attributes
     ----------
     shift : ndarray, shape (2,)
-        World, metres, of what is at ``centre``.
+        Displacement of what is at ``centre``, world, metres.
     turn_rad : float
         Counter-clockwise about ``centre``.
     centre : ndarray, shape (2,)
-        World: the middle of the sections.
+        Centre of the sections, world.
     share : float
-        Of a rival: of the best one's evidence, of the sections that it moves, so much it keeps.
+        Of a rival: the fraction that it retains of the best alignment's evidence, in the sections that it moves to
+        other paint.
     rivals : tuple of Alignment
-        Other ones that are about as good, no two of them alike.
+        Alternatives that are about as good, no two of them alike.
     """
 
     shift: FloatArray
@@ -61,27 +65,27 @@ class Alignment:
     rivals: tuple[Alignment, ...] = ()
 
     def offsets(self, sections: Sections) -> FloatArray:
-        """Return how far to the left of each section its paint is, shape (n,)."""
+        """Return the offset of each section's paint to the left, metres, shape (n,)."""
         offsets: FloatArray = planar_rows(sections, self.centre) @ np.append(self.shift, self.turn_rad)
         return offsets
 
 
 def planar_rows(sections: Sections, centre: FloatArray) -> FloatArray:
-    """Return the derivative of sections' offsets by shift and turn about a point, shape (n, 3)."""
+    """Return the derivatives of sections' offsets by shift and turn about a point, shape (n, 3)."""
     arm = sections.xy - centre
     turned = np.einsum("ij,ij->i", np.column_stack([-arm[:, 1], arm[:, 0]]), sections.left)
     return np.column_stack([sections.left, turned])
 
 
 def align(evidence: FloatArray, tolerance_m: FloatArray, sections: Sections) -> Alignment:
-    """Try all shifts and turns, and take the one at which most sections lie on a stripe.
+    """Search a grid of shifts and turns for the alignment at which most sections lie on a stripe.
 
     Parameters
     ----------
     evidence : ndarray, shape (n, m)
-        Of stripes at `OFFSETS_M`, from 0 to 1.
+        Evidence of stripes at `OFFSETS_M`, from 0 to 1.
     tolerance_m : ndarray, shape (n,)
-        By how much a section's paint may be off on its own.
+        Standard deviation of each section's offset if the calibration is exact.
     sections : Sections
     """
     chosen = np.arange(0, len(sections), -(-len(sections) // MOST_SECTIONS))
@@ -106,32 +110,33 @@ def align(evidence: FloatArray, tolerance_m: FloatArray, sections: Sections) -> 
 
 
 def apart(difference_m: FloatArray, tolerance_m: FloatArray) -> BoolArray:
-    """Tell which offsets are of other paint, for they differ by more than its width and tolerance, shape (..., n)."""
+    """Return which offsets belong to different paint: they differ by more than its width and tolerance, (..., n)."""
     other: BoolArray = np.abs(difference_m) > 2 * tolerance_m + WIDTHS_M[0]
     return other
 
 
 def _parts(tried: FloatArray) -> list[FloatArray]:
-    """Cut what is tried into parts whose evidence fits into little memory."""
+    """Split the trial alignments into parts whose evidence fits into little memory."""
     return np.array_split(tried, -(-len(tried) // 2000))
 
 
 def _support(near: FloatArray, offsets_m: FloatArray) -> FloatArray:
-    """Return the evidence at sections' offsets, shape (t, n)."""
+    """Return the evidence at the sections' offsets, shape (t, n)."""
     return np.asarray(np.take_along_axis(near, _index(offsets_m).T, axis=1).T)
 
 
 def _shares(support: FloatArray, moved: FloatArray, best: int) -> FloatArray:
-    """Return which share of the best alignment's evidence, of the sections that others move, these keep, shape (t,).
+    """Return the fraction of the best alignment's evidence that others retain in the sections that they move, (t,).
 
-    Sections that one leaves about where they are, as those along a shift, speak for both; what it loses there counts.
+    Sections that an alignment leaves about where they are, such as those along its shift, support both alignments;
+    evidence that it loses there counts against it.
     """
     kept = moved - (support[best] - support)
     return np.where(moved >= LEAST_MOVED, kept / np.maximum(moved, LEAST_MOVED), 0.0)
 
 
 def _unlike(offsets_m: FloatArray, shares: FloatArray, tolerance_m: FloatArray) -> Iterator[int]:
-    """Yield the best rivals, each of which puts some section elsewhere than those before."""
+    """Yield the best rivals, each of which places at least one section on other paint than the preceding ones."""
     left = np.arange(len(shares))
     for _ in range(MOST_RIVALS):
         if len(left) == 0:
@@ -142,14 +147,14 @@ def _unlike(offsets_m: FloatArray, shares: FloatArray, tolerance_m: FloatArray) 
 
 
 def _most_central(tried: FloatArray, support: FloatArray) -> int:
-    """Return which of the best ones, which are many where a direction is open, moves least."""
+    """Return the index of the smallest of the best alignments, which are many if a direction is undetermined."""
     best = np.flatnonzero(support >= support.max() * (1 - 1e-6))
     size = np.abs(tried[best] / [SHIFT_M, SHIFT_M, TURN_RAD]).sum(axis=1)
     return int(best[np.argmin(size)])
 
 
 def _grid(rows: FloatArray) -> FloatArray:
-    """Return shifts and turns so dense that no section moves by more than `GRID_M` between neighbours."""
+    """Return shifts and turns so dense that no section moves by more than `GRID_M` between neighbouring ones."""
     lever_m = max(float(np.abs(rows[:, 2]).max()), 1.0)
     shifts = np.arange(-SHIFT_M, SHIFT_M + GRID_M / 2, GRID_M)
     count = int(np.ceil(TURN_RAD * lever_m / GRID_M))
@@ -158,14 +163,14 @@ def _grid(rows: FloatArray) -> FloatArray:
 
 
 def _index(offsets_m: FloatArray) -> IntArray:
-    """Return the sample at an offset, or the last one, which holds no evidence."""
+    """Return the index of the sample at an offset; outside the range, that of the last column, without evidence."""
     index = np.rint(offsets_m / STEP_M).astype(np.int64) + len(OFFSETS_M) // 2
     outside: BoolArray = (index < 0) | (index >= len(OFFSETS_M))
     return np.where(outside, len(OFFSETS_M), index)
 
 
 def _spread_over(evidence: FloatArray, tolerance_m: FloatArray) -> FloatArray:
-    """Let evidence count beside its place too, less and less; with a column of nothing behind."""
+    """Let evidence also count at neighbouring offsets, with decreasing weight; append a column without evidence."""
     tolerance = tolerance_m / STEP_M
     spread = evidence.copy()
     for step in range(1, int(BESIDE * tolerance.max(initial=0.0)) + 1):

@@ -1,4 +1,4 @@
-"""A lane check in words and as JSON."""
+"""Report of a lane check, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from laci_stereo.io.calibration_file import Document
 
 
 def check_document(check: LaneCheck, map_sigma_m: float) -> Document:
-    """Write a check as ``calibration.json`` has it."""
+    """Return the result of a check in the form that ``calibration.json`` uses."""
     return {
         "verdict": check.judgement.outcome,
         "reasons": list(check.judgement.reasons),
@@ -53,12 +53,12 @@ def _error_document(error: PlanarError) -> Document:
 
 
 def describe_check(check: LaneCheck) -> str:
-    """Say what was found: a table of the lines, what they say together, and the verdict."""
+    """Return a text: a table of the lines, the results of all lines together, and the verdict."""
     return "\n".join([*_table(check.lines), *_together(check), f"{'Verdict':<11}{verdict_text(check)}"])
 
 
 def check_line(check: LaneCheck) -> str:
-    """Say in one line what was found."""
+    """Return a summary in one line."""
     residual = "" if check.residual_m is None else f", {100 * check.residual_m:.0f} cm off on the ground"
     pixels = "" if check.residual_px is None else f", {check.residual_px:.1f} px"
     return (
@@ -67,7 +67,7 @@ def check_line(check: LaneCheck) -> str:
 
 
 def verdict_text(check: LaneCheck) -> str:
-    """Return the verdict and why, in one line."""
+    """Return the verdict and its reasons in one line."""
     return ": ".join(filter(None, [check.judgement.outcome.upper(), "; ".join(check.judgement.reasons)]))
 
 
@@ -99,7 +99,7 @@ def _together(check: LaneCheck) -> Iterator[str]:
 
 
 def error_text(error: PlanarError) -> str:
-    """Say by how much a calibration puts things off."""
+    """Return the planar error of a calibration as text."""
     sigma = np.sqrt(np.diag(error.covariance))
     return (
         f"{100 * error.value[0]:+.1f} +- {100 * sigma[0]:.1f} cm east, {100 * error.value[1]:+.1f} +- "

@@ -1,4 +1,4 @@
-"""By how much a calibration is off in the plane, from where paint lies beside the map's lines; with its covariance."""
+"""Planar error of a calibration, with covariance, from the offsets between paint and a map's lines."""
 
 from __future__ import annotations
 
@@ -14,36 +14,37 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray
 
 WORN_M = 0.01
-"""Paint's edges are ragged by about this much, and a section averages them."""
+"""Standard deviation of a section's offset from worn paint: its edges are ragged by about this much on average over a
+section."""
 
 LENS_PX = 0.2
-"""What a lens's calibration leaves over, the same along a line: typical reprojection errors are 0.1 to 0.3 pixels."""
+"""Residual error of a lens calibration, constant along a line: typical reprojection errors are 0.1 to 0.3 pixels."""
 
 CROSSFALL_M = 0.015
-"""The road's height off its plane: roads fall by up to 2.5 % to both sides (RASt 06), less within crossings, so 1.4 %
-in root mean square. On 7 m these are 5.1 cm from the middle to the border, a triangle, and its standard deviation is
-the square root of a twelfth of that."""
+"""Standard deviation of the road's height about its plane. Roads fall by up to 2.5 % to both sides (RASt 06), less
+within crossings, so 1.4 % in root mean square. On a road 7 m wide this is 5.1 cm from the crown to the border; the
+profile is a triangle, whose standard deviation is that height times the square root of a twelfth."""
 
 CURVATURE_PER_M = 1e-4
-"""One sigma of the road's vertical curvature: crests and sags of 10 km radius."""
+"""Standard deviation of the road's vertical curvature: crests and sags of 10 km radius."""
 
 CORRELATED_M = 20.0
-"""Along a line: maps have a point every 10 to 20 m, and roads wave in 5 to 25 m."""
+"""Correlation length along a line: maps have a point every 10 to 20 m, and the wavelengths of roads are 5 to 25 m."""
 
 
 @dataclass(frozen=True)
 class Offsets(Columns):
-    """Where paint was found beside sections of lines.
+    """Offsets of paint from sections of lines.
 
     Attributes
     ----------
     sections : Sections
     left_m : ndarray, shape (n,)
-        Of the paint, to the left of the map's line.
+        Offset of the paint to the left of the map's line.
     cell_m : ndarray, shape (n,)
-        What a pixel covers across.
+        Width that a pixel covers across the line.
     loose_m : ndarray, shape (n,)
-        Standard deviation of what a line means against what is seen of it, the same along it.
+        Standard deviation of the offset between the mapped and the visible feature, constant along a line.
     """
 
     sections: Sections
@@ -57,18 +58,18 @@ class Offsets(Columns):
 
 @dataclass(frozen=True)
 class PlanarError:
-    """By how much a calibration puts things off: shift and turn of the ground about a point.
+    """Planar error of a calibration: shift and turn of the ground about a point.
 
     Attributes
     ----------
     centre : ndarray, shape (2,)
-        World.
+        World, metres.
     value : ndarray, shape (3,)
-        East and north, metres, and counter-clockwise, rad: what the calibration puts minus where it is.
+        Shift east and north, metres, and turn counter-clockwise, rad: position by the calibration minus true position.
     covariance : ndarray, shape (3, 3)
-        Of the value as measured, the map's own error included.
+        Covariance of the measured value, including the map's own error.
     expected : ndarray, shape (3, 3)
-        Of the value where the calibration is as good as it claims.
+        Covariance of the value if the calibration is as accurate as its covariance claims.
     """
 
     centre: FloatArray
@@ -78,22 +79,23 @@ class PlanarError:
 
     @property
     def chi_square(self) -> float:
-        """Of the value against what is expected, with three degrees of freedom."""
+        """Squared Mahalanobis distance of ``value`` under ``expected``; chi-square with three degrees of freedom."""
         return float(self.value @ np.linalg.solve(self.expected, self.value))
 
 
 def fit_planar(offsets: Offsets, placed: Placed, map_sigma_m: float) -> PlanarError:
     """Fit shift and turn to offsets by generalised least squares.
 
-    Height and tilt are as uncertain as the calibration claims them to be; shift and turn are free.
+    Height and tilt have the covariance that the calibration claims; shift and turn are free.
 
     Parameters
     ----------
     offsets : Offsets
-        At least one.
+        At least one offset.
     placed : Placed
     map_sigma_m : float
-        Of a line's place in the map; half of the variance is the whole map's, half each line's own.
+        Standard deviation of a line's position in the map; half of the variance is common to the map, half is each
+        line's own.
     """
     sections = offsets.sections
     centre = sections.xy.mean(axis=0)
@@ -103,7 +105,7 @@ def fit_planar(offsets: Offsets, placed: Placed, map_sigma_m: float) -> PlanarEr
     free = placed.covariance.copy()
     free[[2, 3, 4]], free[:, [2, 3, 4]] = 0.0, 0.0
     weights = np.linalg.inv(others + claimed @ free @ claimed.T)
-    # What is beyond the search is not found, so a direction that nothing tells is as open as that.
+    # Errors beyond the search range are not found, so it is the prior of a direction that no line determines.
     known = np.diag(1.0 / np.array([SHIFT_M, SHIFT_M, TURN_RAD]) ** 2)
     covariance = np.linalg.inv(rows.T @ weights @ rows + known)
     gain = covariance @ rows.T @ weights
@@ -113,10 +115,10 @@ def fit_planar(offsets: Offsets, placed: Placed, map_sigma_m: float) -> PlanarEr
 
 
 def covariance_of(offsets: Offsets, placed: Placed, map_sigma_m: float) -> FloatArray:
-    """Return the covariance, shape (n, n), of offsets where the calibration is exact.
+    """Return the covariance, shape (n, n), of offsets for an exact calibration.
 
-    Each line is off on its own, and the road below it is, both the same for places near to each other; the map is off
-    as a whole; the road bends up or down; the rest is each section's own.
+    Each line has its own map error and the road below it its own height error, both correlated over short distances;
+    the map has a common shift; the road is curved vertically; the remaining errors are independent for each section.
     """
     sections = offsets.sections
     raised = np.einsum("ij,ij->i", sections.left, placed.lengthening(sections.xy))
@@ -133,6 +135,6 @@ def covariance_of(offsets: Offsets, placed: Placed, map_sigma_m: float) -> Float
 
 
 def _bends(xy: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the heights of surfaces of unit curvature that touch the ground at the track's centre."""
+    """Return the heights of surfaces of unit curvature that are tangent to the ground at the track's centre."""
     x, y = xy.T
     return x**2 / 2, y**2 / 2, x * y / np.sqrt(2.0)

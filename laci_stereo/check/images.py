@@ -1,4 +1,4 @@
-"""The lane check of a camera: the road at rest, from some of its images."""
+"""Lane check of a camera: compares the map with the median of some of its images, which shows the road at rest."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ from laci_stereo.report.drawn import on_ground
 from laci_stereo.stereo.reader import GreyReader
 
 FRAMES = 15
-"""Evenly spread: what covers a place in less than half of them is gone in their median."""
+"""Number of images, uniformly spaced: what covers a place in fewer than half of them does not appear in their
+median."""
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A check, and the picture to it."""
+    """A check and the picture of it."""
 
     check: LaneCheck
     picture: Raster
@@ -45,23 +46,23 @@ def check_images(
     lane_map: LaneMap,
     map_sigma_m: float = MAP_SIGMA_M,
 ) -> Checked:
-    """Hold a map against what a camera saw.
+    """Compare a map with what a camera saw.
 
     Parameters
     ----------
     files : sequence of Path
-        Raw images in the order of time.
+        Raw images in order of time.
     reader : GreyReader
     lens : Lens
     placed : Placed
     lane_map : LaneMap
     map_sigma_m : float
-        Standard deviation of a line's place in the map.
+        Standard deviation of a line's position in the map.
 
     Raises
     ------
     ImageError
-        If more than a fifth of the images that are looked at cannot be read.
+        If more than a fifth of the selected images cannot be read.
     """
     image = at_rest(files, reader)
     camera = Camera(lens, invert(placed.T_world_sensor))
@@ -71,12 +72,12 @@ def check_images(
 
 
 def paint_in_image(image: Raster, camera: Camera, sections: Sections) -> Traces:
-    """Look for paint across sections of lines in an image, raw, grey, shape (height, width)."""
+    """Detect paint across sections of lines in an image, raw, grey, shape (height, width)."""
     return find_stripes(profiles_in_image(image, camera, sections), sections.line)
 
 
 def at_rest(files: Sequence[Path], reader: GreyReader) -> Raster:
-    """Return the median of some images: grey, uint8, without what moves.
+    """Return the median of some images: grey, uint8, without moving objects.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Find a map's lines around a sensor, and judge a calibration by where they are."""
+"""Lane check: finds a map's lines around a sensor, measures their offsets, and judges the calibration by these.
+
+A line is astray if its offset contradicts those of the other lines.
+"""
 
 from __future__ import annotations
 
@@ -20,52 +23,54 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.io.lane_map import LaneLine
 
 MAP_SIGMA_M = 0.05
-"""Default of a map's own error: surveys for maps of lanes promise 5 to 10 cm."""
+"""Default standard deviation of a line's position in the map: surveys for lane maps specify 5 to 10 cm."""
 
 LEAST_SECTIONS = 3
-"""Of a line in view, or it is not counted: the length of a dash."""
+"""Least number of sections that a line must have in view to be counted: the length of a dash."""
 
 DASHED_SHARE = 1 / 3
-"""What of a dashed line is painted: dashes half as long as their gaps (RMS)."""
+"""Painted fraction of a dashed line: dashes are half as long as their gaps (RMS)."""
 
 FOUND_SHARE = 0.5
-"""A line is found where so much of its paint is."""
+"""A line is found if at least this fraction of its paint is found."""
 
 PALE = 1 / 3
-"""A line's paint is nowhere so much paler than where it is fresh, the middle of its brightest part."""
+"""Least contrast of a line's paint relative to fresh paint, for which the median of its most contrasting third is
+taken."""
 
 GATE = 3.0
-"""Standard deviations within which a line's paint is looked for once the others tell where it should be."""
+"""Search range for a line's paint once the other lines predict its position, standard deviations."""
 
 ASTRAY = 4.0
-"""Standard deviations beyond which a line is off on its own: at 40 lines, noise alone passes in one of 400 maps."""
+"""A line whose offset deviates from the others' by more standard deviations is astray: with 40 lines, noise alone
+causes this in one of 400 maps."""
 
 ROUNDS = 5
 
 See: TypeAlias = Callable[[Sections], Traces]
-"""Looks for what the map shows across sections of its lines."""
+"""Searches for the mapped features across sections of lines."""
 
 
 @dataclass(frozen=True)
 class LineCheck:
-    """One line of the map.
+    """Result for one line of the map.
 
     Attributes
     ----------
     id, kind : str
         As in the map.
     in_view_m, hidden_m, found_m : float
-        Length that should be seen, that the background hides, and that was found: none of a line less than half of
-        which is.
+        Length that should be visible, that the background hides, and along which the line was found; the last is 0 if
+        less than half of its paint was found.
     found : bool
-        It is seen as much as it should be.
+        At least half of the paint that should be visible was found.
     offset_m, sigma_m : float or None
-        Where what it stands for is to its left, as the calibration has it, and how well that is measured; None where
-        there is none.
+        Position of the feature (paint, kerb or wall) to the left of the map's line according to the calibration, and
+        the standard deviation of this measurement; None if it was not found.
     offset_px, sigma_px : float or None
-        The same in the image; None without an image.
+        The same in the image, pixels; None without an image.
     astray : bool
-        It is off on its own, not with the others.
+        Its offset contradicts those of the other lines.
     """
 
     id: str
@@ -83,23 +88,23 @@ class LineCheck:
 
 @dataclass(frozen=True)
 class LaneCheck:
-    """How a map's lines lie on the road's.
+    """How a map's lines compare with the features that the sensor saw.
 
     Attributes
     ----------
     judgement : Judgement
     lines : tuple of LineCheck
-        Those in view.
+        The lines in view.
     error : PlanarError or None
-        None where nothing was found.
+        None if nothing was found.
     residual_m, residual_px : float or None
-        Root mean square of the offsets of all sections that were found, those of lines that are astray left out.
+        Root mean square of the offsets of all sections that were found, without those of astray lines.
     offsets : Offsets or None
-        Of all sections that were found.
+        Of all sections that were found, astray lines included.
     hidden : Sections
-        What the background hides.
+        Sections that the background hides.
     astray : frozenset of int
-        Indices of the lines that are off on their own.
+        Indices of the astray lines.
     """
 
     judgement: Judgement
@@ -113,28 +118,28 @@ class LaneCheck:
 
     @property
     def lines_found(self) -> int:
-        """How many of the lines in view were found."""
+        """Number of lines in view that were found."""
         return sum(line.found for line in self.lines)
 
     @property
     def lines_sought(self) -> int:
-        """How many lines in view were found or should have been."""
+        """Number of lines in view that were found or should have been found."""
         return _sought(self.lines)
 
 
 @dataclass(frozen=True)
 class View:
-    """What was seen of a map's lines.
+    """What the sensor saw of a map's lines.
 
     Attributes
     ----------
     sections, traces
-        Of what is in view, alike in length.
+        The sections in view and what was seen across them, of equal length.
     hidden : Sections
     alone_m : ndarray, shape (n,)
-        By how much paint may be off where the calibration is right, one sigma.
+        Standard deviation of each section's offset if the calibration is exact.
     least : ndarray, shape (lines,)
-        In how many sections each line is seen at least, if it is found.
+        Least number of sections in which each line must be seen to be found.
     """
 
     sections: Sections
@@ -146,7 +151,7 @@ class View:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Paint that was found, and what the calibration's error is by it."""
+    """Sections in which paint was found, and the calibration's error estimated from them."""
 
     offsets: Offsets
     error: PlanarError
@@ -154,7 +159,7 @@ class Fitted:
 
     @property
     def together(self) -> BoolArray:
-        """Which sections are of lines that are not astray, shape (n,)."""
+        """Which sections belong to lines that are not astray, shape (n,)."""
         return ~np.isin(self.offsets.sections.line, list(self.astray))
 
 
@@ -165,17 +170,19 @@ def check_lanes(
     map_sigma_m: float = MAP_SIGMA_M,
     kinds: Sequence[str] = PAINTED,
 ) -> LaneCheck:
-    """Hold a map against what a sensor saw.
+    """Compare a map with what a sensor saw.
 
     Parameters
     ----------
     lines : sequence of LaneLine
     placed : Placed
+        The calibration that is checked.
     see : callable
+        Searches for the mapped features in the sensor's data.
     map_sigma_m : float
-        Standard deviation of a line's place in the map.
+        Standard deviation of a line's position in the map.
     kinds : sequence of str
-        Of lines that the sensor can see.
+        Kinds of lines that the sensor can see.
     """
     view = _look(lines, placed, see, map_sigma_m, kinds)
     if len(view.sections) == 0:
@@ -217,10 +224,10 @@ def _rms(values: FloatArray) -> float:
 
 
 def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: float, kinds: Sequence[str]) -> View:
-    """Find what of the lines can be seen, and what is seen across it."""
+    """Cut the lines into sections, find those in view, and search for features across them."""
     whole = sections_of(lines, placed.origin[:2], kinds)
     tall = np.array([line.kind in WALLS for line in lines], dtype=bool)[whole.line]
-    behind = placed.hidden(whole.xy) & ~tall  # a wall hides itself, and is seen over what is lower
+    behind = placed.hidden(whole.xy) & ~tall  # a wall is itself in the background, and visible above lower objects
     sections, hidden = whole[~behind], whole[behind]
     traces = see(sections)
     visible = np.isfinite(traces.cell_m)
@@ -235,7 +242,7 @@ def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: floa
 
 
 def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float) -> Fitted | None:
-    """Measure paint near to where it is expected, and fit, until both agree; lines that are astray stay out."""
+    """Measure paint near its expected position and fit, without astray lines, repeatedly, so that both agree."""
     fitted, astray = None, frozenset[int]()
     for _ in range(ROUNDS):
         index, left_m = _measured(view, expected_m)
@@ -252,7 +259,7 @@ def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float)
 
 
 def _ends_elsewhere(rival: Alignment, fitted: Fitted | None, view: View, placed: Placed, map_sigma_m: float) -> bool:
-    """Tell whether what is found from a rival's start lies elsewhere, as far as a rival must be."""
+    """Return whether the fit that starts from a rival differs from the best one in at least `LEAST_MOVED` sections."""
     other = _fit(view, rival.offsets(view.sections), placed, map_sigma_m)
     if fitted is None or other is None:
         return False
@@ -261,7 +268,10 @@ def _ends_elsewhere(rival: Alignment, fitted: Fitted | None, view: View, placed:
 
 
 def _measured(view: View, expected_m: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return which sections have a stripe near to where it is expected, the nearest one, and where its middle is."""
+    """Return the indices of sections with a stripe near its expected position, and that stripe's offset, metres.
+
+    The likelihood of a stripe decreases with the distance from the expected position.
+    """
     beside = np.abs(OFFSETS_M - expected_m[:, None]) / np.maximum(view.alone_m, WIDTHS_M[0] / GATE)[:, None]
     likely = np.where(beside <= GATE, view.traces.peaks * np.exp(-0.5 * beside**2), 0.0)
     best = likely.argmax(axis=1)
@@ -270,12 +280,12 @@ def _measured(view: View, expected_m: FloatArray) -> tuple[IntArray, FloatArray]
     line = view.sections.line
     index = np.flatnonzero(sigmas >= np.maximum(SURE, _paler(sigmas, line)))
     found = np.bincount(line[index], minlength=len(view.least)) >= view.least
-    index = index[found[line[index]]]  # of a line that is not found, a few sections are something else
+    index = index[found[line[index]]]  # a few sections of a line that is not found show something else
     return index, view.traces.left_m[index, best[index]]
 
 
 def _paler(sigmas: FloatArray, line: IntArray) -> FloatArray:
-    """Return for each section what is too pale to be its line's paint, shape (n,): between dashes there is texture."""
+    """Return the least significance of each section's paint, shape (n,): between dashes there is road texture."""
     most = np.zeros(line.max(initial=0) + 1)
     for number in np.unique(line):
         most[number] = PALE * np.quantile(sigmas[line == number], 1.0 - DASHED_SHARE / 2)
@@ -283,7 +293,7 @@ def _paler(sigmas: FloatArray, line: IntArray) -> FloatArray:
 
 
 def _astray(offsets: Offsets, beside: FloatArray) -> frozenset[int]:
-    """Return the lines that lie elsewhere than the others, ``beside`` so many sigma; no more than a third of them."""
+    """Return the astray lines, at most a third; ``beside`` is each section's deviation in standard deviations."""
     numbers = np.unique(offsets.sections.line)
     medians = np.array([np.median(beside[offsets.sections.line == number]) for number in numbers])
     worst = np.argsort(-medians)[: len(numbers) // 3]

@@ -1,4 +1,4 @@
-"""A picture in which a person sees whether a map's lines lie on the road's."""
+"""Picture of a lane check, in which a person sees whether a map's lines lie on those of the road."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from laci_stereo.report.lines import subdivide
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
 
 Project: TypeAlias = Callable[[FloatArray], list[FloatArray]]
-"""Maps a line on the ground, shape (n, 2), world, to the pieces of it that are in the picture, pixels."""
+"""Projects a line on the ground, shape (n, 2), world, to the pieces of it that are in the picture, pixels."""
 
 LINE_WIDTH, DOT_RADIUS = 1.4, 2.2
 LANE = Stroke(YELLOW, LINE_WIDTH, halo=False)
@@ -35,7 +35,7 @@ def draw_check(
     lane_map: LaneMap,
     kinds: Sequence[str] = PAINTED,
 ) -> Raster:
-    """Draw the map's lines as the calibration has them, dashed where they are hidden, and where they were found.
+    """Draw the map's lines according to the calibration, dashed where hidden, and the places where they were found.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def draw_check(
     placed : Placed
     lane_map : LaneMap
     kinds : sequence of str
-        Of lines that the sensor can see.
+        Kinds of lines that the sensor can see.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def draw_check(
 
 
 def _by_sight(line: LaneLine, placed: Placed) -> Iterator[tuple[FloatArray, bool]]:
-    """Cut a line into what is seen, shape (n, 2), and what the background hides; a wall is of the background itself."""
+    """Split a line into visible pieces, shape (n, 2), and hidden ones; walls are part of the background itself."""
     fine = subdivide(line.xy, STEP_M)
     behind = placed.hidden((fine[1:] + fine[:-1]) / 2) & (line.kind not in WALLS)
     for part in np.split(np.arange(len(behind)), np.flatnonzero(np.diff(behind)) + 1):
@@ -77,7 +77,7 @@ def _by_sight(line: LaneLine, placed: Placed) -> Iterator[tuple[FloatArray, bool
 
 
 def _found(check: LaneCheck, astray: bool) -> Iterator[FloatArray]:
-    """Yield where something was found, as lines a centimetre long, shape (2, 2), world."""
+    """Yield the places where something was found, as lines of one centimetre, shape (2, 2), world."""
     if check.offsets is None:
         return
     sections = check.offsets.sections

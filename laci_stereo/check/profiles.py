@@ -1,4 +1,4 @@
-"""Brightness across a map's lines, in metres on the ground."""
+"""Brightness profiles across a map's lines, in metres on the ground."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster
 from laci_stereo.report.camera import Camera
 
 REACH_M = 1.5
-"""To either side of a line: farther off, a lane's other line is nearer."""
+"""Range on either side of a line: farther off, a lane's other line is nearer."""
 
 STEP_M = 0.03
-"""Across a line; the narrowest paint, 8 cm, has nearly three."""
+"""Sampling interval across a line; the narrowest paint, 8 cm, covers nearly three."""
 
 ROWS = 8
-"""Samples along a section: their mean is the section's profile."""
+"""Number of samples along a section; their mean is the section's profile."""
 
 WIDEST = 30_000
-"""OpenCV's pictures have at most 32 767 columns."""
+"""Largest number of columns passed to OpenCV, whose images have at most 32 767."""
 
 OFFSETS_M = np.arange(-round(REACH_M / STEP_M), round(REACH_M / STEP_M) + 1) * STEP_M
-"""Where a profile is sampled, to the left of its line, shape (m,)."""
+"""Offsets at which a profile is sampled, to the left of its line, shape (m,)."""
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """What a sensor saw across sections of lines.
+    """Brightness that a sensor saw across sections of lines.
 
     Attributes
     ----------
     values : ndarray, shape (n, m)
-        Brightness at `OFFSETS_M`; NaN where nothing was seen.
+        Brightness at `OFFSETS_M`; NaN if nothing was seen there.
     cell_m : ndarray, shape (n,)
-        What a pixel, or the spacing of points, covers across the line; infinite where nothing was seen.
+        Width that a pixel, or the spacing of points, covers across the line; infinite if nothing was seen.
     in_image : bool
         Cells are pixels.
     """
@@ -50,7 +50,7 @@ class Profiles:
 
 
 def profiles_in_image(image: Raster, camera: Camera, sections: Sections) -> Profiles:
-    """Sample an image across sections of lines on the ground, through the lens as it is.
+    """Sample an image across sections of lines on the ground, with lens distortion taken into account.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def profiles_in_image(image: Raster, camera: Camera, sections: Sections) -> Prof
     """
     values = np.full((len(sections), len(OFFSETS_M)), np.nan)
     cell_m = cell_across(camera, sections)
-    # Where a pixel covers more than the paint is wide, it melts into what is beside it.
+    # If a pixel covers more than the width of the paint, the paint blends with its surroundings.
     seen = np.flatnonzero((cell_m <= sections.width_m) & _inside(project_ground(camera, sections.xy), image))
     places = _window(sections[seen])
     pixels = project_ground(camera, places.reshape(-1, 2)).reshape(places.shape)
@@ -70,20 +70,20 @@ def profiles_in_image(image: Raster, camera: Camera, sections: Sections) -> Prof
 
 
 def _window(sections: Sections) -> FloatArray:
-    """Return where sections are sampled, world, shape (n, rows, m, 2)."""
+    """Return the sampling positions of sections, world, shape (n, rows, m, 2)."""
     rows = ((np.arange(ROWS) + 0.5) / ROWS - 0.5) * SECTION_M
     along = rows[None, :, None, None] * sections.ahead[:, None, None]
     return np.asarray(sections.xy[:, None, None] + along + OFFSETS_M[:, None] * sections.left[:, None, None])
 
 
 def _inside(pixels: FloatArray, image: Raster) -> BoolArray:
-    """Tell which pixels, shape (..., 2), are in an image; NaN is not."""
+    """Return which pixels, shape (..., 2), are inside an image; NaN is not."""
     height, width = image.shape
     return np.asarray(((pixels >= 0.0) & (pixels <= [width - 1, height - 1])).all(axis=-1))
 
 
 def _look_up(image: Raster, pixels: FloatArray) -> FloatArray:
-    """Return an image's values between pixels, shape (..., 2); nonsense outside."""
+    """Return an image's values interpolated at pixels, shape (..., 2); values outside the image are meaningless."""
     if pixels.size == 0:
         return np.zeros(pixels.shape[:-1])
     places = np.nan_to_num(pixels, nan=-1.0).astype(np.float32).reshape(-1, 2)
@@ -95,12 +95,12 @@ def _look_up(image: Raster, pixels: FloatArray) -> FloatArray:
 
 
 def project_ground(camera: Camera, xy: FloatArray) -> FloatArray:
-    """Project points of the ground, shape (n, 2), world; NaN where they cannot be seen."""
+    """Project points on the ground, shape (n, 2), world, to pixels, shape (n, 2); NaN if they cannot be seen."""
     return camera.project(np.column_stack([xy, np.zeros(len(xy))]))
 
 
 def cell_across(camera: Camera, sections: Sections) -> FloatArray:
-    """Return what a pixel covers across sections, metres, shape (n,); infinite where they are not in view."""
+    """Return the width that a pixel covers across sections, metres, shape (n,); infinite if they are not in view."""
     ends = [project_ground(camera, sections.xy + side * STEP_M * sections.left) for side in (-1.0, 1.0)]
     apart_px = np.linalg.norm(ends[1] - ends[0], axis=1)
     return np.where(apart_px > 0, 2 * STEP_M / np.maximum(apart_px, 1e-9), np.inf)

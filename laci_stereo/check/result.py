@@ -1,4 +1,4 @@
-"""The lane check of a result that has just been found."""
+"""Lane check of a calibration that has just been estimated."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import boxes_in_world
 
 Checking: TypeAlias = Callable[[Calibration], Checked | None]
-"""Holds the map against what one kind of sensor saw; None without a map, or where the sensor cannot see lines."""
+"""Compares the map with what one kind of sensor saw; None without a map, or if the sensor cannot see lines."""
 
 
 def not_checked(_calibration: Calibration) -> Checked | None:
-    """Check nothing: there is no map, or the sensor cannot see lines."""
+    """Return None: there is no map, or the sensor cannot see lines."""
     return None
 
 
 def placed_by(calibration: Calibration) -> Placed:
-    """Return where a result puts its sensor."""
+    """Return the pose of the sensor according to a result."""
     boxes = np.array(boxes_in_world(calibration)).reshape(-1, 6)
     return Placed(calibration.T_world_sensor, calibration.covariance, calibration.centre_world, boxes)
 
 
 def beside_map(calibration: Calibration, check: LaneCheck) -> Calibration:
-    """Let the verdict say that a map contradicts the result: a warning, as either may be the one that is wrong.
+    """Return the result with a warning if a map contradicts it, because either of them may be wrong.
 
-    Maps may be in another datum (ETRS89 is 0.7 m from what receivers give), or of a road that was painted anew.
+    Maps may have another datum (ETRS89 differs by 0.7 m from that of receivers), or show a road before it was
+    repainted.
     """
     if check.judgement.outcome != "fail":
         return calibration

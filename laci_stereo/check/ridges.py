@@ -1,4 +1,4 @@
-"""Bright stripes as wide as paint in profiles."""
+"""Detection of bright stripes with the width of paint in brightness profiles."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from laci_stereo.check.traces import Traces, highest
 from laci_stereo.core.frames import FloatArray, IntArray
 
 WIDTHS_M = (0.09, 0.15, 0.21, 0.33, 0.51)
-"""Of stripes: thin lines are 0.10 to 0.15 m wide, thick ones 0.25 to 0.30 m, lines to stop at up to 0.5 m (RMS)."""
+"""Widths of stripes: thin lines are 0.10 to 0.15 m wide, thick ones 0.25 to 0.30 m, stop lines up to 0.5 m (RMS)."""
 
 FLANK_M = 0.15
-"""How much of the road on either side a stripe is compared with: so little that a pavement is none."""
+"""Width of road on either side to which a stripe is compared: narrow enough for a pavement not to count as a stripe."""
 
 BESIDE_A_PEAK = 0.5
-"""What is less than this share of a peak near by is its slope: a wide window answers to a narrow stripe at its edge."""
+"""A response below this fraction of a nearby peak belongs to its slope: a wide window responds to the edge of a narrow
+stripe."""
 
 FAINT = 0.02
-"""Of the road's brightness: what the noise is at least. Worn paint reflects a fifth more than the road, which is 9 % of
-the values in an image with a gamma of 2.2, and just beyond what is sure."""
+"""Lower limit of the noise, as a fraction of the road's brightness. Worn paint reflects a fifth more than the road,
+which is 9 % of the pixel values in an image with a gamma of 2.2, and just above the threshold of a sure detection."""
 
 
 def find_stripes(profiles: Profiles, line: IntArray) -> Traces:
-    """Look for stripes.
+    """Detect stripes.
 
     Parameters
     ----------
     profiles : Profiles
     line : ndarray of int, shape (n,)
-        Which of them are of one line, in order: they share its noise.
+        Index of each section's line, in order along it: sections of one line share its noise.
     """
     traces = Traces.unseen(len(profiles.values))
     seen = np.isfinite(profiles.values[:, len(OFFSETS_M) // 2])
@@ -54,22 +55,22 @@ def find_stripes(profiles: Profiles, line: IntArray) -> Traces:
 
 
 def _greatest_near(sigmas: FloatArray) -> FloatArray:
-    """Return the greatest value within half of the widest stripe, shape (n, m)."""
+    """Return the greatest value within half the width of the widest stripe, shape (n, m)."""
     reach = round(WIDTHS_M[-1] / 2 / STEP_M)
     return np.asarray(maximum_filter1d(sigmas, 2 * reach + 1, axis=1, mode="constant"))
 
 
 def middle_of(profile: FloatArray, at: int, width_m: float) -> float:
-    """Return the middle of a stripe, to the left of the line, metres: halfway between where it is half as bright.
+    """Return the middle of a stripe, to the left of the line, metres: halfway between its edges at half brightness.
 
     Parameters
     ----------
     profile : ndarray, shape (m,)
-        At `OFFSETS_M`.
+        Brightness at `OFFSETS_M`.
     at : int
-        A sample within the stripe.
+        Index of a sample within the stripe.
     width_m : float
-        About its width.
+        Approximate width of the stripe.
     """
     reach = round((width_m + FLANK_M) / STEP_M)
     smooth = np.convolve(np.nan_to_num(profile), np.full(3, 1 / 3), mode="same")
@@ -79,7 +80,7 @@ def middle_of(profile: FloatArray, at: int, width_m: float) -> float:
 
 
 def _steps_to_edge(outwards: FloatArray, peak: float) -> float:
-    """Return after how many samples brightness is halfway down to the darkest one; each side has its own half."""
+    """Return the distance, in samples, at which brightness is halfway down to the darkest sample on this side."""
     half = (peak + float(outwards.min())) / 2
     below = int(np.argmax(outwards < half))
     if below == 0:
@@ -88,7 +89,7 @@ def _steps_to_edge(outwards: FloatArray, peak: float) -> float:
 
 
 def _response(values: FloatArray, width_m: float) -> FloatArray:
-    """Return the mean over a stripe's width less that of its brighter flank, shape (n, m); NaN near what is unseen."""
+    """Return the mean over a stripe minus that of its brighter flank, shape (n, m); NaN next to unseen samples."""
     half = round(width_m / STEP_M) // 2
     flank = round(FLANK_M / STEP_M)
     unseen = np.isnan(values)

@@ -1,4 +1,4 @@
-"""A stereo calibration and how it fits its images, in words and as JSON."""
+"""Report of a stereo calibration and its fit to the images, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DISTANCES_M = (10.0, 20.0, 40.0, 80.0)
 
 
 def describe_rig(files: Sequence[Path], check: RigCheck) -> str:
-    """Say what a calibration was understood to be, how it fits its images, and the verdict."""
+    """Return a text: the calibration as it was read, its fit to the images, and the verdict."""
     rig, (width, height) = check.rig, check.size
     lines = [
         ("Rig", " + ".join(map(str, files))),
@@ -38,7 +38,7 @@ def describe_rig(files: Sequence[Path], check: RigCheck) -> str:
 
 
 def rig_document(files: Sequence[Path], check: RigCheck) -> Document:
-    """Write a check as JSON."""
+    """Return the result of a check as a JSON document."""
     rig = check.rig
     return {
         "files": [str(file) for file in files],
@@ -57,7 +57,7 @@ def rig_document(files: Sequence[Path], check: RigCheck) -> Document:
 
 
 def field_of_view_deg(lens: Lens) -> tuple[float, float]:
-    """Return the angles between what is seen at the middles of opposite borders, across and down."""
+    """Return the angles between the viewing directions at the middles of opposite borders, horizontal and vertical."""
     (width, height), (cx, cy) = lens.size, lens.K[:2, 2]
     ends = np.array([[0.0, cy], [width - 1.0, cy], [cx, 0.0], [cx, height - 1.0]])
     angles = np.degrees(np.arctan(undistorted(lens, ends)))
@@ -65,7 +65,7 @@ def field_of_view_deg(lens: Lens) -> tuple[float, float]:
 
 
 def depth_sigma_m(fit: Fit, noise_px: float, distance_m: float) -> float:
-    """Return the standard deviation of a depth, from that of a disparity: Z^2 / (f b)."""
+    """Return the standard deviation of a depth Z, from that of the disparity times Z^2 / (f b)."""
     sigma_px = float(np.hypot(noise_px, FLOOR_PX))
     return distance_m**2 * sigma_px / (fit.points.focal_px * fit.points.baseline_m)
 

@@ -1,4 +1,4 @@
-"""A stereo calibration held against image pairs."""
+"""Check of a stereo calibration against image pairs."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from laci_stereo.io.rig import Lens, Size, StereoRig
 from laci_stereo.stereo.rectify import already_rectified
 
 PAIRS = 5
-"""Compared, evenly spread: the noise of some thousand matches is far below what is systematic."""
+"""Number of pairs that are compared, uniformly spaced: with some thousand matches, noise is far below systematic
+errors."""
 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """How a calibration fits its images.
+    """Result of the check of a calibration against its images.
 
     Attributes
     ----------
     rig : StereoRig
-        As it was used: scaled, where the images are.
+        The calibration that was applied: scaled if the images are.
     size : tuple of int
-        Of the images, pixels.
+        Size of the images, pixels.
     fit : Fit or None
-        None if the images cannot be of these cameras.
+        None if the images cannot come from these cameras.
     findings : tuple of Finding
     shown : Compared
-        The pair to draw.
+        The pair for the picture.
     skipped : tuple of str
-        Images that could not be read, a line each.
+        The reason for each image that could not be read, one line each.
     """
 
     rig: StereoRig
@@ -55,15 +56,15 @@ class RigCheck:
 
 @dataclass(frozen=True)
 class Matched:
-    """What image pairs show, whatever their calibration.
+    """What image pairs show, independently of a calibration.
 
     Attributes
     ----------
     first : Compared
-        The first of the pairs.
+        The first pair that could be read.
     matches : tuple of PairMatches
     skipped : tuple of str
-        Images that could not be read, a line each.
+        The reason for each image that could not be read, one line each.
     """
 
     first: Compared
@@ -72,19 +73,19 @@ class Matched:
 
 
 def match_images(pairs: Sequence[StereoPair]) -> Matched:
-    """Match points in some of the pairs.
+    """Match points in some of the pairs, uniformly spaced.
 
     Raises
     ------
     ImageError
-        If none of them can be read.
+        If none of the selected pairs can be read.
     """
     images, skipped = _read(pairs)
     return Matched(images[0], tuple(match_pair(compared) for compared in images), skipped)
 
 
 def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
-    """Hold a calibration against what image pairs show."""
+    """Check a calibration against the matches of image pairs."""
     matches = matched.matches
     height, width = matched.first.left.shape
     size = (width, height)
@@ -103,11 +104,11 @@ def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
 
 
 def fit_of(rig: StereoRig, matches: Sequence[PairMatches]) -> Fit:
-    """Lay matches under a calibration."""
+    """Evaluate matches under a calibration."""
     everything = rectified(rig, matches)
     points, strange = in_common(everything)
     strange += sum(not len(found) for found in matches)
-    # What moves may tell of the images' times, so it says nothing of the calibration.
+    # Moving points may show a delay between the images, so they are not used to judge the calibration.
     still = points.chosen(~points.moves)
     judged = still if len(still) >= FEWEST_IN_CELL else points
     parallax = measure(judged) if len(judged) >= FEWEST_IN_CELL else None
@@ -116,7 +117,7 @@ def fit_of(rig: StereoRig, matches: Sequence[PairMatches]) -> Fit:
         len(matches),
         strange,
         parallax,
-        # Of images that are not of one time, what moves lies on no common geometry.
+        # In images of different times, moving points do not satisfy the common epipolar geometry.
         None if parallax is None else lag(everything.chosen(everything.moves), parallax),
         _together([found.moving for found in matches]),
         _together([found.still for found in matches]),
@@ -128,7 +129,7 @@ def _together(partners: Sequence[Partners]) -> Partners:
 
 
 def _read(pairs: Sequence[StereoPair]) -> tuple[list[Compared], tuple[str, ...]]:
-    """Read some pairs of one size, evenly spread; return them and why others are left out."""
+    """Read some pairs of equal size, uniformly spaced; return them and the reasons why others are left out."""
     images: list[Compared] = []
     skipped: list[str] = []
     for number in spread(range(len(pairs)), PAIRS):
@@ -147,7 +148,7 @@ def _read(pairs: Sequence[StereoPair]) -> tuple[list[Compared], tuple[str, ...]]
 
 
 def _sized(rig: StereoRig, size: Size) -> tuple[StereoRig | None, tuple[Finding, ...]]:
-    """Return the rig for images of a size, scaled if they may be; None if they cannot be of these cameras."""
+    """Return the rig for images of a size, scaled if only the scale differs; None if they are of other cameras."""
     if rig.left.size == size:
         return rig, ()
     said = "the images are {} x {} pixels, the calibration is for {} x {}".format(*size, *rig.left.size)
@@ -158,16 +159,16 @@ def _sized(rig: StereoRig, size: Size) -> tuple[StereoRig | None, tuple[Finding,
 
 
 def _one_camera(first: Compared) -> Iterator[Finding]:
-    """Say that left and right are one image, which fits every calibration: noise makes those of two cameras differ."""
+    """Report if left and right are one image, which fits every calibration: with two cameras, noise differs."""
     if np.array_equal(first.left, first.right):
         yield Finding("fail", "left and right are the same images; needed are those of two cameras")
 
 
 def scaled(rig: StereoRig, factor: float) -> StereoRig:
-    """Return the rig of the same images in another size."""
+    """Return the rig for the same images resized by a factor."""
 
     def resized(lens: Lens) -> Lens:
-        # The border of an image is half a pixel beyond the middle of its first pixel.
+        # The image border is half a pixel outside the centre of the first pixel.
         K = lens.K.copy()
         K[:2] *= factor
         K[:2, 2] += (factor - 1.0) / 2
@@ -177,14 +178,14 @@ def scaled(rig: StereoRig, factor: float) -> StereoRig:
 
 
 def swapped_images(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
-    """Say that left and right are swapped, if the calibration fits the other way round."""
+    """Report swapped images if the calibration fits with left and right exchanged."""
     if _fits(rig, [found.swapped() for found in matches]):
         words = "the images of left and right are swapped, or T is given in the other direction"
         yield Finding("fail", f"{words}: the other way round the calibration fits")
 
 
 def flat_images(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
-    """Ask whether the images are rectified already, if that would explain what they show."""
+    """Report images that may be rectified already, if the calibration fits under this assumption."""
     flat = already_rectified(rig)
     if _fits(flat, matches):
         yield Finding("fail", "are the images rectified already? With --rectified the calibration fits")

@@ -1,4 +1,4 @@
-"""The same points of the scene in both raw images of a pair: what a stereo calibration is held against."""
+"""Matching of scene points between the raw images of a pair, independently of any stereo calibration."""
 
 from __future__ import annotations
 
@@ -14,31 +14,34 @@ from laci_stereo.io.images import StereoPair, read_image
 from laci_stereo.stereo.reader import EightBit
 
 FEATURES = 2000
-"""In each image: some hundred for each twelfth of the image, though texture is uneven."""
+"""Features detected per image: some hundred in each twelfth of the image, even if texture is unevenly distributed."""
 
 DISTINCT = 0.8
-"""A match is kept whose descriptor is that much nearer than the second nearest: Lowe's ratio."""
+"""A match is kept if its descriptor distance is less than this fraction of the second-best one's: Lowe's ratio."""
 
 WINDOW_PX = 15
-"""Side of the window in which a match is refined: as in the disparity's own sub-pixel estimate, and a pixel around."""
+"""Side of the window in which a match is refined: that of the disparity's sub-pixel estimate, plus a margin of two
+pixels."""
 
 LEAST_CONTRAST, EVEN_CONTRAST = 2.0, 40.0
-"""Grey values: the noise of an 8-bit image, and what texture is brought to, of which three lie within 128."""
+"""Grey values: the standard deviation of noise in an 8-bit image, and the standard deviation to which texture is
+scaled, three of which fit into 128."""
 
 MOST_REFINED_PX = 3.0
-"""A point of a feature is right to that, beyond it the refinement has found something else."""
+"""Feature positions are accurate to this; a refinement that moves farther has found something else."""
 
 RETURNED_PX = 0.5
-"""A refined match leads back to where it started to half a pixel, or the window holds no texture that fixes it."""
+"""A refined match must lead back to its starting point within half a pixel; otherwise the window has too little texture
+to determine it."""
 
 
 MOVED_PX = 1.0
-"""Points that move by less until the next image may as well stand still."""
+"""Points that move less than this until the next image count as stationary."""
 
 
 @dataclass(frozen=True)
 class Partners:
-    """How many points of a left image there are, and how many of them have a match in the right one."""
+    """Number of points of a left image, and how many of them have a match in the right image."""
 
     points: int = 0
     matched: int = 0
@@ -52,11 +55,11 @@ class PairMatches:
     ----------
     left, right : ndarray, shape (n, 2)
     later : ndarray, shape (n, 2)
-        Where the left point is in the left image that follows; NaN where it was not found.
+        Position of the left point in the following left image; NaN if it was not found there.
     later_s : float
-        How much later that is.
+        Time between these two left images.
     moving, still : Partners
-        Of all points of the left image that were followed to the next one.
+        Counts of all points of the left image that were tracked to the next one, by whether they move.
     """
 
     left: FloatArray
@@ -70,18 +73,19 @@ class PairMatches:
         return len(self.left)
 
     def swapped(self) -> PairMatches:
-        """Return the matches as if left were right."""
+        """Return the matches with left and right exchanged."""
         return replace(self, left=self.right, right=self.left, later=np.full(self.later.shape, np.nan))
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A pair of images with their following left one, grey, uint8; without it the recording ends or times are unknown.
+    """A pair of images and the following left image, as grey, uint8.
 
     Attributes
     ----------
     left, right : ndarray, shape (height, width)
     later : ndarray or None
+        None at the end of the recording, if its size differs, or if the times are unknown.
     later_s : float
     """
 
@@ -92,12 +96,12 @@ class Compared:
 
 
 def read_compared(pairs: Sequence[StereoPair], number: int) -> Compared:
-    """Read a pair and the left image that follows it.
+    """Read a pair and the following left image.
 
     Raises
     ------
     ImageError
-        If one of the pair cannot be read, or left and right are not of one size.
+        If an image cannot be read, or left and right differ in size.
     """
     pair = pairs[number]
     eight_bit = EightBit()
@@ -115,9 +119,9 @@ def read_compared(pairs: Sequence[StereoPair], number: int) -> Compared:
 
 
 def match_pair(images: Compared) -> PairMatches:
-    """Match points between both images wherever they may lie, to a fraction of a pixel.
+    """Match points between both images anywhere, with sub-pixel precision.
 
-    No calibration is used: whatever is wrong with it shows in the matches.
+    No calibration is used, so the matches show whatever is wrong with it.
     """
     even_left, even_right = _evened(images.left), _evened(images.right)
     finder = cv2.SIFT.create(nfeatures=FEATURES)
@@ -137,13 +141,13 @@ def match_pair(images: Compared) -> PairMatches:
     if images.later is not None:
         followed, seen = _refined(even_left, _evened(images.later), left, left, most_px=np.inf, levels=3)
         later[seen] = followed[seen]
-    # A feature that is found on two scales is one point.
+    # A feature that is detected at two scales is one point.
     _, once = np.unique(np.rint(left * 4), axis=0, return_index=True)
     return _gathered(left[once], found[once], later[once], images.later_s)
 
 
 def _gathered(left: Raster, right: Raster, later: Raster, later_s: float) -> PairMatches:
-    """Keep what was matched, and count partners. Points are float32, NaN where they were not found."""
+    """Keep the matched points and count partners. Points are float32, NaN if they were not found."""
     matched, followed = (np.isfinite(there).all(axis=1) for there in (right, later))
     flow = later - left
     shake = np.median(flow[followed], axis=0) if followed.any() else np.zeros(2)
@@ -155,16 +159,16 @@ def _gathered(left: Raster, right: Raster, later: Raster, later_s: float) -> Pai
 
 
 def _stretched(image: Raster) -> Raster:
-    """Return an image whose grey values fill 8 bit, so that as many features are found in a dark one."""
+    """Return an image stretched to the full 8-bit range, so that dark images yield as many features as bright ones."""
     low, high = np.percentile(image, [0.5, 99.5])
     stretched: Raster = np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
     return stretched
 
 
 def _evened(image: Raster) -> Raster:
-    """Return an image of even brightness and contrast, uint8: cameras of a pair seldom expose alike.
+    """Return an image with uniform brightness and contrast, uint8: the cameras of a pair seldom have equal exposure.
 
-    Texture below the noise of an 8-bit image stays faint.
+    Texture below the noise of an 8-bit image is not amplified to full contrast.
     """
     grey = image.astype(np.float32)
     detail = grey - cv2.GaussianBlur(grey, (0, 0), WINDOW_PX)
@@ -180,7 +184,7 @@ def _distinct(words: Raster, others: Raster) -> dict[int, int]:
 def _refined(
     image: Raster, other: Raster, points: Raster, start: Raster, most_px: float = MOST_REFINED_PX, levels: int = 0
 ) -> tuple[Raster, BoolArray]:
-    """Return where points are in another image, shape (n, 2), and which of them are trusted."""
+    """Return the positions of points in another image, shape (n, 2), and which of them are reliable."""
     if not len(points):
         return start, np.zeros(0, dtype=bool)
     there, seen = _followed(image, other, points, start, levels)
@@ -192,7 +196,7 @@ def _refined(
 
 
 def _followed(image: Raster, other: Raster, points: Raster, start: Raster, levels: int) -> tuple[Raster, BoolArray]:
-    """Return where Lucas and Kanade find points, shape (n, 2), from a start, and which they find."""
+    """Track points from start positions (Lucas-Kanade); return their positions, shape (n, 2), and which were found."""
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         image,
         other,

@@ -1,9 +1,12 @@
-"""What matched points say of a stereo calibration: after rectification they lie in one row, and no one beyond infinity.
+"""Analysis of matched points under a stereo calibration: vertical parallax and disparities below zero.
 
-Vertical parallax is the row of a point in the rectified right image less that in the left one, disparity the columns'
-difference. A small turn w of the right camera and an error e of the direction to it shift a point at (x, y), in focal
-lengths, with disparity d, by f (w_z x - w_x (1 + y^2) + w_y x y) + d (e_y - e_z y) rows and by
-f (w_y (1 + x^2) - w_z y - w_x x y) columns, to first order.
+With a correct calibration, partners (matched points) lie in one row after rectification, and no point lies beyond
+infinity.
+
+Vertical parallax is the row of a point in the rectified right image minus that in the left one; disparity is the
+corresponding difference of columns. A small rotation w of the right camera and an error e of the direction of the
+baseline shift a point at (x, y), in focal lengths, with disparity d, by f (w_z x - w_x (1 + y^2) + w_y x y) + d (e_y -
+e_z y) rows and by f (w_y (1 + x^2) - w_z y - w_x x y) columns, to first order.
 """
 
 from __future__ import annotations
@@ -18,31 +21,32 @@ from laci_stereo.core.robust import NORMAL
 from laci_stereo.stereo.settings import StereoSettings
 
 FLOOR_PX = StereoSettings().disparity_floor_px
-"""What the noise model leaves to imperfect rectification, one standard deviation."""
+"""Standard deviation that the noise model allows for imperfect rectification."""
 
 FEWEST_IN_CELL = 9
-"""Matches: the median is then not any one match's."""
+"""Least number of matches in a cell: the median then does not depend on any single match."""
 
 MEDIAN_SIGMA = float(np.sqrt(np.pi / 2))
-"""Of a median of normal values, in those of their mean."""
+"""Standard deviation of the median of normally distributed values, in units of that of their mean."""
 
 LEAST_NOISE_PX = 0.01
-"""No match is better: it keeps perfect ones from weighing without end."""
+"""Lower limit of a match's standard deviation: without it, perfect matches would get unlimited weight."""
 
 PRIOR_RAD = np.radians(2.0)
-"""A camera that has turned further on its bar is seen by eye; it keeps a flat scene from leaving a turn open."""
+"""A priori standard deviation of each parameter of a turn. A camera that has turned further on its bar is noticed by
+eye; the prior also keeps a flat scene from leaving a parameter undetermined."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """What is systematic in the cells that hold enough matches, pixels.
+    """Systematic errors of the cells that contain enough matches, pixels.
 
     Attributes
     ----------
     parallax_px, disparity_px : ndarray, shape (c,)
-        Medians.
+        Medians of vertical parallax and disparity.
     sigma_px : ndarray, shape (c,)
-        Of these medians.
+        Standard deviations of the parallax medians.
     count : ndarray of int, shape (c,)
     """
 
@@ -54,18 +58,18 @@ class Cells:
 
 @dataclass(frozen=True)
 class Turn:
-    """How the right camera seems to be turned and shifted against its calibration.
+    """Estimated rotation and displacement of the right camera relative to its calibration.
 
     Attributes
     ----------
     angles_rad : ndarray, shape (3,)
-        About its x, y and z axis.
+        Rotation about its x, y and z axis.
     sigma_rad : ndarray, shape (3,)
-        With the floor that lenses leave.
+        Standard deviations, with an allowance for residual lens errors.
     shift_rad : ndarray, shape (2,)
-        Of the direction to it, along y and z.
+        Change of the direction of the baseline, along y and z.
     left_over_px : float
-        Systematic parallax that it does not explain, 95th percentile.
+        95th percentile of the systematic parallax that the turn does not explain.
     """
 
     angles_rad: FloatArray
@@ -76,14 +80,14 @@ class Turn:
 
 @dataclass(frozen=True)
 class RowsTurn:
-    """The turn of the right camera that explains most of the parallax, if it has turned up and rolled, and no more.
+    """The pitch and roll of the right camera that explain most of the parallax, if it has no other error.
 
     Attributes
     ----------
     angles_rad, sigma_rad : ndarray, shape (2,)
-        About its x and z axis.
+        Rotation about its x and z axis, and its standard deviations.
     effect_px : float
-        Root mean square, over the matches, of the parallax by it.
+        Root mean square of the parallax that this rotation causes, over the matches.
     """
 
     angles_rad: FloatArray
@@ -93,20 +97,21 @@ class RowsTurn:
 
 @dataclass(frozen=True)
 class Parallax:
-    """The findings.
+    """Results of the parallax analysis.
 
     Attributes
     ----------
     median_px, high_px : float
-        Of the vertical parallax; 95th percentile of its amount.
+        Median of the vertical parallax, and 95th percentile of its absolute value.
     noise_px : float
-        Its scatter within a cell, one standard deviation.
+        Its dispersion within a cell, one standard deviation.
     systematic_px : float
-        95th percentile over the matches of the amount of their cell's median beyond three of its sigmas.
+        95th percentile over the matches of their cell's systematic parallax: the amount by which the absolute value of
+        the cell's median exceeds three of its standard deviations.
     trend_px : tuple of float
-        Parallax in the middle of the image, and its change across the width and the height.
+        Parallax in the middle of the image, and its change across the width and across the height.
     behind_px : float
-        How far the median disparity of some cell is below zero beyond noise.
+        The largest amount by which a cell's median disparity is below zero beyond noise (three standard deviations).
     cells : Cells
     turn : Turn
     rows_turn : RowsTurn
@@ -125,13 +130,13 @@ class Parallax:
 
 @dataclass(frozen=True)
 class Lag:
-    """How much later the right images were taken than the left ones, by what moves.
+    """Delay of the right images relative to the left ones, measured with moving points.
 
     Attributes
     ----------
     seconds, sigma_s : float
     effect_px : float
-        What that does to the points that move, 95th percentile.
+        95th percentile of the resulting displacement of the moving points.
     count : int
     """
 
@@ -142,7 +147,7 @@ class Lag:
 
 
 def measure(points: Rectified) -> Parallax:
-    """Find what is systematic in the parallax of matches, and what is noise."""
+    """Separate systematic parallax of matches from noise."""
     parallax = points.parallax_px
     design = turn_rows(points)
     turn, covariance = _robust_fit(design, parallax, points.cell, PRIOR_RAD)
@@ -174,16 +179,16 @@ def _rows_turn(design: FloatArray, points: Rectified) -> RowsTurn:
 
 
 def turn_rows(points: Rectified) -> FloatArray:
-    """Return how each match's parallax, pixels, follows from the turn, rad, and the shift's direction, rad: (n, 5)."""
+    """Return the derivatives of parallax by the three angles and two shifts of a `Turn`, px/rad, shape (n, 5)."""
     f, d = points.focal_px, -points.sign * points.disparity_px
     x, y = ((points.right - points.centre_px) / f).T
     return np.column_stack([-f * (1 + y**2), f * x * y, f * x, -d, d * y])
 
 
 def lag(moving: Rectified, found: Parallax) -> Lag | None:
-    """Find how much later the right images were taken, from points that move up or down in the image; None if few do.
+    """Return the delay of the right images, from points that move up or down in the image; None if too few do.
 
-    A point with v rows per second is v dt lower in an image that was taken dt later.
+    A point that moves by v rows per second is v dt lower in an image that was taken dt later.
     """
     parameters = np.concatenate([found.turn.angles_rad, found.turn.shift_rad])
     if len(moving) < FEWEST_IN_CELL:
@@ -205,10 +210,10 @@ def _plane_rows(points: Rectified) -> FloatArray:
 def _robust_fit(
     design: FloatArray, values: FloatArray, cluster: IntArray, prior: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit values by the columns of a design, whatever a minority does; return parameters and covariance.
+    """Fit the columns of a design to values robustly against a minority of outliers; return parameters and covariance.
 
-    The parameters are taken to be zero within ``prior``, one sigma. The covariance takes the residuals of a cluster for
-    one, as a lens's errors are alike within a cell (sandwich estimate).
+    The parameters have an a priori mean of zero and standard deviation of ``prior``. The covariance allows any
+    correlation of residuals within a cluster, as lens errors are nearly constant within a cell (sandwich estimate).
     """
     weight = np.ones(len(values))
     scale = LEAST_NOISE_PX
@@ -227,12 +232,12 @@ def _robust_fit(
 
 
 def _scatter(residual: FloatArray) -> float:
-    """Return a standard deviation, by the median."""
+    """Return a robust standard deviation from the median absolute value."""
     return max(NORMAL * float(np.median(np.abs(residual))), LEAST_NOISE_PX)
 
 
 def _cell_medians(values: FloatArray, cell: IntArray) -> FloatArray:
-    """Return for each value the median of its cell."""
+    """Return the median of each value's cell, shape (n,)."""
     medians = np.zeros(len(values))
     for number in np.unique(cell):
         medians[cell == number] = np.median(values[cell == number])
@@ -240,7 +245,10 @@ def _cell_medians(values: FloatArray, cell: IntArray) -> FloatArray:
 
 
 def _cells(points: Rectified, values: FloatArray, noise_px: float) -> Cells:
-    """Return the medians of the cells with enough matches. A camera that stands still sees the same points again."""
+    """Return the medians of the cells with enough matches.
+
+    A stationary camera sees the same points in every pair, so that only one pair's matches count as independent.
+    """
     cell, pairs = points.cell, len(np.unique(points.pair))
     full = [np.flatnonzero(cell == number) for number in range(COLUMNS * ROWS)]
     full = [members for members in full if len(members) >= FEWEST_IN_CELL]
@@ -254,7 +262,7 @@ def _cells(points: Rectified, values: FloatArray, noise_px: float) -> Cells:
 
 
 def _high(cells: Cells) -> float:
-    """Return the 95th percentile over the matches of what is systematic beyond noise."""
+    """Return the 95th percentile over the matches of the systematic parallax of their cells."""
     if not len(cells.count):
         return 0.0
     certain = np.maximum(np.abs(cells.parallax_px) - 3 * cells.sigma_px, 0.0)

@@ -1,4 +1,4 @@
-"""A picture in which a person sees whether partners lie in one row after rectification."""
+"""Picture of a rig check, in which a person sees whether partners lie in one row after rectification."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW,
 from laci_stereo.stereo.rectify import rectify
 
 ROWS = 12
-"""Rows that are drawn across both images."""
+"""Number of rows that are drawn across both images."""
 
 ROW = Stroke(WHITE, 0.5, halo=False)
 RADIUS = 2.6
@@ -26,7 +26,7 @@ _COLOURS = (
 
 
 def draw_rig(check: RigCheck) -> Raster:
-    """Draw the rectified pair side by side, its rows, and the matches by how far they are off them.
+    """Draw the rectified pair side by side, its rows, and the matches coloured by their vertical parallax.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def draw_rig(check: RigCheck) -> Raster:
 
 
 def _draw_matches(canvas: Canvas, matches: Rectified, width: int) -> list[FloatArray]:
-    """Draw the matches of the first pair; return where they are in the left and in the right image."""
+    """Draw the matches of the first pair; return their positions in the left and the right image."""
     points = matches.chosen(matches.pair == 0)
     left, right = (_seen(each, points.sign, width) for each in (points.left, points.right))
     right += [width, 0.0]
@@ -59,7 +59,7 @@ def _draw_matches(canvas: Canvas, matches: Rectified, width: int) -> list[FloatA
 
 
 def _seen(pixels: FloatArray, sign: int, width: int) -> FloatArray:
-    """Return where points are in images that are mirrored where the second camera stands on the left."""
+    """Return the positions of points in images that are mirrored if the second camera is left of the first."""
     return pixels.copy() if sign > 0 else np.column_stack([width - 1 - pixels[:, 0], pixels[:, 1]])
 
 

@@ -1,4 +1,4 @@
-"""Matches on the common image plane of a stereo calibration, those of them that show one scene."""
+"""Matches on the common image plane of a stereo calibration, and the selection of those that show one scene."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from laci_stereo.io.rig import Lens, StereoRig
 from laci_stereo.stereo.rectify import bouguet, undistorted
 
 COLUMNS, ROWS = 8, 6
-"""Of the cells in which systematic errors are told from noise: a lens's or a turn's error is alike within each."""
+"""Numbers of cells in which systematic errors are separated from noise: lens and rotation errors are nearly constant
+within a cell."""
 
 TOLERANCE_PX = 3.0
-"""Farther from its epipolar line a match is none, whatever the calibration: see `MOST_REFINED_PX`."""
+"""A match farther from its epipolar line is an outlier, whatever the calibration: see `MOST_REFINED_PX`."""
 
 TRIES = 2000
-"""Hypotheses of the epipolar geometry, which find it if half the matches are right: (1/2)^7 in 128."""
+"""RANSAC hypotheses of the epipolar geometry. They suffice if half of the matches are correct: one sample of seven
+matches in 2^7 = 128 is free of outliers."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +32,16 @@ class Rectified:
     Attributes
     ----------
     left, right : ndarray, shape (n, 2)
-        Pixels.
+        Positions in the rectified images, pixels.
     flow_px, later_s : ndarray, shape (n, 2) and (n,)
-        How far the left point moves until the next left image, less the pair's median, and how long that takes; NaN
-        where it was not followed.
+        Motion of the left point until the next left image, minus the pair's median, and the time between; NaN if the
+        point was not tracked.
     pair : ndarray of int, shape (n,)
     focal_px, baseline_m : float
     centre_px : ndarray, shape (2,)
     size : tuple of int
     sign : int
-        Of disparities: -1 where the second camera stands on the left of the first.
+        Sign of disparities: -1 if the second camera is left of the first.
     """
 
     left: FloatArray
@@ -58,25 +60,25 @@ class Rectified:
 
     @property
     def parallax_px(self) -> FloatArray:
-        """Rows by which the right point is below the left one, shape (n,)."""
+        """Rows by which the right point is below the left point, shape (n,)."""
         found: FloatArray = self.right[:, 1] - self.left[:, 1]
         return found
 
     @property
     def disparity_px(self) -> FloatArray:
-        """Shape (n,); positive in front of the cameras."""
+        """Disparity, shape (n,); positive in front of the cameras."""
         found: FloatArray = self.sign * (self.left[:, 0] - self.right[:, 0])
         return found
 
     @property
     def moves(self) -> BoolArray:
-        """Which points move, shape (n,); of those that were not followed, none."""
+        """Which points move, shape (n,); points that were not tracked do not count as moving."""
         moved: BoolArray = np.linalg.norm(self.flow_px, axis=1) > MOVED_PX
         return moved
 
     @property
     def cell(self) -> IntArray:
-        """The number of the cell of the left image that a point is in, shape (n,)."""
+        """Index of the cell of the left image that contains each point, shape (n,)."""
         column, row = (
             np.clip(self.left[:, axis] * count // self.size[axis], 0, count - 1).astype(np.int64)
             for axis, count in ((0, COLUMNS), (1, ROWS))
@@ -84,7 +86,7 @@ class Rectified:
         return row * COLUMNS + column
 
     def chosen(self, those: BoolArray) -> Rectified:
-        """Return some of the matches."""
+        """Return a subset of the matches."""
         return replace(
             self,
             left=self.left[those],
@@ -96,7 +98,7 @@ class Rectified:
 
 
 def rectified(rig: StereoRig, matches: Sequence[PairMatches]) -> Rectified:
-    """Lay matches onto the common image plane of a calibration."""
+    """Project matches onto the common image plane of a calibration."""
     left_R, right_R, left_P, right_P = bouguet(rig)
     left = [_on_plane(rig.left, left_R, left_P, found.left) for found in matches]
     right = [_on_plane(rig.right, right_R, right_P, found.right) for found in matches]
@@ -120,7 +122,7 @@ def rectified(rig: StereoRig, matches: Sequence[PairMatches]) -> Rectified:
 
 
 def _on_plane(lens: Lens, R: FloatArray, P: FloatArray, points: FloatArray) -> FloatArray:
-    """Return raw pixels, shape (n, 2), as rectified ones; NaN stays NaN."""
+    """Convert raw pixels, shape (n, 2), to rectified ones; NaN stays NaN."""
     found = np.full(points.shape, np.nan)
     known = np.isfinite(points).all(axis=1)
     if known.any():
@@ -129,11 +131,11 @@ def _on_plane(lens: Lens, R: FloatArray, P: FloatArray, points: FloatArray) -> F
 
 
 def in_common(points: Rectified) -> tuple[Rectified, int]:
-    """Return the matches of the pairs that show one scene, and how many pairs do not.
+    """Return the matches of the pairs whose images show one scene, and the number of the other pairs.
 
-    They do if more matches agree on an epipolar geometry, whichever, than chance lets agree: of N matches anywhere in
-    the image N p are near a given line, p = 2 tolerance / height, and the best of many tries finds
-    N p + sqrt(2 N p ln tries) + ln tries of them, besides the eight that it was laid through.
+    A pair's images show one scene if more matches agree on any one epipolar geometry than chance explains. Of N random
+    matches, N p lie near a given line, p = 2 tolerance / height, and the best of many trials finds N p + sqrt(2 N p ln
+    tries) + ln tries of them, in addition to the eight that determine the geometry.
     """
     keep = np.zeros(len(points), dtype=bool)
     strange = 0

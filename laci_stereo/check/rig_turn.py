@@ -1,8 +1,11 @@
-"""A stereo calibration brought up to date: how far the right camera has turned since, by the rows of its images.
+"""Update of a stereo calibration: pitch and roll of the right camera since then, from the rows of its images.
 
-Screws settle, and bars bend in the sun: a turn by a fiftieth of a degree moves rows by a third of a pixel, where every
-disparity on a slanted edge is wrong already. Rows tell it to a thousandth of a degree, and it is taken back. What they
-do not tell is a turn sideways, which shifts all disparities alike; it is likely to be as large, and so is said.
+The word turn stands for a small rotation, as in `StereoSettings.turn_deg`; yaw is a turn about the camera's y axis.
+
+Screws settle, and bars bend in the sun: a turn of a fiftieth of a degree moves rows by a third of a pixel, at which
+every disparity on a slanted edge is wrong already. Rows determine pitch and roll to a thousandth of a degree, and these
+are corrected. Rows do not determine yaw, which shifts all disparities alike; it is likely to be as large, and is
+therefore reported.
 """
 
 from __future__ import annotations
@@ -29,39 +32,39 @@ TurnDeg: TypeAlias = tuple[float, float, float]
 NO_TURN: TurnDeg = (0.0, 0.0, 0.0)
 
 LEAST_PX, SURELY = 0.05, 3.0
-"""Rows that are off by less, or by less than so many standard deviations, are left as they are: a matcher's own bias is
+"""Row errors below `LEAST_PX`, and turns below `SURELY` standard deviations, are not corrected: a matcher's own bias is
 as large."""
 
 LOOKS = 2
-"""The turn is found to first order; what a turn of a degree leaves then is a hundredth of that."""
+"""Number of iterations: the turn is estimated to first order, which leaves a hundredth of a turn of one degree."""
 
 MOST_LOOKS = 3
-"""So often a drive is asked how far the right camera has turned sideways, which takes a run each time: each leaves a
-tenth or so of what the one before was off."""
+"""Largest number of times that a drive is used to estimate the right camera's yaw, each of which takes a run. Each
+reduces the error to about a tenth."""
 
 SAID_AT_M = 30.0
-"""How far away things are of which it is said how far they may be off."""
+"""Distance for which the possible depth error is reported."""
 
 
 @dataclass(frozen=True)
 class RightTurn:
-    """How far the right camera has turned since it was calibrated.
+    """Rotation of the right camera since its calibration.
 
     Attributes
     ----------
     turn_deg : tuple of float, or None
         As in `StereoSettings.turn_deg`.
     off_px : float
-        By how much a turn sideways that is as large shifts all disparities.
+        Shift of all disparities by a yaw as large as the estimated turn.
     left_px : float
-        By how much disparities may be off all the same after a drive has told that turn, one standard deviation; 0
-        where none has, or only roughly.
+        Standard deviation of the disparity shift that remains after a drive has determined the yaw; 0 if none has, or
+        only roughly.
     looks : int
-        How often a drive was asked for it.
+        Number of times that a drive was used to estimate the yaw.
     by_rows, doubts : tuple of str
-        What was done about it, and what is wrong with the calibration all the same.
+        What was corrected, and the objections to the calibration that remain.
     fits : callable, or None
-        How matches lie, given a turn; None where there is none.
+        Evaluates the matches under a given turn; None if there is no turn.
     """
 
     turn_deg: TurnDeg | None = None
@@ -74,17 +77,20 @@ class RightTurn:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done about it, by the drive as well."""
+        """What was corrected, including the yaw from the drive."""
         if not self.looks or self.turn_deg is None:
             return self.by_rows
         said = f"by the drive the right camera has turned by {self.turn_deg[1]:+.3f} deg sideways"
         return (*self.by_rows, f"stereo calibration: {said}; that is taken into account, too")
 
     def sideways(self, plane: Rectification, per_m: float, after_per_m: float) -> RightTurn:
-        """Return the turn by so much more that inverse depths are larger, 1/m; its standard deviation is 0 if unknown.
+        """Return the turn with its yaw increased so that inverse depths, 1/m, change by ``per_m``.
 
-        Inverse depths are disparities over focal length and baseline, and a turn shifts these by the focal length. It
-        moves rows as well, where they are not in the middle, as a roll does: these are looked at again.
+        ``after_per_m`` is the standard deviation of the estimate; 0 if unknown.
+
+        Inverse depth is disparity over focal length and baseline, and a yaw in radians shifts disparities by the focal
+        length times it. Off the middle rows it also moves rows, as a roll does: pitch and roll are therefore estimated
+        again.
         """
         pitch, yaw, roll = self.turn_deg or NO_TURN
         turn_deg = pitch, yaw + float(np.degrees(plane.baseline_m * per_m)) * (-1.0 if plane.mirrored else 1.0), roll
@@ -95,12 +101,12 @@ class RightTurn:
 
 
 def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
-    """Find how far the right camera has turned up and about its line of sight, from matches in some pairs.
+    """Estimate the right camera's pitch and roll from matches in some pairs.
 
     Parameters
     ----------
     rig : StereoRig
-        Of the images as they are.
+        Rig of the images as they are.
     pairs : sequence of StereoPair
 
     Raises
@@ -111,7 +117,7 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
     try:
         matches = match_images(pairs).matches
     except ImageError:
-        return RightTurn()  # who reads all of them says what is wrong
+        return RightTurn()  # the caller reads all images and reports what is wrong
     fits = partial(_fit_turned, rig, matches)
     turn_deg, fit = _evened(fits, NO_TURN)
     if fit.judged is None:
@@ -139,7 +145,7 @@ def _fit_turned(rig: StereoRig, matches: Sequence[PairMatches], turn_deg: TurnDe
 
 
 def _evened(fits: Callable[[TurnDeg], Fit], turn_deg: TurnDeg) -> tuple[TurnDeg, Fit]:
-    """Return by which turn up and about the line of sight rows are even, given one, and how matches lie then."""
+    """Return a turn with pitch and roll corrected so that rows agree, and the evaluation of the matches under it."""
     fit = fits(turn_deg)
     for _ in range(LOOKS):
         step = _step_rad(fit)
@@ -152,7 +158,7 @@ def _evened(fits: Callable[[TurnDeg], Fit], turn_deg: TurnDeg) -> tuple[TurnDeg,
 
 
 def _step_rad(fit: Fit) -> FloatArray | None:
-    """Return the turn that is to be taken back, about x and z, shape (2,); None if it is none, or cannot be told."""
+    """Return the correction of pitch and roll, shape (2,), rad; None if it is insignificant or undetermined."""
     if fit.judged is None:
         return None
     rows = fit.judged.rows_turn

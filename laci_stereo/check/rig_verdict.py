@@ -1,4 +1,4 @@
-"""Whether a stereo calibration fits its images, and what is wrong if not."""
+"""Verdict on a stereo calibration: whether it fits its images, and if not, what is wrong."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ from laci_stereo.check.rig_points import COLUMNS, ROWS, Rectified
 Outcome: TypeAlias = Literal["pass", "warn", "fail"]
 
 WARN_PX = 3 * FLOOR_PX
-"""Three standard deviations of what is accounted for as imperfect rectification: more of it is not."""
+"""Three standard deviations of what is allowed for as imperfect rectification; larger errors are not allowed for."""
 
 FAIL_PX = 0.5
-"""The row above or below is then nearer to a point's partner than the row that is searched. On an edge that leans by
-45 deg, a disparity is wrong by as much as the rows are."""
+"""Beyond half a pixel, the adjacent row is nearer to a point's partner than the row that is searched. On an edge
+inclined by 45 deg, the disparity error equals the row error."""
 
 FEWEST_CELLS = COLUMNS * ROWS // 4
-"""Of the image: a quarter, and twice as many as a turn and a shift have unknowns."""
+"""Least number of cells with matches: a quarter of the image, and more than twice the unknowns of a turn and a
+shift."""
 
 FEWEST_EXPECTED = 12
-"""Of that many partners a quarter or less is found by chance once in 400 times (Poisson)."""
+"""Least number of expected partners: with this expectation, a quarter or less is found by chance once in 400 times
+(Poisson)."""
 
 _AXES = ("up or down (pitch)", "sideways (yaw)", "about its line of sight (roll)")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that speaks against a calibration, and how loudly; one that passes is a remark."""
+    """An objection to a calibration, with its severity; one with the outcome "pass" is a remark."""
 
     outcome: Outcome
     text: str
@@ -39,20 +41,20 @@ class Finding:
 
 @dataclass(frozen=True)
 class Fit:
-    """How matches lie under a calibration.
+    """Evaluation of matches under a calibration.
 
     Attributes
     ----------
     points : Rectified
-        Of the pairs that show one scene.
+        Matches of the pairs whose two images show one scene.
     pairs, strange : int
-        Compared; and those of them whose images have nothing in common.
+        Number of pairs compared, and of those whose images have nothing in common.
     parallax : Parallax or None
         None if there are too few matches.
     lag : Lag or None
-        None if nothing moves.
+        None if too few points move.
     moving, still : Partners
-        Of all pairs.
+        Counts over all pairs.
     """
 
     points: Rectified
@@ -65,19 +67,20 @@ class Fit:
 
     @property
     def shown(self) -> Parallax | None:
-        """The parallax, if most pairs show one scene."""
+        """The parallax, if the images of at least half of the pairs show one scene; else None."""
         return None if 2 * self.strange > self.pairs else self.parallax
 
     @property
     def judged(self) -> Parallax | None:
-        """The same, if enough parts of the image hold matches to judge by."""
+        """The parallax, if enough parts of the image contain matches for a verdict; else None."""
         return self.shown if self.shown is not None and len(self.shown.cells.count) >= FEWEST_CELLS else None
 
 
 def judge(fit: Fit) -> tuple[Finding, ...]:
-    """Return what speaks against a calibration; nothing does if it fits.
+    """Return the objections to a calibration; there are none if it fits.
 
-    *fail*: disparities cannot be trusted. *warn*: they are worse than is accounted for, or it cannot be told.
+    *fail*: disparities are unreliable. *warn*: they are worse than allowed for, or the images do not show whether they
+    are.
     """
     if fit.shown is None:
         return (Finding("fail", _strangers(fit)),)
@@ -85,7 +88,7 @@ def judge(fit: Fit) -> tuple[Finding, ...]:
 
 
 def contradictions(fit: Fit, shown: Parallax) -> tuple[Finding, ...]:
-    """Return what speaks against a calibration, and not only against the images' texture."""
+    """Return the objections to a calibration other than a lack of texture in the images."""
     found = [*_rows(shown), *_columns(shown, fit.points.focal_px)]
     if fit.strange:
         found.append(Finding("warn", _strangers(fit)))
@@ -93,13 +96,13 @@ def contradictions(fit: Fit, shown: Parallax) -> tuple[Finding, ...]:
 
 
 def outcome_of(findings: tuple[Finding, ...]) -> Outcome:
-    """Return the gravest."""
+    """Return the gravest outcome of some findings."""
     said = {finding.outcome for finding in findings}
     return "fail" if "fail" in said else "warn" if "warn" in said else "pass"
 
 
 def graded(pixels: float) -> Outcome:
-    """Return how grave it is that rows or columns are off."""
+    """Return the severity of an error of rows or columns."""
     return "fail" if pixels > FAIL_PX else "warn" if pixels > WARN_PX else "pass"
 
 
@@ -137,7 +140,7 @@ def _rows(parallax: Parallax) -> list[Finding]:
 
 
 def explained(turn: Turn) -> str:
-    """Say what would explain the parallax."""
+    """Return which error of the calibration explains the parallax, in words."""
     if turn.left_over_px > WARN_PX:
         return "no turn of a camera explains it: focal lengths, lens distortion or the image's crop do not fit"
     parts = [
@@ -149,7 +152,7 @@ def explained(turn: Turn) -> str:
 
 
 def _columns(parallax: Parallax, focal_px: float) -> list[Finding]:
-    """Judge what is off along the rows, which shows less: a turn sideways, and points beyond infinity."""
+    """Judge errors along the rows, of which less is visible: yaw, and points beyond infinity."""
     found = []
     turn = parallax.turn
     off_px = focal_px * max(abs(turn.angles_rad[1]) - 3 * turn.sigma_rad[1], 0.0)

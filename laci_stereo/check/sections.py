@@ -1,4 +1,4 @@
-"""A map's lines, cut into short sections."""
+"""Division of a map's lines into short sections."""
 
 from __future__ import annotations
 
@@ -12,46 +12,47 @@ from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.io.lane_map import LaneLine
 
 SECTION_M = 1.0
-"""Long enough to average the road's texture, short beside the shortest dash in towns (3 m)."""
+"""Length of a section: long enough to average the road's texture, short relative to the shortest urban dash (3 m)."""
 
 PAINTED = ("", "line_thin", "line_thick", "stop_line", "pedestrian_marking", "bike_marking", "keepout")
-"""Kinds of lines that are painted on a road; a line without a kind may be."""
+"""Kinds of lines that are painted on a road; lines without a kind may be."""
 
 THIN_M = 0.12
-"""What paint is wide, as a rule; the narrowest has 8 cm."""
+"""Typical width of paint; the narrowest is 8 cm wide."""
 
 WIDE_M = {"line_thick": 0.25, "stop_line": 0.30}
-"""What is painted wider (RMS: 0.25 to 0.30 m, and 0.50 m; MUTCD: 0.30 m at least)."""
+"""Widths of kinds with wider paint (RMS: 0.25 to 0.30 m, and 0.50 m; MUTCD: at least 0.30 m)."""
 
 KERBS = ("curbstone", "road_border")
-"""Kinds of lines where a road may end with a step."""
+"""Kinds of lines at which a road may end with a step."""
 
 MAYBE = ("road_border",)
-"""Kinds of lines that may be a step or none: not to find them tells nothing."""
+"""Kinds of lines that may or may not be a step: their absence is no evidence."""
 
 WALLS = ("wall", "fence", "guard_rail", "jersey_barrier")
-"""Kinds of lines along which something stands."""
+"""Kinds of lines along which an upright structure stands."""
 
 FARTHEST_M = 80.0
-"""From the sensor: at 15 m, the highest that one hangs, a line of sight is 11 deg from the road there."""
+"""Largest distance from the sensor: from 15 m, the greatest mounting height, a line of sight meets the road there at 11
+deg."""
 
 
 @dataclass(frozen=True)
 class Sections(Columns):
-    """Short pieces of lines.
+    """Short sections of lines.
 
     Attributes
     ----------
     line : ndarray of int, shape (n,)
-        Index of the line.
+        Index of the line in the map.
     along_m : ndarray, shape (n,)
-        Of its middle, from the line's beginning.
+        Distance of the section's middle from the beginning of the line.
     xy : ndarray, shape (n, 2)
-        Its middle, world.
+        Middle of the section, world.
     left : ndarray, shape (n, 2)
         Unit vector to the left of the line.
     width_m : ndarray, shape (n,)
-        What its paint is wide.
+        Width of the line's paint.
     """
 
     line: IntArray
@@ -70,7 +71,7 @@ class Sections(Columns):
 
 
 def sections_of(lines: Sequence[LaneLine], around_xy: FloatArray, kinds: Sequence[str] = PAINTED) -> Sections:
-    """Cut those of some lines that are of some kinds into sections of about a metre, within `FARTHEST_M` of a point."""
+    """Divide lines of some kinds into sections of about a metre, and return those within `FARTHEST_M` of a point."""
     pieces = [
         _cut(number, line.xy, WIDE_M.get(line.kind, THIN_M)) for number, line in enumerate(lines) if line.kind in kinds
     ]
@@ -87,7 +88,7 @@ def _cut(number: int, xy: FloatArray, width_m: float) -> Sections:
     ends = np.column_stack([np.interp(edges, at, axis) for axis in xy.T])
     ahead = np.diff(ends, axis=0)
     length = np.linalg.norm(ahead, axis=1)
-    kept = length > 0.5 * SECTION_M  # a shorter one is folded, or no line
+    kept = length > 0.5 * SECTION_M  # a shorter one is folded or degenerate
     ahead = ahead[kept] / length[kept, None]
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     middle, along = (ends[1:] + ends[:-1])[kept] / 2, (edges[1:] + edges[:-1])[kept] / 2

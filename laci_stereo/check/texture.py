@@ -1,4 +1,4 @@
-"""How far something stands out from the texture of a road."""
+"""Noise of a filter's responses due to the texture of a road."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.robust import NORMAL
 
 LEAST_KNOWN = 10
-"""Offsets from which a texture can be told."""
+"""Least number of offsets from which the texture is estimated."""
 
 
 def noise_of(response: FloatArray, line: IntArray, felt_m: float, least: FloatArray) -> FloatArray:
-    """Return the noise of a filter's responses, by what it answers where nothing is.
+    """Return the noise of a filter's responses, estimated where there is nothing to detect.
 
     Parameters
     ----------
     response : ndarray, shape (n, m)
-        At `OFFSETS_M`; NaN where nothing was seen.
+        Responses at `OFFSETS_M`; NaN if nothing was seen.
     line : ndarray of int, shape (n,)
-        Which sections are of one line, in order: they share its noise.
+        Index of each section's line, in order along it: sections of one line share its noise.
     felt_m : float
-        So far to either side the filter feels what it looks for.
+        Distance to either side within which the filter responds to what it detects.
     least : ndarray, shape (n,)
-        What the noise is at least.
+        Lower limit of each section's noise.
 
     Returns
     -------
     ndarray, shape (n, m)
-        One standard deviation; infinite where nothing is known.
+        Standard deviation; infinite if unknown.
     """
     noise = np.empty(response.shape)
     for places, beside in _parts(felt_m):
@@ -41,9 +41,9 @@ def noise_of(response: FloatArray, line: IntArray, felt_m: float, least: FloatAr
 
 
 def _parts(felt_m: float) -> Iterator[tuple[slice, BoolArray]]:
-    """Cut the offsets into parts, each with those where nothing in it would be felt: they tell its noise.
+    """Split the offsets into parts, each with the offsets whose responses do not depend on it: these give its noise.
 
-    What is felt at few offsets a median passes over.
+    A feature that affects only a few offsets is ignored by the median, so that no split is needed.
     """
     felt, whole = round(felt_m / STEP_M), len(OFFSETS_M)
     step = felt // 2 if 2 * felt + 1 > whole / 4 else whole
@@ -55,7 +55,7 @@ def _parts(felt_m: float) -> Iterator[tuple[slice, BoolArray]]:
 
 
 def _shared(noise: FloatArray, line: IntArray) -> FloatArray:
-    """Return each section's noise, or its line's median where that is greater; infinite where it is not known."""
+    """Return each section's noise or its line's median, whichever is greater; infinite if unknown."""
     shared = np.full(len(noise), np.inf)
     for number in np.unique(line):
         mine = line == number
@@ -66,7 +66,7 @@ def _shared(noise: FloatArray, line: IntArray) -> FloatArray:
 
 
 def _unevenness(response: FloatArray) -> FloatArray:
-    """Return the robust standard deviation of each section's responses; NaN where unknown."""
+    """Return the robust standard deviation of each section's responses; NaN if unknown."""
     spread = np.full(len(response), np.nan)
     enough = np.isfinite(response).sum(axis=1) >= LEAST_KNOWN
     if enough.any():
@@ -77,9 +77,10 @@ def _unevenness(response: FloatArray) -> FloatArray:
 
 
 def _texture(response: FloatArray, line: IntArray) -> FloatArray:
-    """Return the robust standard deviation of each section's responses against its neighbours'; NaN where unknown.
+    """Return the robust standard deviation of each section's responses relative to its neighbours; NaN if unknown.
 
-    What runs along the line, paint above all, is the same in neighbours, so that it is no noise.
+    What continues along the line, above all paint, is equal in neighbouring sections and therefore not counted as
+    noise.
     """
     apart = np.abs(np.diff(response, axis=0))
     steps = np.full(len(apart), np.nan)

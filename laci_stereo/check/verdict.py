@@ -1,4 +1,4 @@
-"""What the lines tell of a calibration: that it is right, that it is wrong, or nothing."""
+"""Verdict of the lane check: the lines confirm the calibration, contradict it, or are inconclusive."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from laci_stereo.check.fit import PlanarError
 Outcome = Literal["pass", "fail", "cannot tell"]
 
 ERROR_RATE = 0.02
-"""Of calibrations that are as good as they claim, so many fail; of those that are just too far off, so many pass."""
+"""Fraction of calibrations as accurate as they claim that fail, and of those with just too large an error that pass."""
 
 TOO_FAR_M, TOO_FAR_RAD = 0.30, np.radians(0.5)
-"""A pass says that the calibration is not off by as much: a tenth of a lane, and as much in 35 m."""
+"""Errors that a pass rules out: a tenth of a lane's width, and the angle that causes as much in 35 m."""
 
 FEWEST_LINES = 3
-"""Shift and turn are three unknowns: of fewer lines, short ones above all, nothing contradicts a wrong one."""
+"""Shift and turn are three unknowns: with fewer lines, above all short ones, nothing contradicts a wrong alignment."""
 
 LEAST_SHARE = 1 / 2
-"""Of the lines in view: where less is found, the map may be of another road, or the paint of a wrong line."""
+"""Least fraction of the lines in view: if fewer are found, the map may be of another road, or the paint of a wrong
+line."""
 
 CONTRADICTION = float(chdtri(3, ERROR_RATE))
 ONE_SIDED = float(-ndtri(ERROR_RATE))
@@ -36,11 +37,11 @@ class Evidence:
     Attributes
     ----------
     in_view, found : int
-        Lines that should be found, and those that were, together.
+        Number of lines that should be found, and number of lines found that agree with each other.
     rival : float
-        How well the lines fit elsewhere, see `Alignment`.
+        How well the lines fit elsewhere, see `Alignment.share`.
     astray : int
-        Lines that were found off on their own.
+        Number of lines found whose offsets contradict those of the others.
     """
 
     in_view: int
@@ -51,17 +52,18 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict, and why, in words."""
+    """A verdict with its reasons as text."""
 
     outcome: Outcome
     reasons: tuple[str, ...]
 
 
 def judge(evidence: Evidence, error: PlanarError | None) -> Judgement:
-    """Judge.
+    """Return the verdict.
 
-    *fail*: the error contradicts what the calibration claims, or is `TOO_FAR_M` or `TOO_FAR_RAD`, which no claim
-    excuses. *pass*: neither, and an error as large as that is ruled out. Otherwise the lines cannot tell.
+    *fail*: the error contradicts the covariance that the calibration claims, or reaches `TOO_FAR_M` or `TOO_FAR_RAD`,
+    which no claimed uncertainty excuses. *pass*: neither, and an error of that size is ruled out. Otherwise the lines
+    are inconclusive.
     """
     lacking = _lacking(evidence)
     wrong = "" if error is None else _wrong(error)
@@ -100,7 +102,7 @@ def _wrong(error: PlanarError) -> str:
             f"{off}: chi-square is {error.chi_square:.0f}, and what the calibration claims and the map's own error "
             f"allow is {CONTRADICTION:.0f}"
         )
-    # What is open in some direction may be anything there, however sure the rest is.
+    # In a direction that the lines leave undetermined, the value is arbitrary, however precise the others are.
     towards = error.value[:2] / max(shift_m, 1e-9)
     sure_m = float(np.sqrt(CONTRADICTION * (towards @ error.covariance[:2, :2] @ towards)))
     sure_rad = float(np.sqrt(CONTRADICTION * error.covariance[2, 2]))
@@ -110,7 +112,7 @@ def _wrong(error: PlanarError) -> str:
 
 
 def _not_ruled_out(error: PlanarError) -> list[str]:
-    """Return in words which errors could still be there."""
+    """Return, as text, the errors that cannot be ruled out."""
     variances, directions = np.linalg.eigh(error.covariance[:2, :2])
     found_m, sigmas_m = np.abs(error.value[:2] @ directions), np.sqrt(variances)
     said = [

@@ -1,1 +1,1 @@
-"""The optional vehicle mask: a network that the user brings tells which moving points are a vehicle's."""
+"""The optional vehicle mask: a user's network determines which of the moving points belong to vehicles."""

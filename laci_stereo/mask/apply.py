@@ -1,4 +1,4 @@
-"""What a mask does to the points of a frame: those of vehicles stay, unless the mask is wrong where it cuts."""
+"""Application of a vehicle mask to a frame: vehicles' points are kept, masks that cut through a vehicle corrected."""
 
 from __future__ import annotations
 
@@ -18,32 +18,34 @@ from laci_stereo.mask.picture import Crop
 
 GROUND_SIGMAS = VehicleSettings.ground_sigmas
 LEAST_POINTS = VehicleSettings.min_points
-"""As the core has them, for what is above the road and for what can be a vehicle at all."""
+"""The core's own thresholds: significance of a point above the road, and least number of points of a vehicle."""
 
 NOT_GROUND_M = BackgroundSettings.min_height_m
-"""What is higher above the road is no kerb, lawn or verge, and the road itself was not found worse than that."""
+"""Height above the road from which a point is no kerb, lawn or verge; the road itself is known better than that."""
 
 GAP_M = ClusterSettings.reach_m
-"""A gap in distance that is larger divides what stands behind from the vehicle, as it divides clusters in the core."""
+"""A larger gap in distance separates objects behind the vehicle from it, as it separates clusters in the core."""
 
 THIN_SHARE = 0.05
-"""A range of distance that holds less than this share of the fullest is what bleeds between two surfaces.
+"""Fraction of the fullest distance bin below which a bin only holds points that bleed between two surfaces.
 
-That is, if there is a second one. What trails off without leading to one is the vehicle's: a side that it grazes.
+This applies only if there is a second surface. Points that trail off without reaching one belong to the vehicle: to a
+side seen at grazing incidence.
 """
 
 BRIDGED_PX = 3
-"""Gaps in a surface that are as wide are pixels that happened not to match."""
+"""Widest gap within a surface: narrower gaps are pixels that happened not to match."""
 
 NOISE_SIGMAS = 3.0
 
 CUT_SHARE = VehicleSettings.max_edge_share
-"""So much of a surface beyond the mask's edge is cut off by it, as by the border of the field of view."""
+"""If this fraction of a surface lies outside the mask, the mask cuts it off, as the border of the field of view
+does."""
 
 
 @dataclass(frozen=True)
 class Moving:
-    """What moves in a frame, by the background test, with the pixels that it was seen in.
+    """The moving points of a frame, according to the background test, with their pixels.
 
     Attributes
     ----------
@@ -51,11 +53,11 @@ class Moving:
     u, v : ndarray of int, shape (n,)
         Column and row of each point in the rectified left image.
     above : ndarray, shape (n,)
-        By how much its disparity is above the road's at that pixel, standard deviations.
+        Difference between a point's disparity and the road's at that pixel, in standard deviations.
     height_m : ndarray, shape (n,)
-        Above the road.
+        Height above the road.
     crops : tuple of Crop
-        Of the rectified left image, in colour: each change, with some of what is around it.
+        Parts of the rectified left image, in colour: each change with some of its surroundings.
     """
 
     cloud: PointCloud
@@ -68,15 +70,15 @@ class Moving:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Which points of a frame stay.
+    """The points of a frame that are kept.
 
     Attributes
     ----------
     keep : ndarray of bool, shape (n,)
     used : tuple of bool
-        Of each vehicle: something moves in it.
+        For each vehicle, whether something moves in it.
     grown : int
-        Vehicles whose mask cut through what moves, and was put right.
+        Number of vehicles whose mask cut through moving points, which was corrected.
     """
 
     keep: BoolArray
@@ -85,21 +87,23 @@ class Chosen:
 
 
 def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> Chosen:
-    """Choose the points that are vehicles'.
+    """Select the points that belong to vehicles.
 
-    Of what lies in a box or mask, the dominant layer of distance among what stands above the road. A box is no outline,
-    and grows by half of the matcher's window first. A mask stays as it is: what bleeds over its edge goes with the
-    layer, and shrunken it would lack the vehicle's own borders, 0.3 m and more of a vehicle that is 30 m away.
-    Where the vehicle's largest surface goes on beyond the mask's edge, higher than any ground, the mask is wrong, and
-    every surface that it touches stays as a whole, with what is as low as the road beneath it. Whether it goes on is
-    told by surfaces that are as small as noise allows, and what stays by those that are as large: a right mask cuts a
-    walker off who stands beside the vehicle, and a wrong one nothing.
+    Of the points in a box or mask, those in the dominant layer of distance of the points above the road are kept. A box
+    is no outline and is first enlarged by half of the matcher's window. A mask is used unchanged: points that bleed
+    across its edge are removed by the layer, and a shrunken mask would lack the vehicle's own borders, 0.3 m and more
+    at a distance of 30 m. If the vehicle's largest surface continues beyond the mask's edge, at heights that exclude
+    ground, the mask is wrong; then every surface that it touches is kept as a whole, with the points at road level
+    beneath it. Whether the surface continues is decided with surfaces as small as the noise allows, what is kept with
+    surfaces as large as it allows: a correct mask cuts off a pedestrian beside the vehicle, a wrong mask cuts off
+    nothing.
 
     Parameters
     ----------
     moving : Moving
     vehicles : sequence of Vehicle
     half_window_px : int
+        Half of the matcher's window.
     """
     keep = np.zeros(len(moving.cloud), dtype=bool)
     if not vehicles:
@@ -126,14 +130,14 @@ def choose(moving: Moving, vehicles: Sequence[Vehicle], half_window_px: int) -> 
 
 @dataclass(frozen=True)
 class _Hull:
-    """Of a vehicle: which points lie in it, and which in it or within half a window of its edge."""
+    """For a vehicle, which points lie inside its outline, and which inside or within half a window of its edge."""
 
     inside: BoolArray
     wide: BoolArray
 
 
 def _hull(vehicle: Vehicle, moving: Moving, half_window_px: int) -> _Hull:
-    if vehicle.mask is None:  # a hull: its edges run where the vehicle's may bleed, and what bleeds goes with the layer
+    if vehicle.mask is None:  # a box is enlarged by the width of bleeding; the layer removes points that bleed
         x0, y0, x1, y1 = vehicle.box + half_window_px * np.array([-1, -1, 1, 1])
         near = (moving.u >= x0) & (moving.u < x1) & (moving.v >= y0) & (moving.v < y1)
         return _Hull(near, near)
@@ -147,7 +151,7 @@ def _hull(vehicle: Vehicle, moving: Moving, half_window_px: int) -> _Hull:
 
 
 def _beneath(moving: Moving, surface: BoolArray, half_window_px: int) -> BoolArray:
-    """Return which points, of all, are seen in the columns of a surface, and no higher up than it."""
+    """Return which points of the frame lie in the columns of a surface, and not above its top row."""
     u, top = moving.u[surface], moving.v[surface].min()
     beside = (moving.u < u.min() - half_window_px) | (moving.u > u.max() + half_window_px)
     beneath: BoolArray = ~beside & (moving.v >= top)
@@ -155,7 +159,7 @@ def _beneath(moving: Moving, surface: BoolArray, half_window_px: int) -> BoolArr
 
 
 def _layer(moving: Moving, inside: BoolArray) -> BoolArray | None:
-    """Return which points, of all, are as far away as most of what stands in a hull; None if nothing does."""
+    """Return which points of the frame are in the dominant distance layer of a hull; None if it has too few points."""
     if int(inside.sum()) < LEAST_POINTS:
         return None
     distance = _distance(moving)
@@ -170,10 +174,10 @@ def _layer(moving: Moving, inside: BoolArray) -> BoolArray | None:
         first -= 1
     while last + 1 < len(full) and full[last + 1]:
         last += 1
-    trail = int(np.append(counts[last + 1 :], 0).argmin())  # as far as the next empty one
+    trail = int(np.append(counts[last + 1 :], 0).argmin())  # bins up to the next empty one
     if not full[last + 1 : last + 1 + trail].any():
         last += trail
-    nearest = start + first * width - np.where(inside, 0.0, noise_m)  # what is as low as the road may be nearer
+    nearest = start + first * width - np.where(inside, 0.0, noise_m)  # points at road level may be nearer
     layer: BoolArray = (distance >= nearest) & (number <= last)
     return layer
 
@@ -184,11 +188,11 @@ def _distance(moving: Moving) -> FloatArray:
 
 
 def _surfaces(moving: Moving, standing: BoolArray, window_px: int | None = None) -> IntArray:
-    """Return the number of the surface that each point is on, shape (n,); 0 is none.
+    """Return the index of the surface to which each point belongs, shape (n,); 0 for none.
 
-    Neighbours in the image are on one surface if their distances differ by no more than their noise explains. With
-    ``window_px``, by no more than what noise they do not have in common: two windows that are k pixels apart share all
-    but k of their columns, so that of the variance of the difference k / ``window_px`` is left.
+    Adjacent pixels lie on one surface if their noise explains the difference of their distances. With ``window_px``,
+    only the noise that they do not share counts: two windows k pixels apart share all but k of their columns, which
+    leaves a fraction k / ``window_px`` of the variance of the difference.
     """
     numbers = np.zeros(len(standing), dtype=np.int64)
     points = np.flatnonzero(standing)
@@ -215,23 +219,23 @@ def _surfaces(moving: Moving, standing: BoolArray, window_px: int | None = None)
 def windows(
     rectangles: Iterable[tuple[int, int, int, int]], size: tuple[int, int], least_px: int
 ) -> list[tuple[int, int, int, int]]:
-    """Return what is to be cut out of an image: what moves, with half of its size around it.
+    """Return the rectangles to crop from an image: what moves, with a margin of half of its size on each side.
 
-    Detectors want to see what is beside a car.
+    Detectors need the surroundings of a car.
 
     Parameters
     ----------
     rectangles : iterable of tuple of int
-        First column and row, and those after the last.
+        First column and row, and last column and row plus one.
     size : tuple of int
         Width and height of the image.
     least_px : int
-        Sides that are shorter are made as long as this, within the image.
+        Least side of a crop; shorter sides are extended to this within the image.
 
     Returns
     -------
     list of tuple of int
-        As the rectangles.
+        In the same form as the rectangles.
     """
     found = []
     for x0, y0, x1, y1 in rectangles:

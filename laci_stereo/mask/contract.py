@@ -1,4 +1,4 @@
-"""What a network expects and returns, as its contract file says."""
+"""The contract of a network: a file that describes the network's input and output."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ BoxFormat: TypeAlias = Literal["xyxy", "yxyx", "cxcywh"]
 
 SCHEMA = "contract.schema.json"
 MOST_BYTES = 1_000_000
-"""A contract is a page of text."""
+"""Maximum size of a contract file, which is a page of text."""
 
 
 @dataclass(frozen=True)
 class InputSpec:
-    """What a network expects; each field is explained in ``contract.schema.json``."""
+    """The input that a network expects; each field is explained in ``contract.schema.json``."""
 
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     dtype: Literal["float32", "float16", "uint8"] = "float32"
@@ -43,13 +43,13 @@ class InputSpec:
 
     @property
     def channels(self) -> int:
-        """Of the input."""
+        """Number of channels of the input."""
         return 1 if self.color == "GRAY" else 3
 
 
 @dataclass(frozen=True)
 class OutputSpec:
-    """What a network returns; each field is explained in ``contract.schema.json``."""
+    """The output that a network returns; each field is explained in ``contract.schema.json``."""
 
     names: tuple[str, ...] = ()
     strides: tuple[int, ...] = (8, 16, 32)
@@ -63,18 +63,18 @@ class OutputSpec:
 
 @dataclass(frozen=True)
 class Contract:
-    """What a network expects and returns.
+    """Description of a network's input and output.
 
     Attributes
     ----------
     kind : str
-        How its outputs are read.
+        How the outputs are decoded.
     vehicle_ids : tuple of int
-        Its classes that are vehicles.
+        The class ids of vehicles.
     input : InputSpec
     output : OutputSpec
     source : Path or None
-        The file; None where it was assumed.
+        The contract file; None if the contract was assumed.
     """
 
     kind: Kind
@@ -92,7 +92,7 @@ def schema() -> dict[str, Any]:
 
 
 def contract_beside(model: Path) -> Path | None:
-    """Return ``MODEL.contract.json`` beside ``MODEL.onnx``, if it is there."""
+    """Return the path of ``MODEL.contract.json`` beside ``MODEL.onnx``, or None if there is no such file."""
     path = model.with_suffix(".contract.json")
     return path if path.exists() else None
 

@@ -1,4 +1,4 @@
-"""What a network returns, as boxes and masks: one function for each kind of output."""
+"""Decoding of network outputs into boxes and masks: one function for each kind of output."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from laci_stereo.mask.contract import BoxFormat, Contract, Kind
 from laci_stereo.mask.errors import MaskError
 
 Masks = Callable[[int], BoolArray]
-"""Makes the mask, at the input's size, of the detection with this number."""
+"""Returns the mask of the detection with this index, at the size of the input."""
 
 SMALLEST_AREA_PX = 64
-"""A semantic island smaller than 8 x 8 pixels of the input is no vehicle that could be measured."""
+"""Least area of a connected component of a semantic segmentation: one below 8 x 8 input pixels is no vehicle that could
+be measured."""
 
 MASK_LEVEL = 0.5
-"""A pixel is the object's where that is likelier than not."""
+"""Probability above which a pixel belongs to the object."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A vehicle in the network's input.
+    """A vehicle in the input of the network.
 
     Attributes
     ----------
@@ -34,7 +35,7 @@ class Found:
     score : float
     class_id : int
     mask : ndarray of bool, shape (height, width), or None
-        Over the whole input, of networks that give one.
+        Over the whole input; None if the network has no masks.
     """
 
     box: FloatArray
@@ -45,7 +46,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Candidates:
-    """All that a network returns, before anything is chosen.
+    """All detections of a network before any selection.
 
     Attributes
     ----------
@@ -54,7 +55,7 @@ class Candidates:
     scores : ndarray, shape (n,)
     classes : ndarray of int, shape (n,)
     count : int or None
-        How many classes there are, if the outputs' shapes tell.
+        Number of classes, if the shapes of the outputs determine it.
     masks : callable or None
     """
 
@@ -77,7 +78,7 @@ class Returned:
         Width and height of the input.
     contract : Contract
     model : str
-        The file, for messages.
+        Path of the model file, for messages.
     """
 
     values: tuple[npt.NDArray[np.generic], ...]
@@ -87,7 +88,7 @@ class Returned:
     model: str
 
     def needs(self, role: int, fits: bool, needed: str) -> None:
-        """Refuse an output whose shape does not fit the contract.
+        """Raise if the shape of an output does not fit the contract.
 
         Raises
         ------
@@ -100,7 +101,7 @@ class Returned:
             )
 
     def single(self, role: int, needed: str, ndim: int = 2) -> FloatArray:
-        """Return an output without its batch's axis, as numbers."""
+        """Return an output without its batch axis, as float32."""
         value = self.values[role]
         self.needs(role, value.ndim == ndim + 1 and value.shape[0] == 1, needed)
         without: FloatArray = value[0].astype(np.float32)
@@ -111,11 +112,11 @@ ROLES: dict[Kind, tuple[int, int]] = {
     "yolox_raw": (1, 1), "yolov8_raw": (1, 1), "yolo_e2e": (1, 1), "ssd": (2, 3), "detr": (2, 2),
     "instance_masks": (4, 4), "yolo_seg": (2, 2), "semantic": (1, 1),
 }  # fmt: skip
-"""How many outputs each kind has, at least and at most."""
+"""Least and greatest number of outputs of each kind."""
 
 
 def decode(returned: Returned) -> tuple[Found, ...]:
-    """Read what a network returned, and keep what are vehicles with a sufficient score.
+    """Decode the outputs of a network, and select the vehicles with a sufficient score.
 
     Raises
     ------
@@ -150,15 +151,15 @@ def decode(returned: Returned) -> tuple[Found, ...]:
 
 
 def has_area(boxes: FloatArray) -> BoolArray:
-    """Tell which boxes, shape (n, 4), are no lines or points."""
+    """Return which boxes, shape (n, 4), have a positive area."""
     some: BoolArray = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
     return some
 
 
 def suppressed(boxes: FloatArray, scores: FloatArray, most_iou: float) -> list[int]:
-    """Return the numbers of the boxes that no better one overlaps by more than ``most_iou``, the best first.
+    """Return the indices of the boxes that no better one overlaps by more than ``most_iou``, best first.
 
-    All classes together: what looks like a car and a lorry is one vehicle.
+    Classes are not distinguished: an object that resembles both a car and a lorry is one vehicle.
     """
     left = np.argsort(-scores, kind="stable")
     kept: list[int] = []
@@ -170,7 +171,7 @@ def suppressed(boxes: FloatArray, scores: FloatArray, most_iou: float) -> list[i
 
 
 def iou(box: FloatArray, others: FloatArray) -> FloatArray:
-    """Return by how much boxes, shape (n, 4), overlap with one, shape (4,): their intersection over their union."""
+    """Return the intersection over union of boxes, shape (n, 4), with one box, shape (4,)."""
     sides = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
     common = sides.clip(0).prod(axis=1)
     areas = (others[:, 2:] - others[:, :2]).prod(axis=1) + (box[2:] - box[:2]).prod() - common
@@ -179,7 +180,7 @@ def iou(box: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def _best(scores: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the best score of each row, shape (n, classes), and its class."""
+    """Return the best class's score for each row, and its index; ``scores`` has shape (n, classes)."""
     classes = scores.argmax(axis=1) if scores.shape[1] else np.zeros(len(scores), dtype=np.int64)
     return scores[np.arange(len(scores)), classes], classes.astype(np.int64)
 
@@ -190,7 +191,7 @@ def _from_middle(boxes: FloatArray) -> FloatArray:
 
 
 def _corners(boxes: FloatArray, returned: Returned) -> FloatArray:
-    """Bring boxes of the contract's format to left, top, right, bottom in pixels."""
+    """Convert boxes from the contract's format to left, top, right, bottom in pixels."""
     output = returned.contract.output
     by_format: dict[BoxFormat, Callable[[], FloatArray]] = {
         "xyxy": lambda: boxes,
@@ -203,7 +204,7 @@ def _corners(boxes: FloatArray, returned: Returned) -> FloatArray:
 
 
 def _yolox_raw(returned: Returned) -> Candidates:
-    """Boxes as offsets in the cells of grids (Ge et al., YOLOX, 2021): the grid is put in, sizes are exponents."""
+    """Decode boxes given relative to grid cells (Ge et al., YOLOX, 2021): centre offsets, and logarithms of sizes."""
     width, height = returned.size
     grids = [(stride, height // stride, width // stride) for stride in returned.contract.output.strides]
     total = sum(rows * columns for _, rows, columns in grids)
@@ -219,7 +220,7 @@ def _yolox_raw(returned: Returned) -> Candidates:
 
 
 def _cells(stride: int, rows: int, columns: int) -> FloatArray:
-    """Return column, row and stride of each cell of a grid, shape (n, 3)."""
+    """Return the column, row and stride of each cell of a grid, shape (n, 3)."""
     row, column = np.divmod(np.arange(rows * columns), columns)
     return np.column_stack([column, row, np.full(len(row), stride)]).astype(np.float32)
 
@@ -256,7 +257,7 @@ def _ssd(returned: Returned) -> Candidates:
 
 
 def _detr(returned: Returned) -> Candidates:
-    """Read queries with logits and boxes (Carion et al., 2020)."""
+    """Decode queries with class logits and boxes (Carion et al., 2020)."""
     logits, boxes = (returned.single(role, needed) for role, needed in ((0, "[1, n, classes]"), (1, "[1, n, 4]")))
     returned.needs(1, boxes.shape == (len(logits), 4), f"[1, {len(logits)}, 4]")
     if returned.contract.output.activation == "sigmoid":
@@ -273,7 +274,7 @@ def _sigmoid(values: FloatArray) -> FloatArray:
 
 
 def _instance_masks(returned: Returned) -> Candidates:
-    """Boxes, scores, classes and a mask each, with or without an axis for the batch (as of Mask R-CNN)."""
+    """Decode boxes, scores, classes and one mask each, with or without a batch axis (as in Mask R-CNN)."""
     boxes, scores, classes, masks = (
         value[0] if value.ndim == ndim + 1 and value.shape[0] == 1 else value
         for value, ndim in zip(returned.values, (2, 1, 1, 3), strict=True)
@@ -302,7 +303,7 @@ def _enlarged(level: Raster, size: tuple[int, int]) -> BoolArray:
 
 
 def _pasted(level: Raster, box: FloatArray, size: tuple[int, int]) -> BoolArray:
-    """Put a mask that covers its box alone into the input."""
+    """Return the mask over the whole input, from one that covers only its box."""
     width, height = size
     x0, y0, x1, y1 = np.rint(box.clip(0, [width, height, width, height])).astype(int).tolist()
     mask = np.zeros((height, width), dtype=bool)
@@ -312,7 +313,7 @@ def _pasted(level: Raster, box: FloatArray, size: tuple[int, int]) -> BoolArray:
 
 
 def _yolo_seg(returned: Returned) -> Candidates:
-    """Boxes with coefficients of prototypes (Bolya et al., YOLACT, 2019, as YOLOv8-seg orders them)."""
+    """Decode boxes with mask coefficients for prototypes (Bolya et al., YOLACT, 2019, in the order of YOLOv8-seg)."""
     prototypes = returned.single(1, "[1, prototypes, height, width]", ndim=3)
     count = len(prototypes)
     needed = f"[1, 4 + classes + {count}, n]"
@@ -335,7 +336,7 @@ def _yolo_seg(returned: Returned) -> Candidates:
 
 
 def _semantic(returned: Returned) -> Candidates:
-    """Read a class for each pixel, as a map or as logits; its islands are the vehicles."""
+    """Decode one class per pixel, given as a map or as logits; its connected components are the vehicles."""
     values = returned.values[0]
     needed = "[1, classes, height, width] (logits) or [1, height, width] or [1, 1, height, width] (classes)"
     returned.needs(0, values.ndim in (3, 4) and values.shape[0] == 1, needed)
@@ -370,12 +371,12 @@ def in_roles(
     model: str,
     size: tuple[int, int],
 ) -> Returned:
-    """Put outputs into the order of their roles.
+    """Arrange outputs in the order of their roles.
 
     Raises
     ------
     MaskError
-        If the contract names an output that is not there, or there are too few or too many.
+        If the contract names an output that does not exist, or there are too few or too many.
     """
     wanted = contract.output.names or tuple(names)
     missing = [name for name in wanted if name not in names]

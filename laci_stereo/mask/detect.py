@@ -1,4 +1,4 @@
-"""From crops of images to vehicles in these images: several crops share one run of the network."""
+"""Detection of vehicles in crops of images; several crops share one run of the network."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from laci_stereo.mask.network import Network
 from laci_stereo.mask.picture import Cell, Crop, Placed, place, tensor
 
 CELL_PX = 320
-"""Least side of a cell: what moves is at least a third of its crop, so that it comes out at about 96 pixels or more,
-from where COCO counts an object as large and small detectors stop getting better."""
+"""Least side of a cell: a moving object covers at least a third of its crop, and so about 96 pixels or more of the
+cell. From that size on, COCO counts an object as large, and small detectors no longer improve."""
 
 MOST_SHRUNK = 0.5
-"""A crop that would have to be made smaller than this to fit a cell gets an input of its own."""
+"""A crop that must be scaled by less than this to fit a cell gets an input of its own."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Vehicle:
     score : float
     class_id : int
     mask : ndarray of bool, shape (height, width), or None
-        Of networks that give one; its corner lies at ``corner``.
+        Mask whose top left corner is at ``corner``; None if the network has no masks.
     corner : tuple of int
-        Column and row.
+        Column and row in the image.
     """
 
     box: FloatArray
@@ -47,38 +47,38 @@ class Vehicle:
 
 
 class Finder(Protocol):
-    """Whatever finds vehicles in crops; ``runs`` and ``seconds`` say how often it ran, and for how long in all."""
+    """Finds vehicles in crops; ``runs`` and ``seconds`` are the number of runs so far and their total duration."""
 
     runs: int
     seconds: float
 
     @property
     def slots(self) -> int:
-        """How many crops are best given at once."""
+        """Number of crops that are best processed together."""
 
     @property
     def least_px(self) -> int:
-        """Crops smaller than this would only be magnified."""
+        """Side below which a crop would only be magnified."""
 
     def find(self, crops: Sequence[Crop]) -> list[tuple[Vehicle, ...]]:
         """Return the vehicles in each crop."""
 
 
 class NetworkFinder:
-    """A network that looks at crops.
+    """Finds vehicles in crops with a network.
 
     Parameters
     ----------
     network : Network
     cells : tuple of Cell or None
-        Where crops lie in its input, side by side. None: as `cells_of` has it.
+        Cells of the network's input for one crop each. None: those of `cells_of`.
 
     Attributes
     ----------
     runs : int
-        How often it ran.
+        Number of runs so far.
     seconds : float
-        For how long in all.
+        Total duration of these runs.
     """
 
     def __init__(self, network: Network, cells: tuple[Cell, ...] | None = None) -> None:
@@ -89,12 +89,12 @@ class NetworkFinder:
 
     @property
     def slots(self) -> int:
-        """As many as one input holds."""
+        """Number of crops that fit into one input."""
         return len(self._cells)
 
     @property
     def least_px(self) -> int:
-        """Half of a cell: magnified by more, nothing is added but blur."""
+        """Half of a cell: magnification by more than two only adds blur."""
         return min(self._cells[0].width, self._cells[0].height) // 2
 
     def find(self, crops: Sequence[Crop]) -> list[tuple[Vehicle, ...]]:
@@ -115,7 +115,7 @@ class NetworkFinder:
         return found
 
     def _inputs(self, crops: Sequence[Crop]) -> Iterator[tuple[list[int], list[Placed]]]:
-        """Yield inputs: the numbers of the crops in them, and where these lie."""
+        """Yield, for each input, the indices of its crops and their placement."""
         resize = self.network.contract.input.resize
         cell = self._cells[0]
         small: list[int] = []
@@ -130,9 +130,9 @@ class NetworkFinder:
 
 
 def cells_of(size: tuple[int, int], contract: Contract) -> tuple[Cell, ...]:
-    """Divide an input into cells for crops.
+    """Divide an input into cells, one for each crop.
 
-    A network that looks at everything at once (detr) gets one crop at a time, and so does one whose input is not
+    A network with attention to the whole input (detr) processes one crop at a time, and so does one whose input is not
     larger than one cell.
     """
     columns, rows = contract.input.crops or (
@@ -154,7 +154,7 @@ def _in_image(found: Found, placed: Placed) -> Vehicle:
 
 
 def covers_all(vehicle: Vehicle, crop: Crop, share: float) -> bool:
-    """Tell whether a vehicle fills so much of a crop."""
+    """Return whether a vehicle covers at least this fraction of a crop."""
     width, height = crop.size
     area = float(np.prod(vehicle.box[2:] - vehicle.box[:2])) if vehicle.mask is None else float(vehicle.mask.sum())
     return area >= share * width * height

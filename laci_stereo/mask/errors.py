@@ -1,4 +1,4 @@
-"""What is wrong with a network or its contract."""
+"""The exception of networks and their contracts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""An ONNX file before it is loaded: whether it is one, where its weights lie, and whether memory suffices.
+"""Checks of an ONNX file before it is loaded: its format, the location of its weights, and the memory needed.
 
-Only the fields that lead to tensors are followed, as Protocol Buffers (encoding) and ``onnx.proto`` number them, so
-nothing of the file is copied and no library for it is needed.
+Only the fields that lead to tensors are followed, with the encoding of Protocol Buffers and the field numbers of
+``onnx.proto``, so that nothing of the file is copied and no further library is needed.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ FIELDS = {
     "sparse": {1: "tensor", 2: "tensor"},
     "tensor": {13: "entry"},
 }
-"""Numbers of the fields that lead to tensors' entries on external data, by message."""
+"""Numbers of the fields that lead to tensors' entries on external data, for each type of message."""
 
 MOST_BYTES = 2**31 - 1
-"""Protocol Buffers hold no longer message."""
+"""Maximum length of a message in Protocol Buffers."""
 
 COPIES = 2
-"""Of the weights while a model is loaded: as they are read, and as the runtime lays them out."""
+"""Copies of the weights in memory while a model is loaded: as read, and as arranged by the runtime."""
 
 DEEPEST = 40
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A message inside of the file."""
+    """A message within the file."""
 
     kind: str
     start: int
@@ -46,13 +46,13 @@ class _Part:
 
 
 def check_model(path: Path) -> None:
-    """Refuse what cannot be loaded, before the runtime tries.
+    """Raise if a model cannot be loaded, before the runtime tries.
 
     Raises
     ------
     MaskError
-        If the file is missing or no ONNX file, its external data are missing or lie outside of its folder, or it is
-        larger than the memory that is free.
+        If the file is missing or no ONNX file, its external data are missing or outside its folder, or it needs more
+        than the free memory.
     """
     try:
         size = path.stat().st_size
@@ -78,7 +78,7 @@ def check_model(path: Path) -> None:
 
 
 def free_memory() -> int | None:
-    """Return how many bytes of memory can be had, as far as the system tells (Linux)."""
+    """Return the available memory in bytes; None if the system does not report it (only Linux does)."""
     try:
         found = re.search(r"^MemAvailable:\s+(\d+) kB", Path("/proc/meminfo").read_text(encoding="ascii"), re.MULTILINE)
     except OSError:
@@ -97,7 +97,7 @@ _CGROUP = ("memory.max", "memory.current")
 
 
 def _size_of(model: Path, name: str) -> int:
-    """Return the size of external data, which must lie in the model's folder."""
+    """Return the size of an external data file, which must be in the model's folder."""
     folder = model.parent.resolve()
     file = folder / name
     if Path(name).is_absolute() or not file.resolve().is_relative_to(folder):
@@ -109,7 +109,7 @@ def _size_of(model: Path, name: str) -> int:
 
 
 def _external(path: Path) -> set[str]:
-    """Return the names of the files with external data."""
+    """Return the names of the external data files."""
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
         has_graph = any(number == 7 and span is not None for number, span in _fields(content, 0, len(content)))
         if not has_graph:
@@ -135,7 +135,7 @@ def _locations(content: mmap.mmap, part: _Part) -> Iterator[str]:
 
 
 def _fields(content: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, tuple[int, int] | None]]:
-    """Yield the number of each field, and where its bytes are if it has any."""
+    """Yield the number of each field, and the range of its bytes; None if it is a number."""
     while at < end:
         key, at = _varint(content, at)
         number, wire = key >> 3, key & 7

@@ -1,4 +1,4 @@
-"""A network that runs: its session, its provider, its input's size, and what it returns to an empty picture."""
+"""A loaded network: its runtime session, execution provider, input size, and a test on an empty picture."""
 
 from __future__ import annotations
 
@@ -31,31 +31,31 @@ PROVIDERS: dict[Provider, str] = {
 }
 
 FREE_SIZE = (640, 640)
-"""Of an input whose size is free and not said: what most detectors are trained with."""
+"""Input size assumed if it is free and not given: most detectors are trained with this size."""
 
 ALL_SHARE = 0.95
-"""A vehicle that fills more of a picture leaves no background to tell it from; in an empty one there is none."""
+"""Fraction of a picture above which a marked vehicle leaves no background; in an empty picture there is none at all."""
 
 SILENT = 4
-"""Severity from which the runtime writes to standard error: fatal. What it raises becomes our one line."""
+"""Severity from which the runtime logs to standard error: fatal. Its exceptions are reported as one line instead."""
 
 LONGEST = 400
-"""Of what the runtime says, characters: it likes to explain."""
+"""Maximum length of the runtime's message, characters, because it can be verbose."""
 
 
 @dataclass(frozen=True)
 class MaskOptions:
-    """What a user says about a vehicle mask.
+    """The user's options of a vehicle mask.
 
     Attributes
     ----------
     model : Path
     contract : Path or None
-        None looks for ``MODEL.contract.json`` beside it.
+        None: ``MODEL.contract.json`` beside the model, if it exists.
     provider : str
-        What it runs on.
+        Execution provider of the runtime.
     threads : int
-        0: as many as there are processors.
+        Number of threads; 0: the number of processors.
     """
 
     model: Path
@@ -65,7 +65,7 @@ class MaskOptions:
 
 
 class Network:
-    """A vehicle detector or segmenter, ready to run.
+    """A vehicle detection or segmentation network, ready to run.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Network:
     ----------
     contract : Contract
     assumed : str
-        What was assumed for want of a contract; empty where there is one.
+        What was assumed in the absence of a contract, as text; empty with one.
     size : tuple of int
         Width and height of its input.
 
@@ -101,16 +101,16 @@ class Network:
         self._probe()
 
     def find(self, picture: Raster) -> tuple[Found, ...]:
-        """Run it on an input as `laci_stereo.mask.picture.tensor` makes it.
+        """Run the network on an input made by `laci_stereo.mask.picture.tensor`.
 
         Raises
         ------
         MaskError
-            If it fails, or returns what does not fit its contract.
+            If it fails, or its outputs do not fit the contract.
         """
         try:
             values = self._session.run(None, {self._session.get_inputs()[0].name: picture})
-        except Exception as problem:  # the runtime's own exceptions have no common class
+        except Exception as problem:  # the runtime's exceptions have no common base class
             raise MaskError(
                 f"{self.model}: fails on an input of the shape {list(picture.shape)}: {_said(problem)}"
             ) from problem
@@ -118,7 +118,7 @@ class Network:
         return decode(in_roles(names, values, self.contract, str(self.model), self.size))
 
     def _input_shape(self, ports: Ports, contract: Contract | None) -> tuple[int | None, int | None]:
-        """Return width and height of the input, as far as they are fixed."""
+        """Return the width and height of the input; None where they are free."""
         shapes = ", ".join(f"{name} {list(shape)}" for name, shape in ports.inputs)
         fits = len(ports.inputs) == 1 and len(ports.inputs[0][1]) == 4 and ports.inputs[0][1][0] in (1, None)
         layout = "NCHW" if contract is None else contract.input.layout
@@ -150,7 +150,7 @@ class Network:
             )
 
     def _probe(self) -> None:
-        """Run it on an empty picture: shapes are checked, and a network that sees vehicles everywhere is refused."""
+        """Run the network on an empty picture to check the shapes; reject one that marks all of it as a vehicle."""
         area = self.size[0] * self.size[1]
         for found in self.find(tensor([], self.size, self.contract.input)):
             box = float((found.box[2:] - found.box[:2]).prod())
@@ -163,7 +163,7 @@ class Network:
 
 
 def _session(options: MaskOptions) -> Any:
-    # Not at the top: loading the runtime takes longer than all else that a mistyped argument waits for.
+    # Imported here because loading the runtime takes longer than everything else before an argument error is reported.
     import onnxruntime
 
     name, offered = PROVIDERS[options.provider], onnxruntime.get_available_providers()
@@ -175,24 +175,24 @@ def _session(options: MaskOptions) -> Any:
     asked = onnxruntime.SessionOptions()
     asked.log_severity_level = SILENT
     asked.intra_op_num_threads = options.threads
-    asked.add_session_config_entry("session.intra_op.allow_spinning", "0")  # matching needs the processors meanwhile
+    asked.add_session_config_entry("session.intra_op.allow_spinning", "0")  # the matcher needs the processors
     try:
         session = onnxruntime.InferenceSession(str(options.model), asked, providers=[name])
-    except Exception as problem:  # the runtime's own exceptions have no common class
+    except Exception as problem:  # the runtime's exceptions have no common base class
         raise MaskError(f"{options.model}: cannot be loaded: {_said(problem)}") from problem
-    if name not in session.get_providers():  # it falls back on the processor in silence
+    if name not in session.get_providers():  # the runtime silently falls back on the processor
         why = f": {missed}" if missed else ""
         raise MaskError(f"--mask-provider is {options.provider}; onnxruntime cannot start it on this machine{why}")
     return session
 
 
 def _load_cuda(onnxruntime: Any) -> str:
-    """Load CUDA's libraries, also those that came as Python packages, and return the first that is missed, or nothing.
+    """Load CUDA's libraries, including those from Python packages; return the first missing one, or an empty string.
 
-    By itself the runtime looks for them where the system keeps its own.
+    On its own, the runtime searches only the system's library paths.
     """
     said = io.StringIO()
-    if hasattr(onnxruntime, "preload_dlls"):  # since 1.21
+    if hasattr(onnxruntime, "preload_dlls"):  # available since 1.21
         with redirect_stdout(said):
             onnxruntime.preload_dlls()
     return said.getvalue().partition("\n")[0]
@@ -207,7 +207,7 @@ def _ports(session: Any) -> Ports:
 
 
 def _size(model: Path, shape: tuple[int | None, int | None], spec: InputSpec | None) -> tuple[int, int]:
-    """Return the input's size: fixed, else as the contract says, else as is usual."""
+    """Return the input size: the network's own where fixed, else the contract's, else the default."""
     said = FREE_SIZE if spec is None or spec.size is None else spec.size
     width, height = (other if own is None else own for own, other in zip(shape, said, strict=True))
     if min(width, height) < 1:
@@ -216,7 +216,7 @@ def _size(model: Path, shape: tuple[int | None, int | None], spec: InputSpec | N
 
 
 def _said(problem: Exception) -> str:
-    """Return what the runtime says, in one line, without the places of its own source."""
+    """Return the runtime's message in one line, without references to its source code."""
     text = " ".join(str(problem).split()) or type(problem).__name__
     for noise in (
         r"\[ONNXRuntimeError\] : \d+ : \w+ : ",

@@ -1,4 +1,4 @@
-"""Crops of images as the input of a network: brought to its size, side by side where there is room, and back."""
+"""Conversion of image crops to the input of a network: resized, side by side if there is room; and of results back."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from laci_stereo.mask.contract import InputSpec, Resize
 
 @dataclass(frozen=True)
 class Crop:
-    """A part of an image that the network shall look at.
+    """A part of an image for the network to process.
 
     Attributes
     ----------
     stamp_ns : int
-        Of its image.
+        Stamp of the image.
     x0, y0 : int
-        Its first column and row in that image.
+        First column and row of the crop in the image.
     image : ndarray of uint8, shape (height, width, 3)
         Blue-green-red.
     """
@@ -38,7 +38,7 @@ class Crop:
 
 @dataclass(frozen=True)
 class Cell:
-    """A rectangle of the network's input, pixels."""
+    """A rectangle of the network's input for one crop, pixels."""
 
     x: int
     y: int
@@ -48,14 +48,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Placed:
-    """A crop in the network's input: input = scale * crop + offset.
+    """Placement of a crop in the network's input: input = scale * crop + offset.
 
     Attributes
     ----------
     crop : Crop
     scale : ndarray, shape (2,)
     offset : ndarray, shape (2,)
-        Of its corner in the input, pixels.
+        Position of the crop's top left corner in the input, pixels.
     size : tuple of int
         Width and height in the input, pixels.
     """
@@ -66,24 +66,24 @@ class Placed:
     size: tuple[int, int]
 
     def to_image(self, points: FloatArray) -> FloatArray:
-        """Take points of the input, shape (n, 2), to the image, within the crop."""
+        """Map points of the input, shape (n, 2), to the image, limited to the crop."""
         inside = np.clip((points - self.offset) / self.scale, 0, self.crop.size)
         moved: FloatArray = inside + np.array([self.crop.x0, self.crop.y0])
         return moved
 
     def holds(self, point: FloatArray) -> bool:
-        """Tell whether a point of the input, shape (2,), lies in the crop."""
+        """Return whether a point of the input, shape (2,), lies in the crop."""
         return bool(((point >= self.offset) & (point < self.offset + self.size)).all())
 
     def cut(self, mask: Raster) -> Raster:
-        """Return the crop's part of a mask over the input, at the crop's own size."""
+        """Return the crop's part of a mask over the input, resized to the crop's own size."""
         x, y = self.offset.astype(int).tolist()
         part = mask[y : y + self.size[1], x : x + self.size[0]].astype(np.uint8)
         return cv2.resize(part, self.crop.size, interpolation=cv2.INTER_NEAREST) > 0
 
 
 def place(crop: Crop, cell: Cell, resize: Resize) -> Placed:
-    """Say where a crop comes to lie in a cell."""
+    """Return the placement of a crop in a cell."""
     width, height = crop.size
     if resize == "stretch":
         size = (cell.width, cell.height)
@@ -96,7 +96,7 @@ def place(crop: Crop, cell: Cell, resize: Resize) -> Placed:
 
 
 def tensor(placed: list[Placed], size: tuple[int, int], spec: InputSpec) -> Raster:
-    """Paint crops into an input and bring it to the network's layout, type, colours and range.
+    """Draw crops into an input and convert it to the network's layout, type, colour order and value range.
 
     Parameters
     ----------

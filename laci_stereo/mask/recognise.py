@@ -1,4 +1,4 @@
-"""The contract of a network that comes without one, where its shapes leave no doubt."""
+"""Recognition of networks that come without a contract, if the shapes of their outputs are unambiguous."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from laci_stereo.mask.contract import Contract, InputSpec, Kind, OutputSpec
 from laci_stereo.mask.errors import MaskError
 
 Shape = tuple[int | None, ...]
-"""Of an input or output; None where it is free."""
+"""Shape of an input or output; None where a length is free."""
 
 COCO_VEHICLES = {80: (2, 3, 5, 7), 91: (3, 4, 6, 8)}
-"""Car, motorcycle, bus and lorry in COCO, by the number of classes: its 80, or its 91 numbers with gaps."""
+"""Class ids of car, motorcycle, bus and lorry in COCO, by the number of classes: 80, or 91 ids with gaps."""
 
 VEHICLE_NAMES = frozenset({"bus", "car", "lorry", "motorbike", "motorcycle", "tram", "truck", "van", "vehicle"})
 
@@ -25,7 +25,7 @@ UNIT = 1 / 255
 
 @dataclass(frozen=True)
 class Ports:
-    """What a network's file says of itself.
+    """The inputs and outputs that a network's file declares.
 
     Attributes
     ----------
@@ -40,12 +40,12 @@ class Ports:
 
 
 def recognise(path: Path, ports: Ports, size: tuple[int, int]) -> tuple[Contract, str]:
-    """Assume a contract.
+    """Assume the contract that fits a network's outputs.
 
     Parameters
     ----------
     path : Path
-        Of the model, for messages.
+        Path of the model, for messages.
     ports : Ports
     size : tuple of int
         Width and height of its input.
@@ -54,12 +54,12 @@ def recognise(path: Path, ports: Ports, size: tuple[int, int]) -> tuple[Contract
     -------
     contract : Contract
     assumed : str
-        What was assumed, in words.
+        The assumptions, as text.
 
     Raises
     ------
     MaskError
-        If its outputs are no unmistakable ones.
+        If the outputs are ambiguous, or it is not known which of the classes are vehicles.
     """
     guess = _kind(ports, size)
     shapes = ", ".join(f"{name} {_text(shape)}" for name, shape in ports.outputs)
@@ -92,11 +92,11 @@ INPUTS: dict[Kind, InputSpec] = {
     "yolo_seg": _ULTRALYTICS,
     "detr": InputSpec(scale=UNIT, mean=(0.485, 0.456, 0.406), std=(0.229, 0.224, 0.225), resize="stretch"),
 }
-"""What the networks of each kind expect as they are published."""
+"""Inputs that the published networks of each kind expect."""
 
 
 def _kind(ports: Ports, size: tuple[int, int]) -> tuple[Kind, int | None] | None:
-    """Return the kind and the number of classes."""
+    """Return the kind and the number of classes; None if the kind is ambiguous."""
     shapes = [shape for _, shape in ports.outputs]
     if len(shapes) == 1 and len(shapes[0]) == 3:
         return _of_one(shapes[0], size)
@@ -123,7 +123,7 @@ def _of_one(shape: Shape, size: tuple[int, int]) -> tuple[Kind, int | None] | No
 
 
 def _named(metadata: Mapping[str, str]) -> tuple[int, ...]:
-    """Return the classes whose names are vehicles', where the file has names as Ultralytics writes them."""
+    """Return the ids of the classes with names of vehicles, if the file stores names as Ultralytics does."""
     try:
         names = ast.literal_eval(metadata.get("names", "{}"))
     except (ValueError, SyntaxError, RecursionError, MemoryError):
@@ -136,7 +136,7 @@ def _named(metadata: Mapping[str, str]) -> tuple[int, ...]:
 
 
 def shape_of(values: Sequence[object]) -> Shape:
-    """Return a shape as the runtime gives it, with None for what is free."""
+    """Return a shape given by the runtime, with None for free lengths."""
     return tuple(value if isinstance(value, int) and value > 0 else None for value in values)
 
 

@@ -1,4 +1,4 @@
-"""The mask as a stage between what moves and the core: frames in, thinned clouds out, and a tally for the report."""
+"""The mask as a stage between the background test and the core: frames in, masked clouds and statistics out."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from laci_stereo.mask.picture import Crop
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 64
-"""Frames that wait for the network at most, nearly all of them empty: memory stays flat."""
+"""Largest number of frames that wait for the network, nearly all of them empty: memory stays flat."""
 
 DRAWN = 200
-"""Points of a frame that are remembered for the report, of those that stay and of those that go."""
+"""Largest number of kept points, and of dropped points, that are stored of each frame for the report."""
 
 OUTLINE_PX = 1.0
-"""An outline is drawn to within this."""
+"""Largest deviation of a drawn outline, pixels."""
 
 FEW_FRAMES = 5
-"""Before so many frames, a share of them says nothing."""
+"""Least number of frames or crops for which a fraction of them is meaningful."""
 
 
 @dataclass(frozen=True)
 class Glimpse:
-    """What the mask did in a frame, for a picture; pixels of the rectified left image.
+    """The mask's effect on a frame, for a picture; in pixels of the rectified left image.
 
     Attributes
     ----------
     outlines : tuple of ndarray, shape (n, 2)
-        Of boxes or masks.
+        Outlines of boxes or masks.
     kept, dropped : ndarray of int, shape (n, 2)
-        Some of the points.
+        Samples of the kept and of the dropped points.
     """
 
     outlines: tuple[FloatArray, ...]
@@ -50,7 +50,7 @@ class Glimpse:
     dropped: IntArray
 
     def as_rays(self, rays: FloatArray) -> GlimpseRays:
-        """Look the pixels up among the rays of all, shape (height, width, 3)."""
+        """Convert the pixels to rays, given those of all pixels, shape (height, width, 3)."""
 
         def of(pixels: FloatArray | IntArray) -> FloatArray:
             u, v = np.rint(pixels).astype(np.int64).reshape(-1, 2).T
@@ -62,7 +62,7 @@ class Glimpse:
 
 @dataclass(frozen=True)
 class GlimpseRays:
-    """The same as rays from the left camera, sensor frame, shape (n, 3) each, with unit depth in the rectified one."""
+    """A `Glimpse` as rays from the left camera, sensor frame, shape (n, 3), with unit depth in the rectified frame."""
 
     outlines: tuple[FloatArray, ...] = ()
     kept: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -71,36 +71,36 @@ class GlimpseRays:
 
 @dataclass
 class Tally:
-    """What the mask did to a recording.
+    """Statistics of a mask's effect on a recording.
 
     Attributes
     ----------
     name : str
-        The network's file.
+        Name of the network's file.
     assumed : str
-        What was assumed for want of a contract.
+        What was assumed in the absence of a contract, as text.
     frames : int
-        In which something moved.
+        Number of frames in which something moved.
     fallback : int
-        Of these, in which the mask found nothing that moves: the background test's points were kept.
+        Number of these frames in which the mask found nothing that moves: all points of the background test were kept.
     kept, dropped : int
-        Points.
+        Numbers of points.
     vehicles : int
-        Boxes or masks in which something moved.
+        Number of boxes or masks in which something moved.
     at_rest : int
-        Boxes or masks in which nothing moved.
+        Number of boxes or masks in which nothing moved.
     unmasked : int
-        Changes without a vehicle, in frames that have one elsewhere: their points were dropped.
+        Number of changes without a vehicle, in frames with one elsewhere: their points were dropped.
     grown : int
-        Boxes or masks that cut through what moves, which was kept as a whole.
+        Number of boxes or masks that cut through a moving surface, which was then kept as a whole.
     filled : int
-        Crops that the mask filled as a whole.
+        Number of crops that the mask filled as a whole.
     crops, runs : int
-        What the network looked at, and how often it ran.
+        Number of crops that the network processed, and number of its runs.
     seconds : float
-        Of the network.
+        Total duration of these runs.
     glimpses : dict of int to Glimpse
-        By stamp.
+        By stamp, nanoseconds.
     """
 
     name: str = ""
@@ -121,7 +121,7 @@ class Tally:
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the mask as a whole, in one line."""
+        """What is wrong with the mask as a whole, in one line; None if nothing is."""
         if self.frames >= FEW_FRAMES and 2 * self.fallback > self.frames:
             return (
                 f"{self.name}: the vehicle mask found nothing that moves in {self.fallback} of {self.frames} frames; "
@@ -131,7 +131,7 @@ class Tally:
         return None
 
     def sentences(self) -> tuple[str, ...]:
-        """Say what the mask did and where it and the background test disagree."""
+        """Return the mask's effect, and its disagreements with the background test, as sentences."""
         points = self.kept + self.dropped
         share, each_ms = self.dropped / max(points, 1), 1000 * self.seconds / max(self.runs, 1)
         told = [
@@ -149,18 +149,20 @@ class Tally:
 
 
 class VehicleMask:
-    """Thins frames to what are vehicles' points.
+    """Reduces frames to the points of vehicles.
 
     Parameters
     ----------
     finder : Finder
     name : str
+        Name of the network's file.
     assumed : str
+        What was assumed in the absence of a contract, as text.
 
     Attributes
     ----------
     tally : Tally
-        Of the latest pass over a recording.
+        Statistics of the latest pass over a recording.
     """
 
     def __init__(self, finder: Finder, name: str, assumed: str = "") -> None:
@@ -180,19 +182,19 @@ class VehicleMask:
         return cls(NetworkFinder(network), options.model.name, network.assumed)
 
     def apply(self, frames: Iterable[Moving | int], half_window_px: int) -> Iterator[PointCloud]:
-        """Yield the cloud of each frame in order, while frames wait until their crops fill an input of the network.
+        """Yield the cloud of each frame in order; frames wait until their crops fill an input of the network.
 
         Parameters
         ----------
         frames : iterable of Moving or int
-            What moves in each frame, or the stamp of one in which nothing does.
+            The moving points of each frame, or the stamp of a frame in which nothing moves.
         half_window_px : int
             Half of the matcher's window.
 
         Raises
         ------
         MaskError
-            If the network fails, or marks all of most crops.
+            If the network fails, or marks more than half of the crops as a whole.
         """
         self.tally = Tally(self._name, self._assumed)
         waiting: list[Moving | int] = []
@@ -265,7 +267,7 @@ def _glimpse(moving: Moving, vehicles: list[Vehicle], chosen: Chosen, keep: Bool
 
 
 def outlines(vehicle: Vehicle) -> list[FloatArray]:
-    """Return the outline of a vehicle's box, or those of its mask's parts, shape (n, 2), pixels of the image."""
+    """Return the outline of a vehicle's box, or of each part of its mask, shape (n, 2), pixels of the image."""
     if vehicle.mask is None:
         x0, y0, x1, y1 = vehicle.box.tolist()
         return [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])]

@@ -1,1 +1,1 @@
-"""Image pairs in, rectified disparity, point clouds out."""
+"""Conversion of image pairs to point clouds: rectification, disparity, reprojection."""

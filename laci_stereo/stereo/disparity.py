@@ -1,4 +1,4 @@
-"""Disparity of a rectified pair: semi-global matching, a sub-pixel estimate, and what is unreliable dropped."""
+"""Disparity of a rectified pair: semi-global matching, sub-pixel refinement and removal of unreliable pixels."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ BAND_ROWS = 128
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of the rectified left image and the disparities that can occur in it.
+    """A rectangle of the rectified left image with the disparities that can occur in it.
 
     Attributes
     ----------
     x0, y0, x1, y1 : int
-        First and one-after-last column and row.
+        First column and row, and last column and row plus one.
     smallest, largest : int
-        Disparities, pixels.
+        Range of disparities, pixels.
     """
 
     x0: int
@@ -40,12 +40,12 @@ class Region:
 
     @property
     def reach(self) -> int:
-        """How many columns of context on the left the matcher needs: a multiple of 16 disparities from the smallest."""
+        """Columns of context that the matcher needs on the left: the smallest disparity plus the number searched."""
         return self.smallest + self.count
 
     @property
     def count(self) -> int:
-        """Number of disparities to search, a multiple of 16 as SGBM demands."""
+        """Number of disparities to search, a multiple of 16 as SGBM requires."""
         return max(16, -(-(self.largest - self.smallest + 1) // 16) * 16)
 
 
@@ -56,9 +56,9 @@ class Disparity:
     Attributes
     ----------
     values : ndarray, shape (height, width)
-        Pixels; NaN where there is no reliable one.
+        Disparity, pixels; NaN where there is no reliable one.
     sigma : ndarray, shape (height, width)
-        Standard deviation, pixels.
+        Standard deviation of the disparity, pixels.
     """
 
     values: FloatArray
@@ -68,10 +68,10 @@ class Disparity:
 def match(left: Raster, right: Raster, region: Region, settings: StereoSettings) -> Disparity:
     """Match a region of a rectified pair.
 
-    Semi-global matching (Hirschmueller, PAMI 2008; OpenCV's variant) gives whole pixels and rejects what is
-    ambiguous, inconsistent between left and right, or a speckle. Its fraction of a pixel is biased towards whole
-    numbers and fronto-parallel surfaces, so it is estimated again; that also tells the noise and which pixels have no
-    texture.
+    Semi-global matching (Hirschmueller, PAMI 2008; OpenCV's variant) yields whole-pixel disparities and rejects pixels
+    that are ambiguous, inconsistent between left and right, or speckles. Its sub-pixel part is biased towards whole
+    numbers and fronto-parallel surfaces, so it is estimated again by `refine`, which also yields the variance and shows
+    which pixels lack texture.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
     Returns
     -------
     Disparity
-        Of the region, without the context.
+        Of the region, without the context columns.
     """
     area = settings.block_size**2
     matcher = cv2.StereoSGBM.create(
@@ -99,19 +99,19 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
     )
     coarse = (matcher.compute(left, _exposed_like(left, right)).astype(np.float32) / 16)[:, region.reach :]
     own = np.ascontiguousarray(left[:, region.reach :])
-    # The best at an end of the range is no minimum.
+    # A best match at either end of the range is no minimum.
     found = (coarse > region.smallest) & (coarse < region.smallest + region.count - 1)
     refined = _refine_in_bands(own, right, region.reach, coarse, found, settings.refine_window_px)
     sigma = np.sqrt(refined.variance + settings.disparity_floor_px**2)
     white = cv2.blur((own >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
-    # A shift of a pixel or more means that the window holds something else than the matched surface.
+    # A shift of a pixel or more means that the window contains something other than the matched surface.
     keep = found & (np.abs(refined.values - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
     values = np.where(keep, refined.values, np.nan)
     return Disparity(values.astype(np.float64), sigma.astype(np.float64))
 
 
 def _exposed_like(image: Raster, other: Raster) -> Raster:
-    """Bring another image to this one's mean and standard deviation: block matching takes exposure for structure."""
+    """Bring another image to this one's mean and standard deviation: block matching is sensitive to exposure."""
     mean, deviation = (float(value.item()) for value in cv2.meanStdDev(image))
     other_mean, other_deviation = (float(value.item()) for value in cv2.meanStdDev(other))
     gain = deviation / max(other_deviation, 1.0)
@@ -119,9 +119,9 @@ def _exposed_like(image: Raster, other: Raster) -> Raster:
 
 
 def _refine_in_bands(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolArray, side: int) -> Refined:
-    """Refine some rows at a time, so that what is worked on stays in the processor's cache and memory stays flat.
+    """Refine bands of rows one after another, so that the working set fits the processor's cache and memory stays flat.
 
-    Nothing reaches farther than three windows: the derivative, the sums, and the windows beside a jump.
+    A band's margin is three windows, the reach of the derivative, the sums and the windows beside a jump together.
     """
     margin, height = 3 * side, len(left)
     values, variance = np.empty_like(coarse), np.empty_like(coarse)
@@ -136,15 +136,25 @@ def _refine_in_bands(left: Raster, right: Raster, reach: int, coarse: Raster, fo
 
 
 def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], settings: StereoSettings) -> None:
-    """Refuse a pair that does not match, and say whether it would if the cameras were exchanged.
+    """Raise if a pair does not match, and state whether it would with the cameras exchanged.
 
-    Random images leave less than a twentieth of the pixels after the tests of `match`; a scene with sky, shadow and
-    bare asphalt leaves several times as much.
+    Of random images, less than a twentieth of the pixels pass the tests of `match`; of a scene with sky, shadow and
+    bare asphalt, several times as many do.
+
+    Parameters
+    ----------
+    disparity : Disparity
+        Of ``images``.
+    folder : Path
+        Named in the error.
+    images : sequence of ndarray of uint8
+        The left and right rectified image, whole and without context columns.
+    settings : StereoSettings
 
     Raises
     ------
     RigError
-        If the rectified images, whole and without context, do not match.
+        If less than a tenth of the pixels match.
     """
     share = float(np.isfinite(disparity.values).mean())
     if share >= MIN_MATCHED_SHARE:

@@ -1,4 +1,4 @@
-"""Reading the images of a recording as 8-bit grey, with the unreadable ones counted and named."""
+"""Reading the images of a recording as 8-bit grey; unreadable images are counted and named."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ from laci_stereo.io.stereo_calibration import StereoRig
 log = logging.getLogger(__name__)
 
 MAX_BAD_SHARE = 0.2
-"""A larger share of unreadable frames is an error."""
+"""A recording with a larger fraction of unreadable frames is an error."""
 
 FILLED_BITS = (10, 12, 14, 16)
-"""What cameras with 16-bit images fill of them."""
+"""Numbers of bits that cameras use of 16-bit images."""
 
 LUMINANCE = np.array([[0.25, 0.5, 0.25]], np.float32)
-"""Of blue, green and red, as many as a colour mosaic has of each: so what it lays over an image along rows and columns
-cancels out (Alleysson, Suesstrunk and Herault, IEEE Trans. Image Processing 2005). Other weights leave it."""
+"""Weights of blue, green and red, which are their fractions in a colour mosaic: with these, the pattern that the mosaic
+superimposes along rows and columns cancels out (Alleysson, Suesstrunk and Herault, IEEE Trans. Image Processing 2005).
+With other weights, it remains."""
 
 
 class EightBit:
-    """Brings the images of one camera to 8 bit; how many of 16 bits are filled, the images that were learnt from tell.
+    """Converts the images of one camera to 8 bits; the number of bits that 16-bit images use is learnt from samples.
 
     Attributes
     ----------
     bits : int
-        How many; 0 before anything was learnt.
+        Number of bits in use; 0 until an image has been seen.
     """
 
     def __init__(self) -> None:
         self.bits = 0
 
     def learn(self, image: Raster) -> None:
-        """Learn from an image, in addition to others."""
+        """Raise the number of bits in use to that of an image, if it is larger."""
         if image.dtype != np.uint8:
             self.bits = max(self.bits, next(bits for bits in FILLED_BITS if int(image.max()) < 2**bits))
 
     def learn_from(self, paths: Iterable[Path]) -> None:
-        """Learn from files, as far as they can be read: a dark image alone does not tell how bright others are."""
+        """Learn from all readable files: a dark image alone does not show how many bits brighter ones use."""
         for path in paths:
             try:
                 image = read_image(path)
@@ -56,7 +57,7 @@ class EightBit:
             self.learn(image)
 
     def exceeded_by(self, image: Raster) -> bool:
-        """Tell whether an image fills more bits than were learnt, so that its brightest parts are all white."""
+        """Return whether an image uses more bits than were learnt, so that its brightest parts are clipped to white."""
         return 0 < self.bits < MOST_BITS and image.dtype != np.uint8 and int(image.max()) >= 2**self.bits
 
     def grey(self, image: Raster) -> Raster:
@@ -76,15 +77,15 @@ class EightBit:
 
 
 class GreyReader:
-    """Reads raw images of one rig.
+    """Reads the raw images of one rig.
 
     Attributes
     ----------
     skipped : dict of Path to str
-        The images that could not be used, each with the reason, in one line.
+        The images that could not be used, each with a one-line reason.
     eight_bit : EightBit
     brighter : dict of Path to int
-        Images that fill more bits than were learnt, and what their brightest pixel has.
+        Images that use more bits than were learnt, each with its largest value.
     """
 
     def __init__(self, rig: StereoRig) -> None:
@@ -94,7 +95,7 @@ class GreyReader:
         self.brighter: dict[Path, int] = {}
 
     def remarks(self) -> tuple[str, ...]:
-        """Say which images fill more bits than were learnt."""
+        """Return a note on the images that use more bits than were learnt, if there are any."""
         if not self.brighter:
             return ()
         first = min(self.brighter)
@@ -105,12 +106,12 @@ class GreyReader:
         return (words,)
 
     def read(self, path: Path) -> Raster | None:
-        """Return an image as grey, uint8, shape (height, width); None, and a line in `skipped`, if it is unusable."""
+        """Return an image as grey, uint8, shape (height, width); if unusable, None, and `skipped` gets the reason."""
         image = self.raw(path)
         return None if image is None else self.eight_bit.grey(image)
 
     def raw(self, path: Path) -> Raster | None:
-        """Return an image as it was stored; None, and a line in `skipped`, if it is unusable."""
+        """Return an image as stored; if unusable, None, and `skipped` gets the reason."""
         try:
             image = read_image(path)
             self._check_size(path, image)
@@ -124,21 +125,22 @@ class GreyReader:
         return image
 
     def colour(self, path: Path) -> Raster:
-        """Return an image as 8-bit blue-green-red, shape (height, width, 3), to draw on.
+        """Return an image as 8-bit blue-green-red, shape (height, width, 3), for drawings.
 
         Raises
         ------
         ImageError
-            If it is unusable.
+            If the image cannot be read.
         """
         return self.eight_bit.colour(read_image(path))
 
     def check(self, attempted: int) -> None:
-        """Raise if more than a fifth of the frames could not be read.
+        """Check the fraction of unreadable frames.
 
         Raises
         ------
         ImageError
+            If more than a fifth of the frames could not be read.
         """
         if len(self.skipped) > MAX_BAD_SHARE * attempted:
             raise ImageError(
@@ -147,7 +149,7 @@ class GreyReader:
             )
 
     def first_complaint(self) -> str:
-        """Return the reason of the first image that could not be used."""
+        """Return the reason of the first unusable image, in order of paths."""
         return self.skipped[min(self.skipped)]
 
     def _check_size(self, path: Path, image: Raster) -> None:

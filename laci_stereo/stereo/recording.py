@@ -1,4 +1,4 @@
-"""A stereo recording as a source of point clouds: only what can hold something new is matched."""
+"""A stereo recording as a source of point clouds; only image regions that can show moving objects are matched."""
 
 from __future__ import annotations
 
@@ -32,39 +32,40 @@ from laci_stereo.stereo.settings import StereoSettings
 log = logging.getLogger(__name__)
 
 LOOK_FRAMES = 31
-"""Frames that tell the scene at rest (`learn_look`)."""
+"""Number of frames from which the scene at rest is learnt (`learn_look`)."""
 
 QUIET_FRAMES, FURTHER_FRAMES = 6, 4
-"""Whole frames that are matched for the ground and the background: those in which least moves show most of both;
-further ones, spread over the recording, show what only dwelt in its place."""
+"""Numbers of whole frames that are matched for the ground and the background. Frames with the least motion show most of
+both; the further ones, spread over the recording, show the places where an object stood for a while in the former."""
 
 SURVEY_STRIDE = 2
-"""Of a whole frame, every second pixel in both directions: neighbours share the matcher's window anyway."""
+"""Only every second pixel of a whole frame is used in both directions: adjacent pixels share the matching window."""
 
 COARSE_WIDTH = 480
-"""Width to which a pair is shrunk for the first look at the road, pixels."""
+"""Width to which a pair is downscaled for the first estimate of the road plane, pixels."""
 
 NEAREST_M = 1.5
-"""Nothing is nearer than this in the first look; the lowest mounting that is calibrated is 1.5 m high."""
+"""Least distance that is searched for disparities: no point is assumed nearer; the lowest supported mounting height is
+1.5 m."""
 
 POINTING_SIGMA_PX = 0.3
-"""Standard deviation of a pixel's bearing: uniform within the pixel."""
+"""Standard deviation of a pixel's bearing: uniform distribution within the pixel."""
 
 Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is learnt from a spread of frames before the recording is streamed.
+    """What is learnt from frames spread over the recording before the recording is streamed.
 
     Attributes
     ----------
     look : Look
     road : RoadDisparity
     surveyed : tuple of StereoPair
-        Those in which least moves, and some of the others.
+        Pairs with the least motion and some of the others; the whole frames of the survey.
     spare : tuple of StereoPair
-        The rest, those in which least moves first.
+        The remaining pairs, in ascending order of motion; they replace surveyed pairs that cannot be used.
     """
 
     look: Look
@@ -93,12 +94,12 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Changes:
-    """What differs from the scene at rest in a pair.
+    """The parts of a pair that differ from the scene at rest.
 
     Attributes
     ----------
     left : ndarray
-        The left image, raw, as it was stored.
+        The left image, raw, as stored.
     regions : tuple of Region
     matched : Pixels
     """
@@ -118,11 +119,11 @@ class StereoRecording:
     rig : StereoRig
     settings : StereoSettings
     ground : GroundSettings
-        For the first look at the road, from which the range of disparities follows.
+        Settings of the first estimate of the road plane, from which the disparity range follows.
     background : sequence of StereoPair or None
-        Pairs without moving objects. None: they are looked for.
+        Pairs without moving objects. None: they are searched for.
     mask : VehicleMask or None
-        Thins what moves to what are vehicles' points; the survey stays whole.
+        Reduces the moving points to those of vehicles; the survey is not masked.
     """
 
     kind = "stereo"
@@ -160,14 +161,14 @@ class StereoRecording:
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """Why each image that could not be used was left out, one line each."""
+        """The reason for each image that could not be used, one line each."""
         return tuple(self.reader.skipped[path] for path in sorted(self.reader.skipped))
 
     def __len__(self) -> int:
         return len(self.pairs)
 
     def __iter__(self) -> Iterator[PointCloud]:
-        """Yield every frame: the points of what differs from the scene at rest."""
+        """Yield every frame, reduced to the points that differ from the scene at rest."""
         scene = self._scene
         if self.mask is None:
             yield from map_ahead(partial(self._moving_cloud, scene), self.pairs, self._threads)
@@ -177,14 +178,14 @@ class StereoRecording:
         self.reader.check(len(self.pairs))
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield whole frames, thinned: those in which the image differs least from the scene at rest, and others."""
+        """Yield whole frames, subsampled: those that differ least from the scene at rest, and some others."""
         scene = self._scene
         clouds = list(map_ahead(self._whole_cloud, scene.surveyed, self._threads))
         clouds += map_ahead(self._whole_cloud, scene.spare[: clouds.count(None)], self._threads)
         yield from sorted((cloud for cloud in clouds if cloud is not None), key=lambda cloud: cloud.stamp_ns)
 
     def mask_rays(self, stamp_ns: int) -> GlimpseRays | None:
-        """Return what the mask did in a frame, as of the latest pass; None without a mask."""
+        """Return the mask's effect on a frame in its latest pass; None without a mask."""
         if self.mask is None:
             return None
         glimpse = self.mask.tally.glimpses.get(stamp_ns)
@@ -196,7 +197,7 @@ class StereoRecording:
         return rectify(self.rig)
 
     def whole_region(self) -> Region:
-        """Return the whole image with the disparities that can occur in it."""
+        """Return the whole image as a region, with the disparities that can occur in it."""
         width, height = self.rectification.size
         return self._limited(Region(0, 0, width, height, *self._scene.road.range(0, 0, width, height)))
 
@@ -217,7 +218,7 @@ class StereoRecording:
         return None if image is None else shrink(self.rectification.left.look_up(image))
 
     def _first_look(self, pairs: Sequence[StereoPair]) -> RoadDisparity:
-        """Find the road in the first usable pair, shrunken, with every disparity that is possible at all."""
+        """Fit the road plane to the first usable pair, downscaled, over every disparity that is possible at all."""
         plane = self.rectification
         pair, left, right = self._first_usable(pairs)
         factor = max(plane.size[0] // COARSE_WIDTH, 1)
@@ -266,7 +267,7 @@ class StereoRecording:
         return empty_cloud(pair.stamp_ns) if seen is None else self._points(pair.stamp_ns, seen.matched)
 
     def _moving_pixels(self, scene: Scene, mask: VehicleMask, pair: StereoPair) -> Moving | int:
-        """Return what moves together with its pixels and crops of the image; the stamp alone if nothing does."""
+        """Return the moving points with their pixels and image crops; only the stamp if nothing moves."""
         seen = self._changes(scene, pair)
         if seen is None:
             return pair.stamp_ns
@@ -288,7 +289,7 @@ class StereoRecording:
         )
 
     def _changes(self, scene: Scene, pair: StereoPair) -> Changes | None:
-        """Match what differs from the scene at rest; None if nothing does, or an image cannot be used."""
+        """Match what differs from the scene at rest; None if nothing differs or an image cannot be used."""
         raw = self.reader.raw(pair.left)
         if raw is None:
             return None
@@ -304,7 +305,7 @@ class StereoRecording:
         return Changes(raw, tuple(found), self._matched(left, right, found, seen))
 
     def _limited(self, region: Region) -> Region:
-        """Apply the disparities that the user set; never search for what lies nearer than `NEAREST_M`."""
+        """Apply the user's disparity range; without one, exclude disparities of points nearer than `NEAREST_M`."""
         if self.settings.disparities is not None:
             return replace(region, smallest=self.settings.disparities[0], largest=self.settings.disparities[1])
         largest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
@@ -324,16 +325,16 @@ class StereoRecording:
         return self._usable(Pixels(*(np.concatenate(part) for part in zip(*parts, strict=True))))
 
     def _usable(self, pixels: Pixels) -> Pixels:
-        """Return those that both cameras see, and whose distance the noise lets tell."""
+        """Return the pixels that both cameras see and whose disparity exceeds its standard deviation."""
         plane = self.rectification
         u_right = np.rint(pixels.u - pixels.d).astype(np.int64)
-        # What is not nearer than the noise can tell may be at any distance, even beyond what numbers can hold.
+        # A disparity within its noise of zero allows any distance, even one that overflows.
         usable = (pixels.d > pixels.sigma_px) & (u_right >= 0) & plane.left.valid[pixels.v, pixels.u]
         usable &= plane.right.valid[pixels.v, u_right.clip(0)]
         return Pixels(pixels.v[usable], pixels.u[usable], pixels.d[usable], pixels.sigma_px[usable])
 
     def _points(self, stamp_ns: int, pixels: Pixels) -> PointCloud:
-        """Reproject pixels with a disparity: depth = f b / d along the pixel's ray."""
+        """Reproject pixels with a disparity into space: depth = f b / d along the pixel's ray."""
         plane = self.rectification
         v, u, d = pixels.v, pixels.u, pixels.d
         depth = plane.focal_px * plane.baseline_m / d
@@ -357,18 +358,19 @@ def _check_disparities(settings: StereoSettings, rig: StereoRig) -> None:
 
 
 def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:
-    """Take the first of what is ranked by how little moves, and some of the others, evenly spread over time.
+    """Take the first `QUIET_FRAMES` items, and `FURTHER_FRAMES` of the others, uniformly spaced in time.
 
     Parameters
     ----------
     ranked : sequence
+        In ascending order of motion.
     stamps : sequence of int
-        Of each item.
+        The stamp of each item.
 
     Returns
     -------
     list
-        In the order of time.
+        In order of time.
     """
     ordered = sorted(range(len(ranked)), key=lambda index: stamps[index])
     others = [index for index in ordered if index >= QUIET_FRAMES]
@@ -377,7 +379,7 @@ def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:
 
 
 def with_context(view: View, image: Raster, region: Region) -> Raster:
-    """Rectify a region with the columns on its left that the matcher needs; beyond the image its border is repeated."""
+    """Rectify a region plus the columns to its left that the matcher needs; the image border is replicated outwards."""
     start = region.x0 - region.reach
     part = view.look_up(image, slice(region.y0, region.y1), slice(max(start, 0), region.x1), to_match=True)
     return cv2.copyMakeBorder(part, 0, 0, max(-start, 0), 0, cv2.BORDER_REPLICATE)

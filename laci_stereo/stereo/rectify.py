@@ -1,4 +1,4 @@
-"""Rectification: two raw images onto a common image plane in which disparity runs along rows."""
+"""Rectification: projects two raw images onto a common image plane in which disparity runs along rows."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from laci_stereo.core.frames import BoolArray, FloatArray, Raster, rigid
 from laci_stereo.io.stereo_calibration import Lens, StereoRig
 
 EDGE_PX = 22
-"""What lies nearer than this to where either image ends may be cut off there: two windows of 11 pixels, one in which
-nothing matches because it reaches beyond the image, and one for a gap, which are that large on plain paint."""
+"""Distance from the border of either image within which an object may be cut off. It is two windows of 11 pixels: one
+in which nothing matches because it reaches beyond the image, and one for gaps in the disparity, which are that large on
+plain paint."""
 
 ROUNDING_PX = 1e-3
 
 
 @dataclass(frozen=True)
 class View:
-    """How one raw image is looked up from the rectified one.
+    """The mapping from rectified pixels to one raw image.
 
     Attributes
     ----------
     maps : tuple of ndarray or None
-        OpenCV's fixed-point maps; None where raw and rectified are the same.
+        OpenCV's fixed-point maps; None if the raw and the rectified image are identical.
     valid : ndarray of bool, shape (height, width)
-        The rectified pixel lies inside the raw image.
+        The pixel lies inside the raw image.
     inner : ndarray of bool, shape (height, width)
-        It lies inside by more than `EDGE_PX`, and as far from the border of the rectified image.
+        The pixel lies at least `EDGE_PX` inside the raw image and the rectified image.
     """
 
     maps: tuple[Raster, Raster] | None
@@ -41,8 +42,8 @@ class View:
     ) -> Raster:
         """Return a part of the rectified image.
 
-        To be matched it is interpolated by Lanczos' kernel of four lobes, which takes eight times as long: linearly,
-        fine texture moves to where the nearer pixel is, by up to 0.05 px between two images.
+        For matching, it is interpolated with Lanczos' kernel of four lobes, which takes eight times as long. Linear
+        interpolation moves fine texture towards the nearer pixel, by up to 0.05 px between two images.
         """
         if self.maps is None:
             return image[rows, columns]
@@ -54,8 +55,8 @@ class View:
 class Rectification:
     """The common image plane of a stereo rig.
 
-    Where the second camera stands left of the first (T positive), both rectified images are mirrored, so that
-    disparity is positive as everywhere else; `rays` undo it.
+    If the second camera is left of the first (T positive), both rectified images are mirrored, so that disparity is
+    positive as usual; `rays` account for this.
 
     Attributes
     ----------
@@ -66,7 +67,8 @@ class Rectification:
     size : tuple of int
         Width and height of the rectified images.
     rays : ndarray, shape (height, width, 3)
-        Of each rectified pixel, in the sensor frame (the raw left camera), with unit depth along the rectified axis.
+        Direction of each rectified pixel in the sensor frame (the raw left camera), with unit depth along the rectified
+        optical axis.
     T_sensor_rectified : ndarray, shape (4, 4)
         A pure rotation.
     mirrored : bool
@@ -83,10 +85,10 @@ class Rectification:
 
 
 def rectify(rig: StereoRig) -> Rectification:
-    """Lay the common image plane through a stereo rig (Bouguet's method, by OpenCV).
+    """Compute the common image plane of a stereo rig (Bouguet's method, OpenCV's implementation).
 
-    The rectified image has the raw left one's size and about its focal length; what the lens sees beyond is lost,
-    what it does not see is masked by the views' ``valid``.
+    The rectified images have the raw left one's size and approximately its focal length. What a lens sees beyond them
+    is lost; rectified pixels outside a raw image are masked by the views' ``valid``.
     """
     left_R, right_R, left_P, right_P = bouguet(rig)
     mirrored = bool(right_P[0, 3] > 0)
@@ -108,9 +110,10 @@ def rectify(rig: StereoRig) -> Rectification:
 
 
 def already_rectified(rig: StereoRig) -> StereoRig:
-    """Return the rig of images that were rectified elsewhere.
+    """Return the rig for images that have been rectified already.
 
-    Where the calibration describes these, as it says; else both as the left camera without distortion, only shifted.
+    This is the calibration's own description of the rectified images. Without one, both cameras have the left camera's
+    matrix without distortion and differ only by the baseline.
     """
     if rig.rectified is not None:
         return rig.rectified
@@ -120,7 +123,7 @@ def already_rectified(rig: StereoRig) -> StereoRig:
 
 
 def with_right_turned(rig: StereoRig, turn_deg: tuple[float, float, float] | None) -> StereoRig:
-    """Return the rig whose right camera has turned, see `StereoSettings.turn_deg`."""
+    """Return the rig with its right camera rotated as `StereoSettings.turn_deg` says."""
     if turn_deg is None:
         return rig
     R = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
@@ -128,9 +131,10 @@ def with_right_turned(rig: StereoRig, turn_deg: tuple[float, float, float] | Non
 
 
 def undistorted(lens: Lens, points: FloatArray, R: FloatArray | None = None, P: FloatArray | None = None) -> FloatArray:
-    """Return where raw pixels, shape (n, 2), lie without the lens's distortion.
+    """Return the positions of raw pixels, shape (n, 2), without lens distortion.
 
-    In rectified pixels by R, shape (3, 3), and P, shape (3, 4); without them as tangents about the optical axis.
+    They are in rectified pixels if R, shape (3, 3), and P, shape (3, 4), are given, else tangents of the angles from
+    the optical axis.
     """
     raw = np.ascontiguousarray(points)[:, None]
     if lens.model == "fisheye":
@@ -144,7 +148,7 @@ def undistorted(lens: Lens, points: FloatArray, R: FloatArray | None = None, P: 
 def bouguet(rig: StereoRig) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the rectifying rotations, shape (3, 3), and projections, shape (3, 4), of both cameras."""
     lenses = (rig.left.K, rig.left.distortion, rig.right.K, rig.right.distortion, rig.left.size)
-    # OpenCV refuses a part of a larger matrix.
+    # OpenCV rejects views into a larger matrix.
     pose = (np.ascontiguousarray(rig.R_right_left), np.ascontiguousarray(rig.t_right_left_m).reshape(3, 1))
     if rig.left.model == "fisheye":
         found = cv2.fisheye.stereoRectify(*lenses, *pose, cv2.CALIB_ZERO_DISPARITY, balance=0.0)[:4]

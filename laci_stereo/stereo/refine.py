@@ -1,4 +1,4 @@
-"""The fraction of a pixel: least squares over windows that stay on one surface."""
+"""Sub-pixel refinement of disparities: least squares over windows that lie on one surface."""
 
 from __future__ import annotations
 
@@ -11,91 +11,102 @@ import numpy as np
 from laci_stereo.core.frames import BoolArray, IntArray, Raster
 
 JUMP_PX = 1.5
-"""Within a pixel on either side a surface changes by less: the matcher's own steps are one pixel high."""
+"""Disparity range in a 3 x 3 neighbourhood above which it holds a depth discontinuity. On one surface the range is
+smaller: the matcher's own steps are one pixel high."""
 
 STEPS = 2
-"""Of Newton's method: the first leaves a tenth of what the matcher's fraction is off, the second a hundredth."""
+"""Newton iterations: the first leaves a tenth of the error of the matcher's sub-pixel part, the second a hundredth."""
 
 FINER = 4
-"""The right image is interpolated to so many columns for each of its own, and linearly between these."""
+"""Factor by which the right image is upsampled along rows; values between these columns are interpolated linearly."""
 
 DERIVATIVE = np.array([[-1, 9, -45, 0, 45, -9, 1]], np.float32) / 60
-"""Central difference of the sixth order: a shorter one is too flat for fine texture, and the shift too large."""
+"""Central difference of sixth order: a shorter one underestimates the gradient of fine texture and so overestimates the
+shift."""
 
 SMOOTHING = np.array([[-1, 0, 9, 16, 9, 0, -1]], np.float32) / 32
-"""Takes away what alternates from column to column, and leaves what has eight columns to a wave.
+"""Low-pass filter along rows that removes what alternates from column to column and keeps wavelengths from eight
+columns.
 
-That is the flattest half-band filter of seven taps. A mosaic of colours lays such a pattern over both images: it stays
-where the sensor's pixels are, whatever these show, and draws shifts towards whole pairs of pixels, by 0.07 px on grey
-asphalt. And of what has two columns to a wave it cannot be told how far it is shifted.
+It is the maximally flat half-band filter with seven taps. A colour mosaic superimposes an alternating pattern on both
+images that is fixed to the sensor's pixels whatever these show; it pulls shifts towards even numbers of pixels, by 0.07
+px on grey asphalt. Besides, the shift of a signal with a wavelength of two columns is ambiguous.
 """
 
 LEAST_INFORMATION = 1e-3
 
 EXPOSURE_WINDOWS = 4
-"""Side of the larger window that tells gain and offset, in windows.
+"""Side of the larger window from which gain and offset are estimated, in windows.
 
-A mean over 2000 pixels of it is off by a fiftieth of the image's noise, while an offset of each window's own would take
-the texture that is longer than the window. Vignetting changes by less than a tenth within it, evenly.
+A mean over its 2000 pixels has an error of a fiftieth of the image's noise, while an offset per matching window would
+remove texture with wavelengths above the window's size. Vignetting changes by less than a tenth within it, and
+linearly.
 """
 
 SMEAR = 3
-"""Side of the square whose pixels err together, pixels: a mosaic of colours is interpolated from three by three, a lens
-shows a point no smaller, and what a glossy side mirrors is as smooth.
+"""Side of the square within which the errors of pixels are correlated, pixels: a colour mosaic is interpolated from 3 x
+3 pixels, a lens's point spread is no smaller, and specular reflections in a glossy side are as smooth.
 
-White noise of variance s^2 makes a sum over n of them vary by n s^2, noise in common by n^2 s^2; over n, the first is
-s^2 whatever n is, the second what it adds to the variance of a least-squares shift of texture that is as smooth.
+White noise of variance s^2 gives a sum over n pixels the variance n s^2, shared noise n^2 s^2. Divided by n, the former
+is s^2 for any n, the latter what shared noise contributes to the variance of a least-squares shift of equally smooth
+texture.
 """
 
 LEFT_OF_NOISE = 0.826
-"""Of the variance of white noise's sums over such a square what `SMOOTHING` leaves: the squares of its own sums over
-three taps, added up, over three."""
+"""Fraction that `SMOOTHING` leaves of the variance of white noise's sums over such a square: the sum of squares of the
+filter's own three-tap sums, divided by three."""
 
 ROUNDING = 1 / 6
-"""Variance of the difference of two grey values from their rounding alone."""
+"""Variance of the difference of two grey values due to their rounding alone."""
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Disparities and their variance, shape (height, width); NaN where no window on one surface tells it."""
+    """Disparities and their variance, pixels and pixels^2, shape (height, width).
+
+    The disparity is NaN where no window that lies on one surface determines it.
+    """
 
     values: Raster
     variance: Raster
 
 
 def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolArray, side: int) -> Refined:
-    """Estimate disparities to a fraction of a pixel from whole ones.
+    """Refine coarse disparities to sub-pixel precision.
 
-    The sum over a window of the squared differences between left and shifted right image is minimised (Lucas and
-    Kanade, IJCAI 1981), starting from the mean of the coarse disparities over the window: their steps are the
-    matcher's, and a mean over a symmetrical window keeps a slant.
+    The sum of squared differences between the left and the shifted right image over a window is minimised (Lucas and
+    Kanade, IJCAI 1981), starting from the mean of the coarse disparities over the window: the steps of these are the
+    matcher's, and a mean over a symmetrical window preserves a slant.
 
-    Where the coarse disparity jumps within the window, it holds two surfaces, and a common shift would strew points
-    between them. There the pixel's disparity is continued along a straight line from two windows beside it that hold
-    one surface each (shiftable windows, Kang, Szeliski and Chai, CVPR 2001), the line that misses the coarse disparity
-    least. Without such a line a pixel at a jump belongs to no surface and is dropped; one inside of something thinner
-    than a window keeps the window of its own.
+    Where the coarse disparity jumps within the window, the window holds two surfaces, and a single shift would place
+    points between them. There the pixel's disparity is extrapolated along a straight line from two adjacent windows
+    that lie on one surface each (shiftable windows, Kang, Szeliski and Chai, CVPR 2001); of all such lines the one that
+    differs least from the coarse disparity is taken. Without such a line, a pixel at a jump belongs to no surface and
+    is dropped; one inside an object thinner than a window keeps its own window's estimate.
 
-    What alternates from column to column is a colour mosaic's and not the scene's, and is taken away first.
+    Patterns that alternate from column to column come from a colour mosaic and not from the scene; they are removed
+    first.
 
-    The cameras may be exposed differently, and their lenses lose different amounts of light to the borders: the left
-    image is first brought to the gain and the offset of the right one, both from a larger window.
+    The cameras may be exposed differently, and vignetting differs between lenses: the left image is first brought to
+    the gain and offset of the right one, both estimated over a larger window.
 
-    The variance is that of least squares, from the window's own residual: it tells the image's noise there, and also
-    occlusion, gloss and other surfaces. Neighbours have most of that in common, so it is taken from sums over so many
-    as do: what errs together is not averaged out, and noise that is each pixel's own counts as before.
+    The variance is that of least squares with the window's own residual, which contains the image noise and also
+    occlusion, specular reflection and other surfaces. Adjacent pixels share most of these errors, so the residual is
+    taken from sums over `SMEAR` x `SMEAR` pixels: correlated errors are not averaged out, while independent noise of
+    single pixels counts as before.
 
     Parameters
     ----------
     left : ndarray of uint8, shape (height, width)
     right : ndarray of uint8, shape (height, reach + width)
-        With ``reach`` columns more on the left.
+        With ``reach`` additional columns on the left.
     reach : int
     coarse : ndarray of float32, shape (height, width)
+        Disparities of the matcher, pixels.
     found : ndarray of bool, shape (height, width)
-        Where it is meaningful.
+        Where ``coarse`` is valid.
     side : int
-        Of the window, pixels, odd.
+        Side of the window, pixels, odd.
     """
     left, right = (cv2.filter2D(image, cv2.CV_32F, SMOOTHING) for image in (left, right))
     weight = found.astype(np.float32)
@@ -118,10 +129,10 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
         apart = (shifted - grey) * weight
         other = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
         mean = (gradient + other) / 2
-        # The product of both images' gradients, since the square of one would count its noise as texture.
+        # The product of both images' gradients, because the square of one would count its noise as texture.
         texture = gradient * other
         information = np.maximum(_sums(texture, side), LEAST_INFORMATION)
-        # A pixel's difference holds its own shift already; what is wanted is the shift of the whole window.
+        # A pixel's difference already includes its own start value; wanted is one shift for the whole window.
         shift = _sums(mean * apart + texture * held, side) / information
         held = np.where(straddles, 0, shift)
     common = _sums(apart, SMEAR)
@@ -135,9 +146,9 @@ def _shifted(fine: Raster, u: Raster, v: Raster) -> Raster:
 
 
 def _exposed_alike(grey: Raster, other: Raster, weight: Raster, side: int) -> Raster:
-    """Bring an image to the gain and offset of another one of the same surfaces, pixel for pixel.
+    """Bring an image to the gain and offset of another one that shows the same surfaces at the same pixels.
 
-    The gain is the ratio of standard deviations: a regression's is too small where there is noise in both.
+    The gain is the ratio of standard deviations: regression underestimates it if both images are noisy.
     """
     window = EXPOSURE_WINDOWS * side | 1
     count = np.maximum(_sums(weight, window), 1.0)
@@ -149,13 +160,13 @@ def _exposed_alike(grey: Raster, other: Raster, weight: Raster, side: int) -> Ra
 
 
 def _moments(values: Raster, count: Raster, side: int) -> tuple[Raster, Raster]:
-    """Return mean and standard deviation over windows, the latter not below what rounding leaves."""
+    """Return mean and standard deviation over windows, the latter with the rounding noise as its lower limit."""
     mean = _sums(values, side) / count
     return mean, np.sqrt(np.maximum(_sums(values * values, side) / count - mean * mean, ROUNDING))
 
 
 def _upsampled(image: Raster) -> Raster:
-    """Interpolate rows by Lanczos' kernel of three lobes; OpenCV's cubic one draws shifts towards whole pixels."""
+    """Upsample rows with Lanczos' kernel of three lobes; OpenCV's cubic kernel biases shifts towards whole pixels."""
     height, width = image.shape
     fine = np.empty((height, width, FINER), np.float32)
     fine[:, :, 0] = image
@@ -177,7 +188,7 @@ def _dilated(values: Raster, side: int) -> Raster:
 
 
 def _jumps(filled: Raster) -> BoolArray:
-    """Tell where disparity jumps; holes are filled from the nearer surface, so that one hidden behind is found."""
+    """Return where disparity jumps; with holes filled from the nearer surface, jumps inside holes are found, too."""
     jumps: BoolArray = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > JUMP_PX
     return jumps
 
@@ -185,7 +196,10 @@ def _jumps(filled: Raster) -> BoolArray:
 def _continued(
     refined: Refined, coarse: Raster, found: BoolArray, straddles: BoolArray, jump: BoolArray, side: int
 ) -> Refined:
-    """Continue whole windows one step of half a window and a pixel, d = 2 d1 - d2, to the pixels that have none."""
+    """Extrapolate to pixels without a window of their own: d = 2 d1 - d2 at steps of half a window and one pixel.
+
+    ``straddles`` marks pixels whose window contains a jump of the disparity, ``jump`` those at the jump itself.
+    """
     step = side // 2 + 1
     clean = np.where(straddles | ~found, np.float32(np.nan), refined.values)
     field = cv2.copyMakeBorder(clean, *(4 * (2 * step,)), cv2.BORDER_CONSTANT, value=float("nan"))
@@ -203,7 +217,7 @@ def _continued(
         missed = np.abs(continued - wanted)
         better = np.flatnonzero(missed < least)
         least[better], value[better] = missed[better], continued[better]
-        # Two windows share what they overlap, and as much of their noise.
+        # Overlapping windows share noise in proportion to their overlap.
         shared = (1 - abs(down) * step / side) * (1 - abs(across) * step / side)
         variance[better] = (5 - 4 * shared) * refined.variance[v[better] + step * down, u[better] + step * across]
     values, variances = clean, refined.variance.copy()

@@ -1,4 +1,4 @@
-"""What a camera that stands still knows of its scene: what it looks like at rest, and where its road lies."""
+"""What is learnt of the scene of a stationary camera: its appearance at rest, and the road plane in disparity space."""
 
 from __future__ import annotations
 
@@ -14,58 +14,62 @@ from laci_stereo.stereo.disparity import Region
 from laci_stereo.stereo.rectify import Rectification
 
 SHRINK = 2
-"""Change is looked for in images that are smaller by this factor, which also averages the noise."""
+"""Factor by which images are downscaled before changes are detected; this also averages the noise."""
 
 CHANGE_SIGMAS = 5.0
-"""A grey value has changed when it is this many standard deviations off: one false pixel in 10^6."""
+"""A grey value has changed when it deviates by this many standard deviations: one false pixel in 10^6."""
 
 MOSTLY, AT_TIMES = 0.25, 0.1
-"""In so many of the frames a pixel has the look that it has most. It may be that of what dwells in front of the scene,
-such as a vehicle that waits or shunts, if there is another look in a tenth of the frames: in so many a place must be
-seen empty for what stands there not to be background. What passes looks otherwise in each frame."""
+"""Fractions of the frames. A grey value that at least a quarter of the frames agree on is the pixel's candidate for the
+background. If another value occurs in a tenth of the frames, the candidate may be an object that dwells in front of
+the scene, such as a vehicle that waits or shunts: a place must be seen empty that often, or an object there is taken
+for background. Passing objects look different in each frame."""
 
 FEWEST = 31
-"""A tenth of fewer frames are three at most, which are alike by chance where leaves sway: then the median is taken."""
+"""Least number of frames for that test; with fewer, the median is taken. A tenth of fewer frames is three at most,
+which agree by chance where leaves sway."""
 
 CENTRAL_QUARTER = 0.637
-"""The interval about the mean with a quarter of what is normally distributed is so many standard deviations wide."""
+"""Width of the interval about the mean that contains a quarter of a normal distribution, in standard deviations."""
 
 MIN_NOISE = 0.5
-"""Standard deviation of a grey value at least: rounding alone is 0.3, and both images are rounded."""
+"""Lower limit of a grey value's standard deviation: rounding alone contributes 0.3, and both images are rounded."""
 
 WHITE = np.float32(255.0)
 
 SAMPLE_STRIDE = 4
-"""Every fourth pixel in both directions tells the gain as well as all."""
+"""Every fourth pixel in both directions determines the gain as well as all pixels do."""
 
 MIN_GAIN = 1e-3
 
 BLEED_PX = 12
-"""Around a change by so much (full size) the matcher's and the refinement's windows still touch what moved."""
+"""Distance from a change, in full-size pixels, within which the windows of the matcher and of the refinement still
+overlap what moved."""
 
 EDGE = np.ones((BLEED_PX // SHRINK + 1,) * 2, dtype=np.uint8)
-"""What is narrower is no vehicle: an edge in the picture, on whose either side a pixel is as the mast sways."""
+"""Structuring element that closes unsettled areas narrower than a vehicle. These are edges in the image, where a pixel
+shows either side of the edge as the mast sways."""
 
 TALLEST_VEHICLE_M = 4.0
-"""Road vehicles are at most so tall (EU directive 96/53/EC)."""
+"""Maximum height of road vehicles (EU directive 96/53/EC)."""
 
 MIN_CLEARANCE_M = 1.0
-"""Nothing comes nearer to the camera's height than this."""
+"""No vehicle's roof is assumed nearer to the camera's height than this."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """The scene at rest, in the shrunken left image.
+    """The scene at rest in the downscaled left image.
 
     Attributes
     ----------
     image : ndarray of float32, shape (height, width)
-        Median over the recording, without what is seen in front of it.
+        Median over the recording, without objects that stand in front of the scene for a while.
     noise : ndarray of float32, shape (height, width)
-        Standard deviation per pixel over the recording: foliage moves, walls do not.
+        Standard deviation of each pixel over the recording: large in foliage, small on walls.
     settled : ndarray of bool, shape (height, width)
-        It looks so and no other way. Elsewhere everything passes for a change, so that it is matched, and what stands
-        there is told by where it is and not by how it looks.
+        The pixel has only one appearance at rest. All other pixels always count as changed and are therefore matched,
+        so that objects there are told apart by their position instead of their appearance.
     """
 
     image: Raster
@@ -73,10 +77,10 @@ class Look:
     settled: BoolArray
 
     def changed(self, shrunken: Raster) -> BoolArray:
-        """Return where an image differs from the scene at rest, at the shrunken size, holes filled.
+        """Return where an image differs from the scene at rest, at the downscaled size, with holes filled.
 
-        The light may have changed since: one gain for the whole image is put in first. What was brighter at rest than
-        the camera can tell may have any brightness above that.
+        The illumination may have changed: a gain for the whole image is applied first. A pixel that was saturated at
+        rest may have any brightness above that.
         """
         gain = _gain(shrunken, self.image)
         brighter = shrunken.astype(np.float32) - np.minimum(gain * self.image, WHITE)
@@ -91,20 +95,20 @@ class Look:
 
 
 def shrink(image: Raster) -> Raster:
-    """Make an image smaller by `SHRINK`."""
+    """Downscale an image by the factor `SHRINK`."""
     return cv2.resize(image, None, fx=1 / SHRINK, fy=1 / SHRINK, interpolation=cv2.INTER_AREA)
 
 
 def learn_look(shrunken: list[Raster]) -> Look:
-    """Take the median of frames from all over the recording, and the noise of each pixel from its deviations.
+    """Return the median of frames from all over the recording, with each pixel's noise from its deviations.
 
-    All frames are brought to the light of the brightest first.
+    All frames are first scaled to the brightness of the brightest one.
     """
     brightest = max(shrunken, key=_brightness)
     stack = np.stack([np.minimum(image / np.float32(_gain(image, brightest)), WHITE) for image in shrunken])
     median = np.median(stack, axis=0)
     deviation = NORMAL * np.median(np.abs(stack - median), axis=0)
-    # Where fewer than half of the frames deviate, the median deviation may be zero: no pixel is better than most.
+    # The median deviation is zero where fewer than half of the frames deviate: the typical noise is a lower limit.
     typical = max(float(np.median(deviation)), MIN_NOISE)
     settled = np.ones(median.shape, dtype=np.uint8)
     if len(stack) >= FEWEST:
@@ -112,21 +116,28 @@ def learn_look(shrunken: list[Raster]) -> Look:
         look, its_deviation, alone = _densest_look(stack[:, unlike], typical)
         median[unlike], deviation[unlike] = np.where(alone, (look, its_deviation), (median[unlike], deviation[unlike]))
         settled[unlike] = alone
-        settled = cv2.morphologyEx(settled, cv2.MORPH_OPEN, np.ones((3, 3)))  # a few pixels are alike by chance
+        settled = cv2.morphologyEx(settled, cv2.MORPH_OPEN, np.ones((3, 3)))  # a few pixels agree by chance
         settled = cv2.morphologyEx(settled, cv2.MORPH_CLOSE, EDGE)
     return Look(median, np.maximum(cv2.GaussianBlur(deviation, (5, 5), 0), typical), settled > 0)
 
 
 def _densest_look(grey: Raster, typical: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return how some pixels look when they do so most alike, how that deviates, and whether they have no other look.
+    """Return each pixel's most frequent grey value, its deviation, and whether the pixel has no second such value.
 
-    Of leaves that sway the narrowest interval with a quarter of the values is so wide that all others are like these.
+    For swaying leaves, the narrowest interval with a quarter of the values is so wide that it accepts all others, too.
 
     Parameters
     ----------
     grey : ndarray, shape (frames, n)
     typical : float
-        Standard deviation of most pixels.
+        Standard deviation of a typical pixel, grey values.
+
+    Returns
+    -------
+    median, deviation : ndarray, shape (n,)
+        Of the frames that agree with the most frequent value.
+    alone : ndarray of bool, shape (n,)
+        No second value occurs in a fraction `AT_TIMES` of the frames.
     """
     mostly, at_times = (int(np.ceil(share * len(grey))) for share in (MOSTLY, AT_TIMES))
     low, width = _narrowest(grey, mostly)
@@ -139,12 +150,14 @@ def _densest_look(grey: Raster, typical: float) -> tuple[FloatArray, FloatArray,
 
 
 def _narrowest(grey: Raster, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return where the narrowest interval with so many of each pixel's values begins, and its width; infinite if none.
+    """Return the lower end and the width of the narrowest interval that contains ``count`` values of each pixel.
+
+    The width is infinite if a pixel has fewer values.
 
     Parameters
     ----------
     grey : ndarray, shape (frames, n)
-        Infinite where there is no value.
+        Infinite where a value is missing.
     count : int
     """
     ordered = np.sort(grey, axis=0)
@@ -160,7 +173,7 @@ def _brightness(image: Raster) -> float:
 
 
 def _gain(image: Raster, reference: Raster) -> float:
-    """Return by how much an image is brighter than another one of the same scene: the median over pixels."""
+    """Return how many times brighter an image is than a reference of the same scene: the median ratio over pixels."""
     one, other = (each[::SAMPLE_STRIDE, ::SAMPLE_STRIDE].astype(np.float32) for each in (image, reference))
     return max(float(np.median(one / np.maximum(other, 1.0))), MIN_GAIN)
 
@@ -173,7 +186,7 @@ class RoadDisparity:
     ----------
     row : ndarray, shape (3,)
     height_m : float
-        Of the camera above the road.
+        Height of the camera above the road.
     """
 
     row: FloatArray
@@ -181,7 +194,7 @@ class RoadDisparity:
 
     @classmethod
     def of(cls, ground: GroundPlane, rectification: Rectification) -> RoadDisparity:
-        """Write a plane as disparity: n . p = -h with p = ray f b / d gives d = -(f b / h) n . ray, linear in u, v."""
+        """Convert a plane: n . p = -h with p = ray f b / d gives d = -(f b / h) n . ray, which is linear in u and v."""
         corner, right, down = (rectification.rays[v, u] @ ground.normal for v, u in ((0, 0), (0, 1), (1, 0)))
         scale = -rectification.focal_px * rectification.baseline_m / ground.height_m
         return cls(scale * np.array([right - corner, down - corner, corner]), ground.height_m)
@@ -189,9 +202,9 @@ class RoadDisparity:
     def range(self, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int]:
         """Return the smallest and largest disparity that can occur in a rectangle.
 
-        Nothing lies beneath the road, but the road may fall off behind the crossing: a fifth below the plane's
-        disparity and two pixels. The roof of the tallest vehicle is nearer than the road behind it by
-        h / (h - its height).
+        Nothing lies below the road, but the road may descend behind the crossing: the lower limit is a fifth and two
+        pixels below the plane's disparity. The disparity of the tallest vehicle's roof exceeds that of the road behind
+        it by the factor h / (h - its height).
         """
         u, v = np.array([x0, x1, x0, x1]), np.array([y0, y0, y1, y1])
         road = self.row @ np.stack([u, v, np.ones(4)])
@@ -201,9 +214,9 @@ class RoadDisparity:
 
 
 def regions(changed: BoolArray, size: tuple[int, int], road: RoadDisparity) -> list[Region]:
-    """Put rectangles around what has changed, at full size, with the disparities that each can hold.
+    """Return rectangles around the changes, at full size, with the disparity range that each can contain.
 
-    Rectangles that overlap become one, so that no pixel is matched twice.
+    Overlapping rectangles are merged, so that no pixel is matched twice.
     """
     width, height = size
     covered = cv2.dilate(changed.astype(np.uint8), np.ones((2 * BLEED_PX // SHRINK + 1,) * 2, np.uint8))

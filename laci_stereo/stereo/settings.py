@@ -1,4 +1,4 @@
-"""Every setting of the stereo camera, its default, and why it has that value."""
+"""All settings of the stereo camera, with their defaults and the reasons for these."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from laci_stereo.core.errors import SettingError
 
 @dataclass(frozen=True)
 class StereoSettings:
-    """How image pairs become point clouds.
+    """Settings of the conversion from image pairs to point clouds.
 
     Attributes
     ----------
     rectified : bool
-        The images are rectified already, and the calibration's left matrix is that of both.
+        The images are rectified already, and the left camera matrix of the calibration applies to both.
     baseline_m : float or None
-        How far apart the cameras stand, where the calibration's lengths are in an unknown unit; None: as it says.
+        Distance between the cameras, metres, if the calibration's unit of length is unknown; None: the calibration's.
     turn_deg : tuple of float or None
-        How far the right camera has turned since it was calibrated, a rotation vector about its x, y and z axis; None:
-        not at all. Up and about its line of sight, as rows of the images tell, and sideways, as a drive does.
+        Rotation of the right camera since its calibration, as a rotation vector about its x, y and z axes, degrees;
+        None: no rotation. The rows of the images determine pitch and roll, a drive determines yaw.
     disparities : tuple of int or None
-        Smallest and largest disparity to search, pixels. None: from the baseline, the focal length and the mounting
-        height, which a coarse look at the scene gives, for every part of an image by itself.
+        Smallest and largest disparity to search, pixels. None: derived for each part of an image from the baseline, the
+        focal length and the mounting height, which is estimated from a coarse match of the scene.
     block_size : int
-        Side of the matched block, pixels, odd.
+        Side of the matching block, pixels, odd.
     uniqueness_percent : int
-        The best match must be better than the second by this much, or the pixel is dropped.
+        Least difference in cost between the best and the second-best match, percent; ambiguous pixels are dropped.
     left_right_px : int
-        Largest difference between the match from left to right and the one back.
+        Largest difference between the left-to-right and the right-to-left match.
     speckle_px : int
-        Smaller islands of disparity are dropped.
+        Connected disparity areas with fewer pixels than this are dropped.
     refine_window_px : int
-        Side of the window over which the sub-pixel shift is estimated, odd.
+        Side of the window over which the sub-pixel shift is estimated, pixels, odd.
     max_disparity_sigma_px : float
-        A pixel whose texture cannot fix its disparity better than this is dropped: a whole-pixel disparity has
-        1 / sqrt(12) = 0.29 px, so beyond it the sub-pixel estimate adds nothing.
+        A pixel whose texture does not determine its disparity more precisely than this is dropped: a whole-pixel
+        disparity has 1 / sqrt(12) = 0.29 px, so above this the sub-pixel estimate adds nothing.
     disparity_floor_px : float
-        Noise of the disparity that does not come from the image's noise: windows across slanted and curved surfaces,
-        imperfect rectification. A tenth of a pixel is what carefully calibrated rigs keep over their life.
+        Standard deviation of the disparity from other causes than image noise: windows across slanted and curved
+        surfaces, imperfect rectification. Carefully calibrated rigs stay within a tenth of a pixel over their life.
     workers : int
-        Frames decoded and matched at the same time; 0 takes the number of processors, at most 8.
+        Number of frames decoded and matched concurrently; 0: the number of processors, at most 8.
     """
 
     rectified: bool = False

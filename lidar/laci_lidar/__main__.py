@@ -1,4 +1,4 @@
-"""``python -m laci_lidar``, where ``laci-lidar`` is not on the path."""
+"""``python -m laci_lidar``, for environments in which ``laci-lidar`` is not on the path."""
 
 from laci_lidar.start import main
 

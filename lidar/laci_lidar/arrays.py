@@ -1,4 +1,4 @@
-"""Arrays of points: NumPy's ``.npy`` and ``.npz``, and the bare numbers of KITTI's ``.bin``."""
+"""Point arrays: NumPy's ``.npy`` and ``.npz``, and KITTI's ``.bin`` without a header."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from laci_stereo.io.text_file import listed, quoted
 
 KITTI = ("x", "y", "z", "intensity")
 LARGEST_RATIO = 1100
-"""Deflate makes data at most 1032 times smaller."""
+"""Deflate compresses data by a factor of at most 1032."""
 
 _HEADER_AT = 12
-"""Behind magic, version and length."""
+"""Offset of the header, after magic number, version and length."""
 
 _POINTS = ("points", "xyz", "points_xyz", "pointcloud", "point_cloud", "cloud", "pcd", "data", "arr_0")
 
 
 def read_bin(content: bytes, what: str) -> Columns:
-    """Read what KITTI writes: x, y, z and intensity of each point as float32, and nothing else.
+    """Read a KITTI file: x, y, z and intensity of each point as float32, and nothing else.
 
     Raises
     ------
     ScanError
-        If these are no points of four numbers.
+        If the content is not points of four numbers.
     """
     if len(content) % 16:
         raise ScanError(f"{what} has {len(content)} bytes; needed are 16 for each point: x, y, z, intensity as float32")
@@ -45,25 +45,25 @@ def read_bin(content: bytes, what: str) -> Columns:
 
 
 def read_npy(content: bytes, what: str) -> Columns:
-    """Read an array of shape (n, 3) or (n, 4 and more), in layers or not, or of records with fields x, y and z.
+    """Read an array of shape (n, 3) or (n, 4 or more), possibly in layers, or of records with fields x, y and z.
 
-    Never a pickle.
+    Pickles are never loaded.
 
     Raises
     ------
     ScanError
-        If it is another array, damaged, or pickled.
+        If it is any other array, damaged, or a pickle.
     """
     return _columns("points", _array(content, what), what)
 
 
 def read_npz(content: bytes, what: str) -> Columns:
-    """Read an archive with one array of points and, where there are more, one for each further field.
+    """Read an archive with one array of points and, optionally, one array for each further field.
 
     Raises
     ------
     ScanError
-        If the points are missing, an array does not fit them, or it is damaged.
+        If the points are missing, an array does not fit them, or the archive is damaged.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -86,7 +86,7 @@ def read_npz(content: bytes, what: str) -> Columns:
     columns = dict(_columns(main, arrays.pop(main), what)) if main is not None else {}
     for name, array in arrays.items():
         columns.setdefault(name, array)
-    axes = {name.lower(): column for name, column in columns.items()}  # capitals do not matter
+    axes = {name.lower(): column for name, column in columns.items()}  # names are not case-sensitive
     if not all(axis in axes for axis in "xyz"):
         raise ScanError(f"{what} has the arrays {listed(list(columns)) or '(none)'}; needed is 'points', or x, y and z")
     points = len(axes["x"]) if axes["x"].ndim else 0
@@ -104,13 +104,13 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> npt
 
 def _array(content: bytes, what: str) -> npt.NDArray[Any]:
     stream = io.BytesIO(content)
-    if b"\\" in content[_HEADER_AT : content.find(b"\n", _HEADER_AT)]:  # NumPy parses it as Python, which would warn
+    if b"\\" in content[_HEADER_AT : content.find(b"\n", _HEADER_AT)]:  # NumPy would parse it as Python, with a warning
         raise ScanError(f"{what} is no array: its header holds a backslash; needed is a file that NumPy wrote")
     try:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read_header(stream)
-    except Exception as problem:  # of many kinds: a header is parsed as Python
+    except Exception as problem:  # exceptions of many types: a header is parsed as Python
         raise ScanError(f"{what} is no array: {quoted(str(problem))}; needed is a file that NumPy wrote") from problem
     if dtype.hasobject:
         raise ScanError(
@@ -134,7 +134,7 @@ def _columns(name: str, array: npt.NDArray[Any], what: str) -> Columns:
         records = array.reshape(-1)
         return {field: records[field] for field in array.dtype.names}
     if array.dtype.kind in "fiu" and array.ndim in (2, 3) and array.shape[-1] >= 3:
-        points = array.reshape(-1, array.shape[-1])  # of layers and columns, too
+        points = array.reshape(-1, array.shape[-1])  # also of arrays with layers and columns
         if len(points) < len(KITTI) + 1 < points.shape[1]:
             raise ScanError(
                 f"{what} holds an array of shape {array.shape}; needed is one row for each point: transposed"

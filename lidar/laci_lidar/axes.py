@@ -1,4 +1,4 @@
-"""From a sensor's own axes to x forward, y left, z up."""
+"""Conversion from a sensor's own axes to x forward, y left, z up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from laci_stereo.core.frames import Axes, FloatArray
 def forward_left_up(axes: Axes) -> FloatArray:
     """Return the rotation, shape (3, 3), from the sensor frame to x forward, y left, z up.
 
-    Where the two axes are not quite perpendicular, up is kept.
+    If the two axes are not exactly perpendicular, up is kept.
     """
     up = np.asarray(axes.up, dtype=np.float64)
     up /= np.linalg.norm(up)

@@ -1,4 +1,4 @@
-"""Scans in a ROS 1 bag, a ROS 2 bag or an MCAP file. The extra ``bag``."""
+"""Scans from a ROS 1 bag, a ROS 2 bag or an MCAP file; requires the extra ``bag``."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from laci_stereo.io.bag_records import CutOffError, Message, Topic
 from laci_stereo.io.text_file import listed, quoted, shortened
 
 EARLIEST_NS = 10**17
-"""March 1973: a stamp before that was never set, or counts from the start of the sensor."""
+"""March 1973: earlier stamps were never set, or count from the start of the sensor."""
 
 _LATEST_NS = 1 << 63
 
 
 @dataclass(frozen=True)
 class BagScans:
-    """The scans of one topic, none of them decoded yet (implements `ScanSequence`).
+    """The scans of one topic, decoded only on demand (implements `ScanSequence`).
 
     Attributes
     ----------
     path : Path
     topic : Topic
     stamps_ns : ndarray of int64, shape (n,)
-        Times in the messages' headers, Unix, nanoseconds, strictly ascending.
+        Stamps of the scans, Unix time, nanoseconds, strictly ascending.
     recorded_ns : ndarray of int64, shape (n,)
-        When the messages were recorded.
+        Times at which the messages were recorded.
     by_header : bool
-        Whether the stamps are the headers'; else they are the times of recording.
+        The stamps are those of the message headers; otherwise they are the times of recording.
     skipped : dict of str to str
-        The messages that could not be used so far, each with the reason, in one line.
+        The messages that could not be used so far, each with a one-line reason.
     notes : tuple of str
     """
 
@@ -64,13 +64,13 @@ class BagScans:
         path : Path
             A ROS 1 bag, a folder with a ROS 2 bag, or one MCAP or SQLite file of it.
         topic : str or None
-            None takes the only topic with point clouds.
+            None: the only topic with point clouds.
 
         Raises
         ------
         ScanError
-            If it is no bag, the topic is missing, one of several, of another type or unknown definition, or holds
-            no scan.
+            If the path is no bag; or the topic is missing, one of several, of another type or with an unknown
+            definition, or contains no scan.
         """
         bag = open_bag(path, ScanError)
         chosen = _choose(bag.topics(), topic, path)
@@ -82,22 +82,22 @@ class BagScans:
         return _listed(path, bag, chosen)
 
     def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
-        """Yield the scans at ascending indices, None where one is unreadable.
+        """Yield the scans at ascending indices; None if a scan is unreadable.
 
         Raises
         ------
         ScanError
-            At the end, if more than a fifth of them were unreadable, or if the bag has changed.
+            At the end, if more than a fifth of them were unreadable; or if the bag has changed.
         """
         return counted(map_ahead(self._attempt, self._messages(indices), threads), self.skipped)
 
     def _messages(self, indices: Sequence[int]) -> Iterator[tuple[int, Message]]:
-        """Yield the messages of scans at ascending indices."""
+        """Yield the messages of the scans at ascending indices."""
         some = 2 * len(indices) < len(self)
         messages = self.bag.messages(self.topic.name, self.recorded_ns[list(indices)].tolist() if some else None)
         try:
             for index in indices:
-                # The first message with this stamp after the one before; several may have been recorded at one time.
+                # The first message with this stamp after the previous one; several may have the same recording time.
                 found = next((message for message in messages if self._stamp(message) == self.stamps_ns[index]), None)
                 if found is None:
                     raise ScanError(f"{self.path}: the message of scan {index} is missing; the bag has changed")
@@ -140,7 +140,7 @@ def _choose(topics: Sequence[Topic], asked: str | None, path: Path) -> Topic:
 
 
 def _listed(path: Path, bag: Bag, topic: Topic) -> BagScans:
-    """Go through a topic's messages for their times."""
+    """Read the times of all messages of a topic."""
     times: list[tuple[int, int]] = []
     skipped: dict[str, str] = {}
     notes: list[str] = []

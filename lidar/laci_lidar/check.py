@@ -1,4 +1,4 @@
-"""The lane check of a LiDAR: paint is where the road returns more light, kerbs are steps, and walls stand upright."""
+"""Lane check of a LiDAR: paint is found by its higher intensity, kerbs as steps, and walls as upright surfaces."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.report.mapview import MapView
 
 GROUND_M = 0.3
-"""Off the plane, at most: roads are crowned and bent by less within sight, and bodies of vehicles begin above."""
+"""Largest distance of the road from the plane: its crown and bends are less within sight, and vehicle bodies begin
+above."""
 
 PIXELS_PER_M = 16.0
 MOST_PIXELS = 1600
 
 
 class PlacedRanging(Placed):
-    """A sensor that measures distances: a point that is higher than thought is still where it is."""
+    """A sensor that measures distances: the position of a point does not depend on its assumed height."""
 
     def lengthening(self, xy: FloatArray) -> FloatArray:
-        """Return no movement, shape (n, 2)."""
+        """Return zero displacement, shape (n, 2)."""
         return np.zeros_like(xy)
 
 
 @dataclass(frozen=True)
 class Seeing:
-    """What a LiDAR sees of the lines of a map.
+    """Searches a LiDAR's points for the lines of a map.
 
     Attributes
     ----------
@@ -56,26 +57,26 @@ class Seeing:
 
     @cached_property
     def has_intensity(self) -> bool:
-        """Whether any scan has an intensity."""
+        """Whether any point has an intensity."""
         return bool(np.isfinite(self.around.intensity).any())
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Of lines that can be seen: painted ones by intensity only."""
+        """Kinds of lines that can be seen; painted ones only with intensity."""
         return (*KERBS, *WALLS, *(PAINTED if self.has_intensity else ()))
 
     @cached_property
     def near(self) -> Surroundings:
-        """The points beside lines."""
+        """The points near lines."""
         return self.around.beside(sections_of(self.lines, self.placed.origin[:2], self.kinds).xy)
 
     @cached_property
     def road(self) -> Surroundings:
-        """Those of the ground, with an intensity."""
+        """The points near lines that are on the ground and have an intensity."""
         return self.near[(np.abs(self.near.points[:, 2]) < GROUND_M) & np.isfinite(self.near.intensity)]
 
     def __call__(self, sections: Sections) -> Traces:
-        """Look for what the map shows across sections of its lines."""
+        """Detect the mapped features across sections of lines."""
         kind = np.array([line.kind for line in self.lines])[sections.line]
         paint, kerb, wall = (np.isin(kind, kinds) for kinds in (PAINTED, KERBS, WALLS))
         return (
@@ -89,7 +90,7 @@ class Seeing:
 def check_scans(
     scans: ScanSequence, placed: Placed, lane_map: LaneMap, map_sigma_m: float = MAP_SIGMA_M
 ) -> Checked | None:
-    """Hold a map against what a LiDAR saw.
+    """Compare a map with what a LiDAR saw.
 
     Parameters
     ----------
@@ -97,17 +98,17 @@ def check_scans(
     placed : Placed
     lane_map : LaneMap
     map_sigma_m : float
-        Standard deviation of a line's place in the map.
+        Standard deviation of a line's position in the map.
 
     Returns
     -------
     Checked or None
-        None where the scans have no intensity, and the map nothing that stands out.
+        None if the scans have no intensity and the map has no kerbs or walls.
 
     Raises
     ------
     ScanError
-        If more than a fifth of the scans that are looked at cannot be read.
+        If more than a fifth of the selected scans cannot be read.
     """
     see = see_scans(scans, placed, lane_map.lines)
     if not see.has_intensity and not any(line.kind in see.kinds for line in lane_map.lines):
@@ -117,19 +118,19 @@ def check_scans(
 
 
 def see_scans(scans: ScanSequence, placed: Placed, lines: Sequence[LaneLine]) -> Seeing:
-    """Gather what a LiDAR saw of some lines; see `check_scans`."""
+    """Accumulate what a LiDAR saw around some lines; see `check_scans`."""
     ranging = PlacedRanging(placed.T_world_sensor, placed.covariance, placed.centre_world, placed.boxes)
     return Seeing(lines, ranging, surroundings_in(scans, placed))
 
 
 def draw_scans(see: Seeing, check: LaneCheck, lane_map: LaneMap) -> Raster:
-    """Draw a check from above, shape (height, width, 3), uint8."""
+    """Return a picture of a check from above, shape (height, width, 3), uint8."""
     view = _view(see.around.points[:, :2])
     return draw_check(_backdrop(view, see.around), view.line, check, see.placed, lane_map, see.kinds)
 
 
 def find_paint(road: Surroundings, sections: Sections) -> Traces:
-    """Look for stripes in the road's intensity, averaged over as much as lies between points."""
+    """Detect stripes in the road's intensity, smoothed over the typical gap between points."""
     values = np.full((len(sections), len(OFFSETS_M)), np.nan)
     cells_m = np.full(len(sections), np.inf)
     for window in windows(road, sections):
@@ -142,7 +143,7 @@ def find_paint(road: Surroundings, sections: Sections) -> Traces:
 
 
 def _backdrop(view: MapView, around: Surroundings) -> Raster:
-    """Draw the intensity, or the height where there is none, shape (height, width), uint8."""
+    """Return a picture of the intensity, or of the height if there is none, shape (height, width), uint8."""
     told = np.isfinite(around.intensity)
     values = np.where(told, around.intensity, 0.0) if told.any() else around.points[:, 2]
     width, height = np.ceil(view.size).astype(int) + 1

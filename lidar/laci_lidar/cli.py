@@ -1,4 +1,4 @@
-"""``laci-lidar``: arguments in, exit codes out."""
+"""``laci-lidar``: parses arguments, returns exit codes."""
 
 from __future__ import annotations
 
@@ -145,12 +145,12 @@ cli.add_command(monitor_command)
 
 
 def parse_sweep(text: str | None) -> Sweep | AtOnce | None:
-    """Read ``AT,DIRECTION,HZ``, ``AT,DIRECTION,HZ,FROM`` or ``none``.
+    """Parse ``AT,DIRECTION,HZ``, ``AT,DIRECTION,HZ,FROM`` or ``none``.
 
     Raises
     ------
     SettingError
-        If it is not that.
+        If the text has none of these forms.
     """
     if text is None or text == "none":
         return text  # type: ignore[return-value]

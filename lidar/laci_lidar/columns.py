@@ -1,4 +1,4 @@
-"""What every format comes to: columns of numbers, one value per point, under the names of their fields."""
+"""The common result of all formats: columns of numbers, one value per point, by the names of their fields."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Field:
     ----------
     name : str
     dtype : dtype
-        Of one value.
+        Type of one value.
     count : int
-        Values per point.
+        Number of values per point.
     """
 
     name: str
@@ -36,12 +36,12 @@ class Field:
 
     @property
     def size(self) -> int:
-        """Bytes per point."""
+        """Number of bytes per point."""
         return self.dtype.itemsize * self.count
 
 
 def unpacked(content: bytes | memoryview, fields: Sequence[Field], points: int) -> Columns:
-    """Return the columns of points that lie one after another, each with all of its fields."""
+    """Return the columns of points that are stored one after another, each with all of its fields."""
     offsets = np.cumsum([0, *(field.size for field in fields)])
     layout = np.dtype(
         {
@@ -56,18 +56,18 @@ def unpacked(content: bytes | memoryview, fields: Sequence[Field], points: int) 
 
 
 def from_text(text: bytes, fields: Sequence[Field], points: int, what: str) -> Columns:
-    """Return the columns of points that are written as text, one in each row.
+    """Return the columns of points stored as text, one point in each row.
 
     Raises
     ------
     ScanError
-        If there are fewer rows, or a row with other fields.
+        If there are fewer rows than points, or a row has other fields.
     """
     lines = text.split(b"\n", points)[:points]
     filled = sum(bool(line) and not line.isspace() for line in lines)
     if filled < points:
         raise ScanError(f"{what} is cut off: {filled} of {points} points are there")
-    # Long integers are times in nanoseconds, which no float64 holds.
+    # 64-bit integers are times in nanoseconds, which float64 cannot represent.
     kinds = [field.dtype if field.dtype.kind in "iu" and field.dtype.itemsize == 8 else np.float64 for field in fields]
     layout = [(f"{i} {k}", kinds[i]) for i, field in enumerate(fields) for k in range(field.count)]
     if points == 0:
@@ -83,7 +83,7 @@ def from_text(text: bytes, fields: Sequence[Field], points: int, what: str) -> C
 
 
 def named(fields: Sequence[Field], columns: Sequence[Column]) -> Columns:
-    """Put columns under their fields' names; of two with one name, such as padding, the first one stays."""
+    """Return columns by their fields' names; of fields with equal names, such as padding, the first one is kept."""
     found: dict[str, Column] = {}
     for field, column in zip(fields, columns, strict=True):
         found.setdefault(field.name, column)

@@ -1,4 +1,4 @@
-"""The adapter's one exception."""
+"""The exception of the LiDAR adapter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A folder of scans, one in each file."""
+"""A folder of scans, with one scan in each file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCANS = FileKind("scan", SUFFIXES, ", ".join(sorted(SUFFIXES)), ScanError)
 
 @dataclass(frozen=True)
 class ScanFolder:
-    """The scans in a folder, none of them read yet, in the order of time (implements `ScanSequence`).
+    """The scans in a folder in order of time, read only on demand (implements `ScanSequence`).
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class ScanFolder:
     stamps_ns : ndarray of int64, shape (n,)
         Unix time, nanoseconds, strictly ascending.
     skipped : dict of str to str
-        The files that could not be read so far, each with the reason, in one line.
+        The files that could not be read so far, each with a one-line reason.
     notes : tuple of str
     """
 
@@ -44,12 +44,12 @@ class ScanFolder:
 
     @classmethod
     def open(cls, path: Path) -> ScanFolder:
-        """List the scans in a folder, by their names. Hidden files and those of no known format are left out.
+        """List the scans in a folder by their names. Hidden files and files of unknown formats are left out.
 
         Raises
         ------
         ScanError
-            If the folder is missing, holds no scan or several formats, or a scan has no time or the time of another.
+            If the folder is missing or contains no scan or several formats, or a scan has no time or another one's.
         """
         names = names_in(path, SCANS)
         formats = Counter(_format(name).name for name in names)
@@ -59,7 +59,7 @@ class ScanFolder:
         return cls(path, *in_time(path, names, SCANS))
 
     def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
-        """Yield the scans at the indices, None where one is unreadable.
+        """Yield the scans at the indices; None if a scan is unreadable.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Kerbs as a LiDAR sees them: a step in the height of the ground."""
+"""Detection of kerbs in LiDAR points: steps in the height of the ground."""
 
 from __future__ import annotations
 
@@ -14,35 +14,37 @@ from laci_stereo.check.traces import SURE, Traces, highest
 from laci_stereo.core.frames import FloatArray
 
 OFF_PLANE_M = 0.5
-"""Points that are farther from the plane are no ground: kerbs have 0.2 m at most, and roads fall off by less."""
+"""Points farther from the plane are no ground: kerbs are at most 0.2 m high, and roads deviate by less."""
 
 FLANK_M = 0.3
-"""How much of the road and of what is behind the kerb is compared: a gutter's or a kerb stone's width."""
+"""Width of the road and of the ground behind the kerb that are compared: that of a gutter or a kerb stone."""
 
 SPARSEST_M = 0.12
-"""Between points across a line: several in a flank, and one or two in what is left out."""
+"""Largest spacing of points across a line: several points in a flank, and one or two in the part left out."""
 
 CLEAR_M = 0.09
-"""Left out on either side of a step: stones are slanted and rounded by up to 5 cm, and a beam is as wide."""
+"""Width left out on either side of a step: stones are slanted and rounded by up to 5 cm, and a beam is as wide."""
 
 LOWEST_M, HIGHEST_M = 0.03, 0.25
-"""Kerbs lowered for bicycles and wheels have 3 cm, at bus stops up to 24; what is higher is a wall or a vehicle."""
+"""Range of kerb heights: 3 cm where lowered for bicycles and wheels, up to 24 cm at bus stops; higher steps are walls
+or vehicles."""
 
 EVEN_M = 0.005
-"""What the noise of a step is at least: an even road (2 to 4 mm/m) rises by 2 mm between flanks, and lasers differ by
-0.5 to 1.5 cm in range, which is a third of that in height. Kerbs that are lowered for bicycles, 3 cm, are beyond."""
+"""Lower limit of the noise of a step: an even road (2 to 4 mm/m) rises by 2 mm between flanks, and the ranges of lasers
+differ by 0.5 to 1.5 cm, a third of which is the difference in height. Kerbs lowered for bicycles, 3 cm, remain
+detectable."""
 
 
 def find_kerbs(around: Surroundings, placed: Placed, sections: Sections) -> Traces:
-    """Look for steps across sections of lines.
+    """Detect steps across sections of lines.
 
-    A section is in view where there is one, or where points are so dense and even that none would be missed.
+    A section is in view if a step is found there, or if the points are dense and even enough for no step to be missed.
 
     Parameters
     ----------
     around : Surroundings
     placed : Placed
-        Tells from where the sensor looks: a kerb that faces away throws a shadow on the road.
+        Gives the direction of view: a kerb that faces away casts a shadow on the road.
     sections : Sections
     """
     heights, cell_m = _profiles(around, sections)
@@ -64,7 +66,7 @@ def find_kerbs(around: Surroundings, placed: Placed, sections: Sections) -> Trac
 
 
 def _profiles(around: Surroundings, sections: Sections) -> tuple[FloatArray, FloatArray]:
-    """Return the heights across sections, shape (n, m), and the spacing of points but for one shadow, shape (n,)."""
+    """Return the heights across sections, shape (n, m), and the spacing of points apart from one shadow, shape (n,)."""
     heights, cell_m = np.full((len(sections), len(OFFSETS_M)), np.nan), np.full(len(sections), np.inf)
     for window in windows(around, sections):
         z = window.around.points[:, 2]
@@ -82,7 +84,7 @@ def _profiles(around: Surroundings, sections: Sections) -> tuple[FloatArray, Flo
 
 
 def _steps(heights: FloatArray) -> FloatArray:
-    """Return by how much it is higher to the left than to the right of each place, shape (n, m); NaN at the ends."""
+    """Return the height difference between left and right of each place, shape (n, m); NaN at the ends."""
     clear, flank = round(CLEAR_M / STEP_M), round(FLANK_M / STEP_M)
     reach, count = clear + flank, heights.shape[1]
     padded = np.pad(heights, ((0, 0), (reach, reach)), constant_values=np.nan)
@@ -92,7 +94,7 @@ def _steps(heights: FloatArray) -> FloatArray:
 
 
 def _slope(step: FloatArray) -> FloatArray:
-    """Return each row's median, shape (n, 1); 0 where nothing is known."""
+    """Return each row's median, shape (n, 1); 0 if nothing is known."""
     known = np.isfinite(step).any(axis=1)
     slope = np.zeros((len(step), 1))
     slope[known, 0] = np.nanmedian(step[known], axis=1)
@@ -100,16 +102,16 @@ def _slope(step: FloatArray) -> FloatArray:
 
 
 def _shadow_per_m(placed: Placed, sections: Sections) -> FloatArray:
-    """Return how wide a shadow the ground to the left throws to the right for each metre of a step, shape (n,)."""
+    """Return the width of the shadow to the right per metre of a step that is higher on the left, shape (n,)."""
     beside = np.einsum("ij,ij->i", placed.origin[:2] - sections.xy, sections.left)
     return np.asarray(beside / placed.origin[2])
 
 
 def _edge(heights: FloatArray, at: int, shadow_per_m: float) -> float:
-    """Return where a kerb's face is, to the left of the line, metres.
+    """Return the position of a kerb's face, to the left of the line, metres.
 
-    Points from its upper edge to the end of its shadow are missing, so that the ground's height is halfway between the
-    flanks in the middle of the shadow, and half its width off the face.
+    Points from its upper edge to the end of its shadow are missing, so the interpolated height is halfway between the
+    flanks in the middle of the shadow, half of the shadow's width from the face.
     """
     shadow_m, step_m, middle = 0.0, 0.0, float(at)
     for _ in range(2):
@@ -126,7 +128,7 @@ def _edge(heights: FloatArray, at: int, shadow_per_m: float) -> float:
 
 
 def _crossing(values: FloatArray, at: int, reach: int) -> float:
-    """Return where values are zero nearest to a sample, between samples; the sample where they are not near it."""
+    """Return the interpolated zero crossing of values nearest to a sample; the sample if there is none within reach."""
     low = max(at - reach, 0)
     near = values[low : at + reach + 1]
     before = np.flatnonzero(np.sign(near[1:]) * np.sign(near[:-1]) < 0)

@@ -1,4 +1,4 @@
-"""LAS and LAZ files, by laspy: the extra ``las``."""
+"""LAS and LAZ files, read with laspy; requires the extra ``las``."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from laci_lidar.errors import ScanError
 from laci_stereo.io.text_file import quoted
 
 LARGEST_RATIO = 1000
-"""LAZ makes points about ten times smaller; a header that promises a hundred times more than that is wrong."""
+"""LAZ reduces the size of points by a factor of about ten; a header that claims a hundred times more is wrong."""
 
 _MINOR_AT = 25
 _VLR_SIZE, _EVLR_SIZE = 54, 60
 _ITEMS_AT = 34
 _LAYERED = 3
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Layers of each kind of item; extra bytes have one each."""
+"""Number of layers of each kind of item; extra bytes have one layer each."""
 _DIMENSIONS = ("intensity", "gps_time")
 
 
 def read_las(content: bytes, what: str) -> Columns:
-    """Read a LAS or LAZ file's content.
+    """Read the content of a LAS or LAZ file.
 
     Raises
     ------
     ScanError
-        If it is damaged, its header promises more than it holds, or its coordinates are on a map.
+        If it is damaged, its header claims more than the file contains, or its coordinates are map coordinates.
     """
     try:
         _check_records(content, what)
@@ -41,20 +41,20 @@ def read_las(content: bytes, what: str) -> Columns:
             las = reader.read()
     except (ScanError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
-    except BaseException as problem:  # a panic of the decompressor is no Exception
+    except BaseException as problem:  # a panic of the decompressor is not an Exception
         raise ScanError(
             f"{what} cannot be read: {quoted(str(problem))}; needed is a whole LAS or LAZ file"
         ) from problem
     if len(las.points) != las.header.point_count:
         raise ScanError(f"{what} is cut off: {len(las.points)} of {las.header.point_count} points are there")
     names = set(las.point_format.dimension_names)
-    with np.errstate(over="ignore", invalid="ignore"):  # by a damaged scale points become infinite: no returns
+    with np.errstate(over="ignore", invalid="ignore"):  # a damaged scale gives infinite points, which are no returns
         axes = {name: np.asarray(axis.scaled_array()) for name, axis in (("x", las.x), ("y", las.y), ("z", las.z))}
     return axes | {name: np.asarray(las[name]) for name in _DIMENSIONS if name in names}
 
 
 def _check_records(content: bytes, what: str) -> None:
-    """Check the counts that laspy believes."""
+    """Check the counts that laspy relies on."""
     counts_extended = len(content) > _MINOR_AT and content[_MINOR_AT] >= 4
     header_size = 375 if counts_extended else 227
     if len(content) < header_size:
@@ -78,7 +78,7 @@ def _check_points(header: laspy.LasHeader, content: bytes, what: str) -> None:
         )
     if header.are_points_compressed and following >= 16:
         table = struct.unpack_from("<q", content, start)[0]
-        if table == -1:  # written to a stream: it stands at the end
+        if table == -1:  # written to a stream: the offset is at the end
             table = struct.unpack_from("<q", content, len(content) - 8)[0]
         if not start <= table <= len(content) - 8:
             raise ScanError(f"{what} is damaged: its chunk table is at byte {table} of {len(content)}")
@@ -88,10 +88,10 @@ def _check_points(header: laspy.LasHeader, content: bytes, what: str) -> None:
 
 
 def _check_layers(header: laspy.LasHeader, content: bytes, table: int, what: str) -> None:
-    """Hold the sizes that chunks state of their layers against the file: the decompressor takes memory for them.
+    """Check the sizes that chunks declare for their layers: the decompressor allocates memory accordingly.
 
-    From LAS 1.4 on a chunk is a whole point, the number of its points, the size of each layer, and the layers (LASzip,
-    "layered chunked").
+    From LAS 1.4 on, a chunk is one whole point, the number of its points, the size of each layer, and the layers
+    (LASzip, "layered chunked").
     """
     for record in header.vlrs.get("LasZipVlr"):
         (compressor,) = struct.unpack_from("<H", record.record_data)

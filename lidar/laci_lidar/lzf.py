@@ -1,24 +1,24 @@
-"""LibLZF's compression, which PCD files use."""
+"""LibLZF's compression, used by PCD files."""
 
 from __future__ import annotations
 
 LARGEST_RATIO = 88
-"""Three bytes stand for at most 264."""
+"""Three bytes encode at most 264."""
 
 
 def decompress(packed: bytes | memoryview, size: int) -> bytes:
-    """Undo LZF.
+    """Decompress LZF data.
 
     Parameters
     ----------
     packed : bytes
     size : int
-        Of the result, bytes.
+        Size of the result, bytes.
 
     Raises
     ------
     ValueError
-        If ``packed`` is no LZF of so many bytes.
+        If ``packed`` is not valid LZF data of this size.
     """
     packed = bytes(packed)
     end = len(packed)
@@ -44,7 +44,7 @@ def decompress(packed: bytes | memoryview, size: int) -> bytes:
             if start < 0 or len(result) + length > size:
                 raise ValueError("a reference leads out of the data")
             found = result[start : start + length]
-            # A reference may overlap what it makes: its bytes repeat.
+            # A reference may overlap its own output: its bytes then repeat.
             result += found if len(found) == length else (found * (length // len(found) + 1))[:length]
     except IndexError:
         raise ValueError("the data end within a reference") from None

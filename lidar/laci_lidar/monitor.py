@@ -1,4 +1,4 @@
-"""A LiDAR as a monitor sees it."""
+"""A LiDAR recording as a source of frames for the monitor."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ class LidarFrames:
     ----------
     path : Path
     topic : str or None
-        Of a bag.
+        Topic of a bag.
     settings : LidarSettings
     follow : bool
-        Whether it is a folder that may grow: then files that are still being written wait, and so does an empty one.
+        The path is a folder that may grow: files that are still being written are not used yet, and it may be empty.
 
     Raises
     ------
     ScanError
-        If a bag is to be followed.
+        If the path is to be followed and is no folder.
     """
 
     kind = "lidar"
@@ -55,17 +55,17 @@ class LidarFrames:
 
     @property
     def uri(self) -> str:
-        """The folder or bag."""
+        """Path of the folder or bag."""
         return str(self._path)
 
     @property
     def stamps_ns(self) -> IntArray:
-        """Times of the scans."""
+        """Stamps of the scans, Unix time, nanoseconds."""
         return np.zeros(0, dtype=np.int64) if self._scans is None else self._scans.stamps_ns
 
     @property
     def identity(self) -> dict[str, str]:
-        """The first scan and how scans are read."""
+        """Digest of the first scan, and the settings with which scans are read."""
         assert self._scans is not None
         first = next(iter(self._scans.read([0], 1)))
         content = b"" if first is None else np.ascontiguousarray(first.points).tobytes()
@@ -76,7 +76,7 @@ class LidarFrames:
         }
 
     def refresh(self, whole: int) -> None:
-        """List the scans that came since.
+        """List the scans that have arrived since the last call.
 
         Raises
         ------
@@ -100,20 +100,20 @@ class LidarFrames:
             self._scans = ScanFolder(self._path, old.files + listed.files[first:stop], stamps_ns)
 
     def learn(self, frames: range) -> LidarScene:
-        """Learn the field of view, the noise and what stands from some scans."""
+        """Learn the field of view, the noise and the static background from some scans."""
         assert self._scans is not None
         quiet = Part(self._scans, frames)
         return LidarScene(self, LidarRecording(quiet, self._settings))
 
     def scans(self, frames: range) -> Part:
-        """Return some scans."""
+        """Return a range of scans."""
         assert self._scans is not None
         return Part(self._scans, frames)
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some consecutive scans of a recording (implements `ScanSequence`); unusable ones are left to the monitor."""
+    """Consecutive scans of a recording (implements `ScanSequence`); unusable ones are reported to the monitor."""
 
     whole: ScanSequence
     frames: range
@@ -121,26 +121,26 @@ class Part:
 
     @property
     def path(self) -> Path:
-        """Of the whole recording."""
+        """Path of the whole recording."""
         return self.whole.path
 
     @property
     def stamps_ns(self) -> IntArray:
-        """Of these scans."""
+        """Stamps of these scans."""
         return self.whole.stamps_ns[self.frames.start : self.frames.stop]
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of the whole recording."""
+        """Notes of the whole recording."""
         return self.whole.notes
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
-        """Yield scans, counted from the first of these; None where one is unreadable."""
+        """Yield scans by their index within this part; None if a scan is unreadable."""
         there = [self.frames[index] for index in indices]
-        # Not to its end, where the sequence raises if many are unusable.
+        # The sequence is not read to its end, where it raises if many scans are unusable.
         for index, scan in zip(there, islice(self.whole.read(there, threads), len(there)), strict=True):
             if scan is None:
                 self.skipped[str(index)] = f"scan {index} is unusable"
@@ -149,18 +149,18 @@ class Part:
 
 @dataclass
 class LidarScene:
-    """What a stretch of a LiDAR recording shows (implements `Scene`)."""
+    """The scene in a part of a LiDAR recording (implements `Scene`)."""
 
     frames: LidarFrames
     recording: LidarRecording
     unusable: int = 0
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield whole frames, evenly spread."""
+        """Yield whole frames, uniformly spaced."""
         return self.recording.survey()
 
     def section(self, frames: range) -> Iterator[PointCloud]:
-        """Yield some scans as clouds."""
+        """Yield a range of scans as clouds."""
         scans = self.frames.scans(frames)
         part = LidarRecording(scans, self.recording.settings)
         part.scanner = self.recording.scanner
@@ -169,18 +169,18 @@ class LidarScene:
 
 
 def stored_settings(path: Path, workers: int) -> LidarSettings:
-    """Return how the scans of a calibration were read: its axes and all else.
+    """Return the settings with which the scans of a calibration were read, its axes included.
 
     Parameters
     ----------
     path : Path
-        Of its ``calibration.json``.
+        Path of its ``calibration.json``.
     workers : int
 
     Raises
     ------
     CalibrationFileError
-        If it does not say.
+        If the file does not contain them.
     """
     try:
         config: dict[str, Any] = json.loads(path.read_bytes())["config"]["lidar"]

@@ -1,4 +1,4 @@
-"""``laci-lidar monitor``: where the objects of a long LiDAR recording drive on the map."""
+"""``laci-lidar monitor``: counts where the objects of a long LiDAR recording drive on the map."""
 
 from __future__ import annotations
 

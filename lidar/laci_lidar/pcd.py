@@ -35,18 +35,18 @@ class _Header:
 
 
 def is_pcd(head: bytes) -> bool:
-    """Tell a PCD file by how it begins."""
+    """Return whether a file is a PCD file, from its first bytes."""
     first = head.lstrip()
     return first.startswith((b"# .PCD", b"VERSION ", b"FIELDS ")) or (first.startswith(b"#") and b"\nVERSION " in first)
 
 
 def read_pcd(content: bytes, what: str) -> Columns:
-    """Read a PCD file's content.
+    """Read the content of a PCD file.
 
     Raises
     ------
     ScanError
-        If it is damaged, or its header promises more than it holds.
+        If it is damaged, or its header claims more than the file contains.
     """
     header = _header(content, what)
     data = memoryview(content)[header.size :]
@@ -81,7 +81,7 @@ def _decompressed(data: memoryview, header: _Header, what: str) -> Columns:
         raw = lzf.decompress(data[8 : 8 + packed_size], size)
     except ValueError as problem:
         raise ScanError(f"{what} is damaged: {problem}") from problem
-    # Compressed values lie field by field.
+    # Compressed values are stored field by field.
     columns, at = [], 0
     for field in header.fields:
         column = np.frombuffer(raw, field.dtype, field.count * header.points, at)

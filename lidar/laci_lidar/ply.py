@@ -54,7 +54,7 @@ class _Header:
 
 
 def is_ply(head: bytes) -> bool:
-    """Tell a PLY file by how it begins."""
+    """Return whether a file is a PLY file, from its first bytes."""
     return head.startswith((b"ply\n", b"ply\r"))
 
 
@@ -64,7 +64,7 @@ def read_ply(content: bytes, what: str) -> Columns:
     Raises
     ------
     ScanError
-        If it is damaged, its header promises more than it holds, or its vertices are no plain points.
+        If it is damaged, its header claims more than the file contains, or its vertices have lists.
     """
     header = _header(content, what)
     index = next((i for i, element in enumerate(header.elements) if element.name == "vertex"), None)

@@ -1,4 +1,4 @@
-"""The points' own times within a scan: any unit, counted from the scan's stamp, from 1970 or from anywhere."""
+"""The points' own times within a scan: in any unit, relative to the scan's stamp, to 1970 or to any other origin."""
 
 from __future__ import annotations
 
@@ -14,32 +14,34 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.stamps import UNITS, TimeUnit
 
 LONGEST_S = 1.0
-"""A sweep lasts 0.02 to 1 s. Units are a thousand apart, so that its length fits exactly one of them."""
+"""Maximum duration of a sweep, which is 0.02 to 1 s. Units differ by a factor of 1000, so that the duration fits
+exactly one."""
 
 FAR_FROM_STAMP_S = 2.0
-"""A sweep begins or ends at its stamp; times that are farther from it are of another clock."""
+"""A sweep begins or ends at its stamp; times farther from it come from another clock."""
 
 CLOCKS_S = (1, 60, 3600, 86_400, 604_800)
-"""So long clocks count that begin anew: within a second, a minute, an hour (Velodyne), a day, a week (GPS)."""
+"""Periods of clocks that wrap around: a second, a minute, an hour (Velodyne), a day, a week (GPS)."""
 
 FINEST_SHARE = 0.02
-"""Numbers whose rounding is coarser than this share of a sweep, such as Unix seconds as float32, are no times."""
+"""Numbers with a rounding error above this fraction of a sweep, such as Unix seconds as float32, are no usable
+times."""
 
 
 Clock: TypeAlias = Literal["stamp", "Unix", "own"]
-"""What times count from: the scan's stamp, 1970, or anything else."""
+"""Origin of times: the scan's stamp, 1970, or anything else."""
 
 
 @dataclass(frozen=True)
 class PointTimes:
-    """When the points of a scan were taken.
+    """Acquisition times of the points of a scan.
 
     Attributes
     ----------
     offset_s : ndarray, shape (n,)
-        After the scan's stamp, seconds.
+        Time after the scan's stamp, seconds.
     clock : {"stamp", "Unix", "own"}
-        What the times were taken to count from.
+        Assumed origin of the times.
     """
 
     offset_s: FloatArray
@@ -49,8 +51,9 @@ class PointTimes:
 def point_times(times: Column, stamp_ns: int | None) -> PointTimes | None:
     """Return the time of each point after the scan's stamp.
 
-    The unit follows from how long the whole scan takes. Times around zero count from the stamp; times around the stamp
-    are Unix times; any others are of a clock of their own, and the first of them is taken to be at the stamp.
+    The unit follows from the duration of the whole scan. Times near zero are relative to the stamp; times near the
+    stamp are Unix times; all others come from a clock of their own, and the first of them is assumed to be at the
+    stamp.
 
     Parameters
     ----------
@@ -62,7 +65,7 @@ def point_times(times: Column, stamp_ns: int | None) -> PointTimes | None:
     Returns
     -------
     PointTimes or None
-        None if all times are the same, or are no times of one scan.
+        None if all times are equal, or cannot be times of one scan.
     """
     if (anew := _begun_anew(times)) is not None:
         return anew
@@ -82,30 +85,30 @@ def point_times(times: Column, stamp_ns: int | None) -> PointTimes | None:
 
 
 def _begun_anew(times: Column) -> PointTimes | None:
-    """Return the times of a scan during which its clock began anew; None where it did not."""
+    """Return the times of a scan during which its clock wrapped around; None if it did not."""
     low, high = float(times.min()), float(times.max())
     for turn in (clock_s * 10**9 / unit.ns for clock_s in CLOCKS_S for unit in UNITS):
         if 0.0 <= low < 0.1 * turn and 0.9 * turn < high <= turn:
             since = np.where(times > turn / 2, times.astype(np.float64) - turn, times)
             unit = _unit(span := float(np.ptp(since)))
-            # What is left out in the middle is no part of a sweep; from before to after there is a step like others.
+            # A sweep has no gap in its middle: the step across the wrap-around is like the others.
             if unit is not None and 2 * (low + turn - high) < span < turn / 2:
                 return PointTimes((since - since.min()) / (10**9 / unit.ns), "own")
     return None
 
 
 def is_own_clock(starts: Sequence[tuple[float, Clock]], period_s: float) -> bool:
-    """Tell whether times that may count from the stamps do not: by when some scans of a recording begin.
+    """Return whether times that may be relative to the stamps are not, from the start times of a recording's scans.
 
-    A clock that began with the recording, or begins anew each second or hour, is near zero now and then only, or
-    anywhere in a second. After its stamp a scan always begins alike.
+    The times of a clock that began with the recording, or wraps around each second or hour, are near zero only
+    occasionally, or anywhere within a second. Relative to its stamp, every scan begins at about the same time.
 
     Parameters
     ----------
     starts : sequence of (float, Clock)
-        Of each scan the first point's time after its stamp, and what that was taken to count from.
+        For each scan, the first point's time after its stamp, and the assumed origin.
     period_s : float
-        From one scan to the next.
+        Time from one scan to the next.
     """
     by_stamp = [start_s for start_s, clock in starts if clock == "stamp"]
     others = sum(clock == "own" for _, clock in starts)
@@ -113,13 +116,13 @@ def is_own_clock(starts: Sequence[tuple[float, Clock]], period_s: float) -> bool
 
 
 def _unit(span: float) -> TimeUnit | None:
-    """Return the unit in which a scan of this length lasts at most `LONGEST_S`, but more than a thousandth of that."""
+    """Return the unit in which a scan of this duration takes at most `LONGEST_S`, but over a thousandth of that."""
     fits = (unit for unit in UNITS if LONGEST_S / 1000 < span * unit.ns / 1e9 <= LONGEST_S)
     return next(fits, None)
 
 
 def _start(first: np.generic, unit: TimeUnit, stamp_ns: int | None) -> tuple[float, Clock]:
-    """Return the first point's time after the stamp, and what it counts from."""
+    """Return the first point's time after the stamp, seconds, and the origin of times."""
     first_ns = round(Decimal(first.item()) * unit.ns)
     if abs(first_ns) <= LONGEST_S * 1e9:
         return first_ns / 1e9, "stamp"

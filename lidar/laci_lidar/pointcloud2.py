@@ -1,4 +1,4 @@
-"""Messages of type ``sensor_msgs/PointCloud2``, by rosbags: the extra ``bag``."""
+"""Messages of type ``sensor_msgs/PointCloud2``, decoded with rosbags; requires the extra ``bag``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LARGEST_POINT = 1 << 16
 
 
 def is_known(ros1: bool, definition: str, digest: str) -> bool:
-    """Tell whether a bag's definition of the message, if it holds one, is the one that everybody has.
+    """Return whether a bag's definition of the message, if it contains one, is the standard one.
 
     Parameters
     ----------
@@ -36,9 +36,9 @@ def is_known(ros1: bool, definition: str, digest: str) -> bool:
         return True
     try:
         told = types_told(definition, POINT_CLOUD)
-    except Exception:  # of many kinds, and all of them say that this is no definition
+    except Exception:  # exceptions of many types, all of which mean that this is no definition
         return False
-    # Names and types of the fields; constants and comments do not matter.
+    # Only names and types of fields are compared; constants and comments do not matter.
     return POINT_CLOUD in told and all(
         [name for name, _ in fields] == [name for name, _ in types.fielddefs[known][1]]
         for known, (_, fields) in told.items()
@@ -47,7 +47,7 @@ def is_known(ros1: bool, definition: str, digest: str) -> bool:
 
 
 def header_stamp_ns(message: bytes, ros1: bool) -> int | None:
-    """Return the time in a message's header, or None if it is too short."""
+    """Return the time in a message's header, nanoseconds, or None if the message is too short."""
     if len(message) < 12:
         return None
     if ros1:
@@ -60,7 +60,7 @@ def _nanoseconds(seconds: int, nanoseconds: int) -> int:
 
 
 def read_message(message: bytes, ros1: bool, what: str) -> Columns:
-    """Return the columns of a message.
+    """Decode a message into columns.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def read_message(message: bytes, ros1: bool, what: str) -> Columns:
     types = known_types(ros1)
     try:
         cloud: Any = (types.deserialize_ros1 if ros1 else types.deserialize_cdr)(message, POINT_CLOUD)
-    except Exception as problem:  # of many kinds: the bytes may be anything
+    except Exception as problem:  # exceptions of many types: the bytes may be anything
         raise ScanError(
             f"{what} cannot be decoded: {quoted(str(problem))}; needed is a sensor_msgs/PointCloud2"
         ) from problem

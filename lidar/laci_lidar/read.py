@@ -1,4 +1,4 @@
-"""Reading one scan from a file of any format."""
+"""Reading of one scan from a file of any format."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from laci_lidar.ply import is_ply, read_ply
 from laci_lidar.scan import Scan, scan_of
 
 LARGEST_FILE = 1 << 30
-"""A scan of ten million points with ten fields; what is larger is a whole recording."""
+"""Size of a scan with ten million points and ten fields; a larger file is a whole recording."""
 
 _HEAD = 512
 
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """A format of one scan.
+    """A file format of scans.
 
     Attributes
     ----------
     name : str
     suffixes : tuple of str
-        Of file names, lower case.
+        Suffixes of file names, lower case.
     begins : callable
-        Tells the format by a file's first bytes.
+        Returns whether a file has this format, from its first bytes.
     read : callable
-        Returns the columns in a file's content; the second argument names the file in errors.
+        Returns the columns of a file's content; the second argument names the file in errors.
     """
 
     name: str
@@ -52,7 +52,7 @@ def _read_las(content: bytes, what: str) -> Columns:
 
 
 KITTI_FORMAT = ScanFormat("KITTI", (".bin",), lambda _: False, read_bin)
-"""Bare numbers: nothing in the content tells them."""
+"""Numbers without a header: the content does not identify the format."""
 
 FORMATS = (
     ScanFormat("PCD", (".pcd",), is_pcd, read_pcd),
@@ -69,18 +69,18 @@ SUFFIXES = frozenset(suffix for known in FORMATS for suffix in known.suffixes)
 def read_scan(path: Path, stamp_ns: int | None = None) -> Scan:
     """Read a scan: PCD, PLY, LAS, LAZ, KITTI's .bin, .npy or .npz.
 
-    The content tells the format; KITTI's, which has no mark, is told by the name.
+    The format is recognised by the content, that of KITTI, which has no signature, by the name.
 
     Parameters
     ----------
     path : Path
     stamp_ns : int or None
-        The scan's Unix time, nanoseconds, which the points' own times may refer to.
+        The scan's Unix time, nanoseconds, to which the points' own times may refer.
 
     Raises
     ------
     ScanError
-        If it is missing, damaged, of another format than its name says, or holds no points in metres.
+        If the file is missing, damaged, of another format than its name says, or contains no points in metres.
     """
     what = str(path)
     content = _content(path)

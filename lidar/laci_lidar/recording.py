@@ -28,13 +28,14 @@ from laci_stereo.io.text_file import listed
 log = logging.getLogger(__name__)
 
 SURVEY_FRAMES = 20
-"""Whole frames for the ground and the background, evenly spread: a vehicle stands in few of them at the same place."""
+"""Number of whole frames for the ground and the background, uniformly spaced: a vehicle is at the same place in few of
+them."""
 
 NOISE_SCANS = 5
-"""Scans from which the noise is estimated: each has thousands of points on the ground."""
+"""Number of scans from which the noise is estimated: each has thousands of points on the ground."""
 
 GAP_PERIODS = 1.5
-"""Scans farther apart than this are not gathered into one frame."""
+"""Scans farther apart than this many periods are not accumulated into one frame."""
 
 MAX_READERS = 4
 
@@ -50,18 +51,18 @@ _ASSUMED = (
 
 @dataclass(frozen=True)
 class Scanner:
-    """What is learnt of a scanner from some scans before its recording is streamed.
+    """Properties of a scanner, learnt from some scans before its recording is streamed.
 
     Attributes
     ----------
     view : View
     noise : Noise
     timed : bool
-        Its scans tell when each point was taken.
+        The scans contain the time of each point.
     own_clock : bool
-        These times are of a clock of its own, so that a scan's first point is taken to be at its stamp.
+        These times are of the scanner's own clock, so that a scan's first point is assumed to be taken at its stamp.
     unused : tuple of str
-        Fields of its points that tell no place, intensity or time.
+        Fields of the points that contain no position, intensity or time.
     """
 
     view: View
@@ -79,11 +80,12 @@ class LidarRecording:
     scans : ScanSequence
     settings : LidarSettings
     ground : GroundSettings
-        For the first look at the road, from which the noise follows.
+        Settings of the first fit of the road plane, from which the noise follows.
     background : ScanSequence, range or None
-        Scans without moving objects, of their own or as indices of ``scans``. None: some of all scans are taken.
+        Scans without moving objects, as a sequence of their own or as indices of ``scans``. None: scans from all of the
+        recording are used.
     name : str
-        What people call the sensor.
+        The user's name of the sensor.
     """
 
     kind = "lidar"
@@ -106,7 +108,7 @@ class LidarRecording:
 
     @property
     def axes(self) -> Axes:
-        """Where forward and up are."""
+        """Directions of forward and up in the sensor frame."""
         return self.settings.axes
 
     @property
@@ -116,11 +118,11 @@ class LidarRecording:
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """Why each scan that could not be used was left out, one line each."""
+        """The reason for each scan that could not be used, one line each."""
         return tuple(self.scans.skipped.values())
 
     def remarks(self) -> tuple[str, ...]:
-        """Say what was assumed of the scanner, where something was."""
+        """Return what was assumed of the scanner, if anything."""
         unused = self.scanner.unused
         among = f" (not by their fields {listed(list(unused))})" if unused else ""
         return tuple(filter(None, (self.scanner.noise.assumed, _UNTIMED.format(among=among) if self._turn_s else "")))
@@ -133,7 +135,7 @@ class LidarRecording:
         return self._clouds(self.scans, self._frames)
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield some of the frames, evenly spread, or of those without moving objects where these are known."""
+        """Yield some of the frames, uniformly spaced, or of those without moving objects if these are known."""
         return (cloud for cloud in self._clouds(self._quiet, self._quiet_frames) if len(cloud))
 
     @cached_property
@@ -143,9 +145,9 @@ class LidarRecording:
         Raises
         ------
         ScanError
-            If these cannot be read.
+            If these scans cannot be read.
         GroundError
-            If the noise of ranges is not set, and no ground is seen.
+            If the noise of ranges is not set, and no ground is found.
         """
         indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
         sampled = indices[evenly(len(indices), NOISE_SCANS)]
@@ -184,12 +186,12 @@ class LidarRecording:
         return scanner
 
     def _check_once(self, span_s: float, period_s: float, index: int) -> None:
-        """Raise if scans, each of which lasts so long, hold points of the ones before, by two in the middle.
+        """Raise if scans of duration ``span_s`` contain points of the preceding one, judged by two in the middle.
 
-        Scans that last longer than the time between them may also be those of several scanners that turn freely.
+        Scans with a duration above the period may also be those of several scanners that rotate freely.
         """
         first = min(index, len(self._quiet) - 2)
-        scans = islice(self._quiet.read([first, first + 1], 1), 2)  # at its end it raises if one is unusable
+        scans = islice(self._quiet.read([first, first + 1], 1), 2)  # read to its end, it raises if one is unusable
         one, other = ({tuple(point) for point in scan.points.tolist()} if scan is not None else set() for scan in scans)
         if 2 * len(one & other) > min(len(one), len(other)) > 0:
             raise ScanError(
@@ -226,10 +228,10 @@ class LidarRecording:
             stamp_ns = int(stamps[len(stamps) // 2])
             parts = [(int(stamp) - stamp_ns, next(scans)) for stamp in stamps]
             yield self._cloud(stamp_ns, [(shift, scan) for shift, scan in parts if scan is not None], scanner)
-        next(scans, None)  # at its end the sequence says if too many could not be read
+        next(scans, None)  # at its end the sequence raises if too many could not be read
 
     def _cloud(self, stamp_ns: int, parts: Sequence[tuple[int, Scan]], scanner: Scanner) -> PointCloud:
-        """Gather scans, each with its time after the frame's stamp in nanoseconds, into one frame."""
+        """Accumulate scans, each with its time after the frame's stamp in nanoseconds, into one frame."""
         if not parts:
             return empty_cloud(stamp_ns)
         points = np.concatenate([scan.points for _, scan in parts]) if len(parts) > 1 else parts[0][1].points
@@ -250,13 +252,13 @@ class LidarRecording:
 
     @cached_property
     def _turn_s(self) -> float:
-        """How long a turn lasts, if the scanner turns and nothing tells how, else 0."""
+        """Duration of a rotation, seconds, if the scanner rotates in an unknown way, else 0."""
         if self.scanner.timed or self.settings.sweep is not None or len(self.scans) < 2:
             return 0.0
         return float(np.median(np.diff(self.scans.stamps_ns))) / 1e9
 
     def _gathered_offsets_s(self, parts: Sequence[tuple[int, Scan]], scanner: Scanner) -> FloatArray | None:
-        """Return when each point was taken after the frame's stamp, or None if all were taken at it."""
+        """Return each point's time after the frame's stamp, seconds; None if all were taken at the stamp."""
         offsets = [self._offsets_s(scan, scanner) for _, scan in parts]
         if len(parts) == 1 and offsets[0] is None and parts[0][0] == 0:
             return None
@@ -281,7 +283,7 @@ class LidarRecording:
 
 
 def group_scans(stamps_ns: IntArray, size: int) -> list[IntArray]:
-    """Put consecutive scans into groups of at most ``size``, none of which spans a gap; return their indices."""
+    """Group consecutive scans, at most ``size`` in a group and never across a gap; return their indices."""
     indices = np.arange(len(stamps_ns))
     if size == 1 or len(indices) < 2:
         return list(indices[:, None])

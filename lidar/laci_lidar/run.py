@@ -1,4 +1,4 @@
-"""From scans to a result: the run behind ``laci-lidar calibrate``, for Python."""
+"""Calibration of a LiDAR from scans to a result: what ``laci-lidar calibrate`` runs, for use from Python."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from laci_stereo.io.lane_map import LaneMap, find_lane_map
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
 
 LOOKED_AT = 5
-"""Scans that are read to see whether points have times; the others are of the same driver."""
+"""Number of scans that are read to see whether points have times; the others come from the same driver."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LidarOptions(DriveOptions):
-    """What a user can say about the calibration of a LiDAR.
+    """The user's options for the calibration of a LiDAR.
 
     Attributes
     ----------
     topic : str or None
-        Of a bag; None takes the only one with point clouds.
+        Topic of a bag; None: the only one with point clouds.
     scanner : LidarSettings
     """
 
@@ -40,7 +40,7 @@ class LidarOptions(DriveOptions):
     scanner: LidarSettings = field(default_factory=LidarSettings)
 
     def config(self) -> dict[str, object]:
-        """Return every effective setting; paths stand among the inputs."""
+        """Return all effective settings; paths are listed among the inputs."""
         return {**super().config(), "topic": self.topic, "lidar": asdict(self.scanner)}
 
 
@@ -52,21 +52,21 @@ def calibrate(scans: Path | str, cam: Path | str, options: LidarOptions | None =
     scans : path
         A folder of scans, or a ROS bag or MCAP file.
     cam : path
-        The log, in any format that `read_cam_log` knows.
+        A log of messages in any format that `read_cam_log` supports.
     options : LidarOptions
 
     Raises
     ------
     InputError
-        If something cannot be read or makes no sense.
+        If an input cannot be read or makes no sense.
     CalibrationError
-        If it was read but does not determine a transform.
+        If the inputs were read but do not determine a transform.
     """
     return prepare(Path(scans), Path(cam), options).run()
 
 
 def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
-    """Read everything but the scans, and check that it holds together.
+    """Read all inputs except the scans, and check their consistency.
 
     Raises
     ------
@@ -103,14 +103,14 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
 
 
 def _check_untimed(scans: ScanSequence) -> None:
-    """Raise if points have times, which a sweep that the user tells would contradict.
+    """Raise if points have times of their own, which a sweep given by the user would contradict.
 
     Raises
     ------
     ScanError
     """
     looked_at = spread(range(len(scans)), LOOKED_AT)
-    # Not to its end, where the sequence raises if many are unusable.
+    # The sequence is not read to its end, where it raises if many scans are unusable.
     for scan in islice(scans.read(looked_at, 1), len(looked_at)):
         if scan is not None and scan.offset_s is not None:
             raise ScanError(

@@ -1,4 +1,4 @@
-"""One scan: points in metres in the sensor frame, with the time and the intensity of each."""
+"""One scan: points in metres in the sensor frame, each with its time and intensity."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.io.text_file import listed
 
 NO_RETURN_M = 0.01
-"""A point nearer to the sensor's origin than this is how scanners write that nothing came back."""
+"""Points nearer to the sensor's origin than this are the way in which scanners encode a missing return."""
 
 FARTHEST_M = 1000.0
-"""No roadside LiDAR sees farther: what is, is a mark for a beam without return; where most is, it is no metres."""
+"""Maximum range of roadside LiDARs. Single points beyond it mark beams without return; if most points are beyond it,
+coordinates are not in metres."""
 
 TIME_NAMES = (
     "t",
@@ -40,7 +41,7 @@ TIME_NAMES = (
     "pointtimeoffset",
     "relativetimestamp",
 )
-"""Names of a point's own time, in lower case and without underscores, nor CloudCompare's ``scalar_`` before them."""
+"""Names of a point's own time, in lower case, without underscores and without CloudCompare's prefix ``scalar_``."""
 
 INTENSITY_NAMES = (
     "intensity",
@@ -64,13 +65,13 @@ class Scan:
     points : ndarray, shape (n, 3)
         In the sensor frame, metres, finite; beams without return are left out.
     intensity : ndarray, shape (n,), or None
-        In the sensor's own unit.
+        Intensity in the sensor's own unit.
     offset_s : ndarray, shape (n,), or None
         Each point's own time after the scan's stamp, seconds.
     unused : tuple of str
-        Fields that tell nothing of these.
+        Names of fields that are none of these.
     clock : Clock
-        What the points' own times, where there are any, were taken to count from.
+        Reference of the points' own times, as far as they have any.
     """
 
     points: FloatArray
@@ -89,24 +90,24 @@ class Scan:
         return len(self.points)
 
 
-# A damaged file holds any bits: signalling NaN, and numbers whose square is infinite.
+# A damaged file may contain any bits: signalling NaN, and numbers whose square is infinite.
 @np.errstate(invalid="ignore", over="ignore")
 def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
-    """Make a scan of what was found in a file or a message.
+    """Create a scan from the columns of a file or a message.
 
     Parameters
     ----------
     columns : Columns
-        With ``x``, ``y`` and ``z`` in metres at least; capitals do not matter.
+        Contains at least ``x``, ``y`` and ``z`` in metres; names are not case-sensitive.
     what : str
         The file or message, for errors.
     stamp_ns : int or None
-        The scan's time, which the points' own times may count from or not. None: unknown.
+        Stamp of the scan, to which the points' own times may or may not refer. None: unknown.
 
     Raises
     ------
     ScanError
-        If there are no coordinates, no point with a return, or the coordinates are no metres.
+        If coordinates are missing or not in metres, or no point has a return.
     """
     plain = {_plain(name): column for name, column in columns.items()}
     if any(_first(plain, (axis,)) is None for axis in "xyz"):
@@ -133,7 +134,7 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
         )
     intensity = _first(plain, INTENSITY_NAMES)
     told = None if times is None else point_times(times[keep], stamp_ns)
-    if times is not None and told is None and (times[keep] != 0).any():  # 0 marks points that have none
+    if times is not None and told is None and (times[keep] != 0).any():  # 0 marks points without a time
         told = point_times(times[keep & (times != 0)], stamp_ns)
         keep &= (times != 0) | (told is None)
     understood = {*"xyz", *INTENSITY_NAMES, *(TIME_NAMES if told is not None else ())}
@@ -151,7 +152,7 @@ def _plain(name: str) -> str:
 
 
 def _returns(points: FloatArray, what: str) -> tuple[BoolArray, FloatArray]:
-    """Return which points are a return, and the distances of all."""
+    """Return which points are returns, and the distances of all points."""
     range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
@@ -160,6 +161,6 @@ def _returns(points: FloatArray, what: str) -> tuple[BoolArray, FloatArray]:
 
 
 def _first(columns: Columns, names: tuple[str, ...]) -> Column | None:
-    """Return the first column of numbers that has one of the names."""
+    """Return the first numeric column that has one of the names, or None."""
     found = (columns[name] for name in names if name in columns)
     return next((column for column in found if column.ndim == 1 and column.dtype.kind in "fiu"), None)

@@ -1,4 +1,4 @@
-"""Opening what a user has: a folder of scans or a bag."""
+"""Opening of a user's recording: a folder of scans or a bag."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def open_scans(path: Path, topic: str | None = None) -> ScanSequence:
     ----------
     path : Path
     topic : str or None
-        Of a bag. None takes the only one with point clouds.
+        Topic of a bag. None: the only one with point clouds.
 
     Raises
     ------
     ScanError
-        If it is none of these, or unusable.
+        If the path is none of these, or unusable.
     """
     if _is_bag(path):
         try:
@@ -51,7 +51,7 @@ def open_scans(path: Path, topic: str | None = None) -> ScanSequence:
 
 
 def _is_capture(path: Path) -> bool:
-    """Tell packet captures, or a folder with such and no scan."""
+    """Return whether a path is a packet capture, or a folder that contains captures and no scan."""
     if path.is_dir():
         inside = [entry.suffix.lower() for entry in path.iterdir()]
         return not SUFFIXES.intersection(inside) and bool(_CAPTURE_SUFFIXES.intersection(inside))

@@ -1,4 +1,4 @@
-"""What a recording of scans is: stamps that are known at once, and scans that are read when they are asked for."""
+"""The protocol of a recording of scans: stamps are known at once, scans are read on demand."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from laci_stereo.core.frames import IntArray
 log = logging.getLogger(__name__)
 
 MAX_BAD_SHARE = 0.2
-"""A larger share of unreadable scans is an error."""
+"""A recording with a larger fraction of unreadable scans is an error."""
 
 
 class ScanSequence(Protocol):
-    """A lazy recording, which is read as often as it is asked for."""
+    """A lazy recording, which can be read any number of times."""
 
     @property
     def path(self) -> Path:
-        """The folder or bag."""
+        """Path of the folder or bag."""
 
     @property
     def stamps_ns(self) -> IntArray:
@@ -30,17 +30,17 @@ class ScanSequence(Protocol):
 
     @property
     def skipped(self) -> dict[str, str]:
-        """The scans that could not be read so far, by name, each with the reason in one line."""
+        """The scans that could not be read so far, by name, each with a one-line reason."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know about the recording, one line each."""
+        """Remarks for the user on the recording, one line each."""
 
     def __len__(self) -> int:
         """Return the number of scans."""
 
     def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
-        """Yield the scans at ascending indices, None where one is unreadable.
+        """Yield the scans at ascending indices; None if a scan is unreadable.
 
         Raises
         ------
@@ -50,7 +50,7 @@ class ScanSequence(Protocol):
 
 
 def counted(results: Iterable[tuple[str, Scan | ScanError]], skipped: dict[str, str]) -> Iterator[Scan | None]:
-    """Yield scans, None for those that could not be read; these are put into ``skipped``.
+    """Yield scans, None for those that could not be read; the latter are added to ``skipped``.
 
     Raises
     ------

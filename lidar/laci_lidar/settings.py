@@ -1,4 +1,4 @@
-"""Every setting of the LiDAR, its default, and why it has that value."""
+"""All settings of the LiDAR, with their defaults and the reasons for these."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
 
 @dataclass(frozen=True)
 class Sweep:
-    """How a scanner turns that does not tell each point's own time.
+    """Rotation of a scanner whose scans do not contain the points' own times.
 
     Attributes
     ----------
     stamp_at : {"start", "middle", "end"}
-        Which moment of the sweep a scan's stamp is.
+        The moment of the sweep to which a scan's stamp refers.
     direction : {"ccw", "cw"}
-        Seen from above, as the sensor hangs.
+        Direction of rotation seen from above, as the sensor is mounted.
     rate_hz : float
-        Turns in a second, of the mirror or head; a scanner with a field of 100 deg sweeps it in 100 / 360 of a turn.
+        Rotations of the mirror or head per second; a scanner with a field of 100 deg sweeps it in 100 / 360 of a
+        rotation.
     start_deg : float or None
-        Where a sweep begins, counter-clockwise from forward. None: at the border of the field of view; if the sensor
-        sees all around, where the order of the points has it, else behind.
+        Azimuth at which a sweep begins, counter-clockwise from forward. None: the border of the field of view; for an
+        all-round field, the start according to the order of the points, else behind the sensor.
     """
 
     stamp_at: Literal["start", "middle", "end"] = "start"
@@ -43,31 +44,33 @@ class Sweep:
 
 
 AtOnce: TypeAlias = Literal["none"]
-"""No sweep: a flash LiDAR, or scans whose points were brought to the stamp before."""
+"""No sweep: a flash LiDAR, or scans whose points have been motion-compensated to the stamp."""
 
 
 @dataclass(frozen=True)
 class LidarSettings:
-    """How scans become point clouds.
+    """Settings of the conversion from scans to point clouds.
 
     Attributes
     ----------
     range_sigma_m : float or None
-        Standard deviation of a range. None: from how the ranges of neighbouring points on the ground differ.
+        Standard deviation of a range. None: estimated from the range differences of neighbouring points on the ground.
     angle_sigma_rad : float or None
-        Standard deviation of a bearing. None: from the step between neighbouring beams.
+        Standard deviation of a bearing. None: derived from the step between neighbouring beams.
     sweep : Sweep, "none" or None
-        How the scanner turns; "none": all points of a scan belong to its stamp, whatever times they tell. None: each
-        point's own time is taken from the scans where they tell it; where they do not, how the scanner turns is found
-        from the drive.
+        Rotation of the scanner; "none": all points of a scan were taken at its stamp, whatever times they contain.
+        None: the points' own times are used if the scans contain them; otherwise the rotation is estimated from the
+        drive.
     accumulate : int
-        Scans gathered into one frame, for patterns that do not repeat and need several scans to fill the view.
+        Number of scans accumulated into one frame, for patterns that do not repeat and need several scans to fill the
+        view.
     min_range_m : float
-        What is nearer is the sensor's own mast and housing; the lowest mounting that is calibrated is 1.5 m high.
+        Nearer points are on the sensor's own mast and housing; the lowest supported mounting height is 1.5 m.
     axes : Axes
-        Where forward and up are in the sensor frame.
+        Directions of forward and up in the sensor frame.
     workers : int
-        Scans read at the same time; 0 takes the number of processors, at most 4: reading is bound by the disk.
+        Number of scans read concurrently; 0: the number of processors, at most 4, because reading is limited by the
+        disk.
     """
 
     range_sigma_m: float | None = None

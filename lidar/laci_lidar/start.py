@@ -1,4 +1,4 @@
-"""Where the console script begins."""
+"""Entry point of the console script."""
 
 from laci_stereo.start import start
 

@@ -1,4 +1,4 @@
-"""What stands and lies around a LiDAR, from some of its scans, and what of it is beside a map's lines."""
+"""Points around a LiDAR, accumulated from some of its scans, and the points near a map's lines."""
 
 from __future__ import annotations
 
@@ -19,30 +19,31 @@ from laci_stereo.core.frames import FloatArray, IntArray, transform
 from laci_stereo.core.subsampling import spread
 
 SCANS = 20
-"""Evenly spread: the noise of their ranges fills what lies between beams, and what moves is in few of them."""
+"""Number of scans, uniformly spaced: their range noise fills the space between beams, and moving objects are in few."""
 
 LOWEST_M, HIGHEST_M = -0.5, 2.5
-"""Over the plane: roads are bent by less within sight, and the lowest walls of buildings have their eaves above."""
+"""Range of heights over the plane: roads deviate by less within sight, and the eaves of the lowest buildings are
+above."""
 
 WINDOW_M = float(np.hypot(REACH_M, SECTION_M / 2))
-"""From the middle of a section to a corner of what is looked at."""
+"""Distance from the middle of a section to a corner of the area that is examined."""
 
 LEAST_POINTS = 10
-"""Across a section, from which a profile can be told."""
+"""Least number of points across a section for a profile."""
 
 
 @dataclass(frozen=True)
 class Surroundings(Columns):
-    """Points of several scans.
+    """Points of several scans in the world frame.
 
     Attributes
     ----------
     points : ndarray, shape (n, 3)
-        World.
+        World, metres.
     intensity : ndarray, shape (n,)
-        In the sensor's own unit; NaN where it has none.
+        Intensity in the sensor's own unit; NaN if there is none.
     scan : ndarray of int, shape (n,)
-        Which scan they are of.
+        Index of each point's scan.
     """
 
     points: FloatArray
@@ -51,11 +52,11 @@ class Surroundings(Columns):
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Of the points in the plan."""
+        """Search tree over the points' horizontal positions."""
         return cKDTree(self.points[:, :2])
 
     def beside(self, xy: FloatArray) -> Surroundings:
-        """Return the points within `WINDOW_M` of some places, shape (k, 2), at least, and few others."""
+        """Return all points within `WINDOW_M` of positions, shape (k, 2), and few others."""
         low = xy.min(axis=0, initial=0.0) - WINDOW_M
         marked = ((xy - low) / WINDOW_M).astype(np.int64)
         near = np.zeros(marked.max(axis=0, initial=0) + 2, dtype=bool)
@@ -69,14 +70,14 @@ class Surroundings(Columns):
 
 @dataclass(frozen=True)
 class Window:
-    """What is beside one section of a line.
+    """The points beside one section of a line.
 
     Attributes
     ----------
     number : int
-        Of the section.
+        Index of the section.
     across_m : ndarray, shape (k,)
-        To the left of the line.
+        Offsets to the left of the line.
     around : Surroundings
     """
 
@@ -86,12 +87,12 @@ class Window:
 
 
 def surroundings_in(scans: ScanSequence, placed: Placed) -> Surroundings:
-    """Gather some scans.
+    """Accumulate the points of some scans.
 
     Raises
     ------
     ScanError
-        If more than a fifth of the scans that are looked at cannot be read.
+        If more than a fifth of the selected scans cannot be read.
     """
     none, found = Surroundings(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64)), []
     for number, scan in enumerate(scans.read(spread(range(len(scans)), SCANS), 1)):
@@ -105,7 +106,7 @@ def surroundings_in(scans: ScanSequence, placed: Placed) -> Surroundings:
 
 
 def _intensity(scan: Scan) -> FloatArray:
-    """Return the points' intensity; NaN where there is none, and for all where it is the same everywhere."""
+    """Return the points' intensity; NaN if there is none, and for all points if it is constant."""
     unknown = np.full(len(scan.points), np.nan)
     if scan.intensity is None:
         return unknown
@@ -114,7 +115,7 @@ def _intensity(scan: Scan) -> FloatArray:
 
 
 def windows(around: Surroundings, sections: Sections) -> Iterator[Window]:
-    """Yield what is within `REACH_M` to either side of sections."""
+    """Yield the points within `REACH_M` on either side of each section."""
     if len(sections) == 0:
         return
     for number, indices in enumerate(around.tree.query_ball_point(sections.xy, WINDOW_M)):
@@ -127,17 +128,17 @@ def windows(around: Surroundings, sections: Sections) -> Iterator[Window]:
 
 
 def gaps(across_m: FloatArray) -> FloatArray:
-    """Return the lengths of the gaps between points in the window."""
+    """Return the lengths of the gaps between points in a window, shape (k + 1,)."""
     return np.diff(np.concatenate([[-REACH_M], np.sort(across_m), [REACH_M]]))
 
 
 def typical(lengths_m: FloatArray) -> float:
-    """Return the mean length of the gap in which a place lies."""
+    """Return the mean length of the gap that contains a random place."""
     return max(float((lengths_m**2).sum() / max(lengths_m.sum(), 1e-9)), STEP_M)
 
 
 def smoothed(across_m: FloatArray, values: FloatArray, cell_m: float) -> FloatArray:
-    """Return the mean of values about `OFFSETS_M`, with Gaussian weights as wide as a cell; NaN where none is near."""
+    """Return the local mean of values at `OFFSETS_M`, with Gaussian weights of cell width; NaN if no point is near."""
     weights = np.exp(-0.5 * ((OFFSETS_M[:, None] - across_m) / (cell_m / 2)) ** 2)
     total = weights.sum(axis=1)
     near = total > np.exp(-2.0)  # a point within a cell

@@ -1,4 +1,7 @@
-"""A scanner's field of view on the compass, learnt from what it saw, and its sweep through it."""
+"""A scanner's field of view in azimuth, learnt from its scans, and its sweep through it.
+
+Azimuths are about the sensor's up axis, counter-clockwise from forward.
+"""
 
 from __future__ import annotations
 
@@ -12,40 +15,41 @@ from laci_lidar.settings import Sweep
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, wrap
 
 WHOLE_RAD = float(np.radians(330.0))
-"""A wider field is taken for all around: what is missing then is a mast, and no border is near a road."""
+"""A field wider than this counts as all-round: the gap is a mast, and no border lies near a road."""
 
 MARGIN_RAD = float(np.radians(0.5))
-"""So near to the border counts as at it: some steps of any scanner, a tenth of a car 20 m away."""
+"""Distance from the border within which a point counts as at the edge: some steps of any scanner, a tenth of a car at
+20 m."""
 
 NO_POINTS_RAD = float(np.pi / 2)
-"""What ends a scan and what begins it may be so far apart: there is a wall, or nothing in reach."""
+"""Largest angle between a scan's last and first point: a wall may be there, or nothing within range."""
 
 ONE_LAYER_RAD = float(np.radians(0.1))
-"""Points of one laser are seen no farther up or down than one another; layers are 0.2 deg apart at the least."""
+"""Largest difference in elevation between successive points of one layer; layers are at least 0.2 deg apart."""
 
 LEAST_OF_LAYER = 36
-"""Points of a layer that tell a turn: one in ten degrees."""
+"""Least number of points from which a layer's rotation is determined: one in ten degrees."""
 
 ALIKE = 0.9
-"""Mean length of the scans' directions of begin, as unit vectors, if they begin at one place: within 26 deg."""
+"""Least length of the mean unit vector of the scans' start directions for a common start: within 26 deg."""
 
 _BINS = 1440
 
 
 @dataclass(frozen=True)
 class View:
-    """The directions that a scanner sees, as azimuths about its up axis, counter-clockwise from forward.
+    """The azimuths that a scanner sees.
 
     Attributes
     ----------
     axes : Axes
     right_rad : float
-        Azimuth of the border on the right, from where the field extends to the left.
+        Azimuth of the right border, from which the field extends to the left.
     width_rad : float
-        Of the field; 2 pi if it is all around.
+        Width of the field; 2 pi if it is all-round.
     begin_rad : float
-        Azimuth where a scan ends and the next begins. Where the order of points does not tell it, that is where nothing
-        is seen, or behind the sensor if it sees all around.
+        Azimuth at which one scan ends and the next begins. If the order of points does not determine it, the middle of
+        the gap, or behind the sensor if the field is all-round.
     """
 
     axes: Axes
@@ -63,9 +67,9 @@ class View:
         return _azimuths(points, self.axes)
 
     def at_edge(self, points: FloatArray) -> BoolArray:
-        """Tell which points, shape (n, 3), are at the left or right border of the field of view.
+        """Return which points, shape (n, 3), are at the left or right border of the field of view.
 
-        The upper and lower border do not count: a scanner of few layers always cuts the roof.
+        The upper and lower border do not count: a scanner with few layers always cuts off the roof.
         """
         if not self.limited:
             return np.zeros(len(points), dtype=bool)
@@ -74,21 +78,21 @@ class View:
         return edge
 
     def turned_rad(self, points: FloatArray) -> FloatArray:
-        """Return how far to the left of where scans begin points, shape (n, 3), are seen, 0 to 2 pi, shape (n,)."""
+        """Return the azimuths of points, shape (n, 3), to the left of the scans' start, 0 to 2 pi, shape (n,)."""
         turned: FloatArray = (self.azimuths(points) - self.begin_rad) % (2 * np.pi)
         return turned
 
     def offsets_s(self, points: FloatArray, sweep: Sweep) -> FloatArray:
-        """Return when the sweep passes each of the points, shape (n, 3), in seconds after the scan's stamp."""
+        """Return the time at which the sweep passes each point, shape (n, 3), in seconds after the scan's stamp."""
         clockwise = sweep.direction == "cw"
         start = self.begin_rad if sweep.start_deg is None else float(np.radians(sweep.start_deg))
-        # A scan that begins within the field goes all around; else it passes from one border to the other.
+        # A scan that begins within the field covers the full circle; otherwise it runs from border to border.
         inward = (start - self.right_rad + MARGIN_RAD) % (2 * np.pi)
         across = self.limited and not 2 * MARGIN_RAD < inward < self.width_rad
         if across and sweep.start_deg is None:
             start = self.right_rad + (self.width_rad if clockwise else 0.0)
         turned = (self.azimuths(points) - start) * (-1.0 if clockwise else 1.0) % (2 * np.pi)
-        # Jitter before the start is no whole turn later.
+        # A point that jitters to before the start is not a whole turn later.
         turned = np.where(turned > 2 * np.pi - MARGIN_RAD, turned - 2 * np.pi, turned) if across else turned
         width = self.width_rad if across else 2 * np.pi
         at_stamp = {"start": 0.0, "middle": width / 2, "end": width}[sweep.stamp_at]
@@ -97,11 +101,11 @@ class View:
 
 
 def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
-    """Learn the field of view from whole scans, each of shape (n, 3), in the order in which they were taken.
+    """Learn the field of view from whole scans, each of shape (n, 3), with points in the order of their acquisition.
 
-    It is all but the widest gap between their azimuths.
+    It is the full circle without the widest gap between the points' azimuths.
     """
-    # In each bin the lowest and the highest azimuth that was seen in it.
+    # The lowest and the highest azimuth of the points in each bin.
     low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
     begins = []
     for points in clouds:
@@ -125,10 +129,11 @@ def learn_view(clouds: Iterable[FloatArray], axes: Axes) -> View:
 
 
 def _begin(azimuths: FloatArray, elevations: FloatArray) -> float:
-    """Return where a scan begins that goes all around, by the order of its points, each shape (n,), or NaN.
+    """Return the azimuth at which an all-round scan begins, from the order of its points, shape (n,); NaN if unknown.
 
-    It is told by what ends a turn and what begins it, next to each other: of the scan, where beams follow one another,
-    and of each layer, where it is written layer by layer. Of a layer that sees little the two are far apart.
+    It lies between the last and the first point of a turn, which are close together: those of the scan, if its points
+    are in the order of the beams, or those of each layer, if it is stored layer by layer. In a layer with few points
+    the two are far apart.
     """
     bounds = np.concatenate([[0], np.flatnonzero(np.abs(np.diff(elevations)) > ONE_LAYER_RAD) + 1, [len(azimuths)]])
     long = np.flatnonzero(np.diff(bounds) >= LEAST_OF_LAYER)
@@ -138,7 +143,7 @@ def _begin(azimuths: FloatArray, elevations: FloatArray) -> float:
 
 
 def _ends(azimuths: FloatArray) -> tuple[float, float]:
-    """Return how far it is from the last point of a turn to its first, and the middle of that, by their azimuths."""
+    """Return the angle from the last point of a turn to its first, and the azimuth in the middle of it."""
     turned = float(wrap(np.diff(azimuths)).sum())
     if abs(turned) < np.pi:
         return np.inf, np.nan
@@ -147,7 +152,7 @@ def _ends(azimuths: FloatArray) -> tuple[float, float]:
 
 
 def _together(begins: Sequence[float]) -> float | None:
-    """Return where scans begin if most of them do so at one place; None where their order was lost."""
+    """Return the azimuth at which scans begin if most of them agree on it; None if the order of points was lost."""
     known = np.array([begin for begin in begins if np.isfinite(begin)])
     if 2 * len(known) <= len(begins):
         return None

@@ -1,4 +1,4 @@
-"""Walls, fences and rails as a LiDAR sees them: points above each other."""
+"""Detection of walls, fences and rails in LiDAR points: points above each other."""
 
 from __future__ import annotations
 
@@ -15,32 +15,34 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.robust import NORMAL
 
 LOWEST_M = 0.3
-"""Over the plane: below are the ground and kerbs."""
+"""Height over the plane above which points count: below are the ground and kerbs."""
 
 LEAST_HIGH_M = 0.3
-"""What reaches over so much is sure: rails of guard rails have 0.31 m, and grass has less."""
+"""Vertical extent of a sure detection: guard rails have 0.31 m, and grass has less."""
 
 BIN_M = 0.1
-"""Of height, so that a ring of points on sloping land, which rises by a few percent in a metre, is in one or two."""
+"""Height of a bin: a ring of points on sloping terrain, which rises by a few percent in a metre, is in one or two
+bins."""
 
 BESIDE_M = 0.075
-"""Points of one surface lie so far from it: four standard deviations of a range's usual noise of 2 cm."""
+"""Distance within which points belong to one surface: four standard deviations of a usual range noise of 2 cm."""
 
 FLANK_M = 0.2
-"""So far on either side it must be lower: beyond the noise of the surface, and of leaves, which fill more than that."""
+"""Distance on either side at which the extent must be lower: beyond the noise of the surface, and narrower than
+foliage."""
 
 THICK_M = 0.1
-"""Standard deviation of the face seen against what the map means: walls and hedges are 0.2 to 0.5 m thick, and maps
-have their middle or either face."""
+"""Standard deviation of the offset between the visible face and the mapped line: walls and hedges are 0.2 to 0.5 m
+thick, and maps contain their middle or either face."""
 
 AT_REST = 1 / 3
-"""In so many of the scans that see the place: vehicles pass it in fewer."""
+"""Least fraction of the scans that see a place in which it must be occupied: vehicles occupy it in fewer."""
 
 
 def find_walls(around: Surroundings, placed: Placed, sections: Sections) -> Traces:
-    """Look for upright surfaces across sections of lines.
+    """Detect upright surfaces across sections of lines.
 
-    A section is in view where something upright is, or where the ground behind it is seen.
+    A section is in view if something upright is found there, or if the ground behind it is visible.
 
     Parameters
     ----------
@@ -72,7 +74,7 @@ def find_walls(around: Surroundings, placed: Placed, sections: Sections) -> Trac
 
 
 def _extent(window: Window) -> FloatArray:
-    """Return over what height something is at rest at `OFFSETS_M`, metres, shape (m,)."""
+    """Return the vertical extent of static points at `OFFSETS_M`, metres, shape (m,)."""
     scans, scan = np.unique(window.around.scan, return_inverse=True)
     z = window.around.points[:, 2]
     above = z > LOWEST_M
