@@ -74,7 +74,7 @@ def cli() -> None:
     "--vehicle-mask",
     type=PATH,
     metavar="MODEL.onnx",
-    help="A detector or segmenter of your own that tells vehicles from what else moves; see docs/vehicle_mask.md.",
+    help="A detector or segmenter of your own that tells vehicles from other moving objects; see docs/vehicle_mask.md.",
 )
 @mask_options
 @calibrating
@@ -94,7 +94,7 @@ def calibrate(
 ) -> Job:
     """Calibrate a stereo camera.
 
-    LEFT and RIGHT are folders of images whose names, or a timestamps.txt among them, tell the time. CAM is a log of
+    LEFT and RIGHT are folders of images, whose times are in their names or in a timestamps.txt. CAM is a log of
     Cooperative Awareness Messages: CSV with the columns timestamp, station_id, latitude, longitude, heading, speed,
     vehicle_length and vehicle_width, or any other that `laci-stereo cam` reads: a packet capture, a ROS or MCAP bag,
     hexadecimal lines, V2AIX's JSON, or positions of a receiver in NMEA or GPX, which need --cam-reference.
@@ -127,13 +127,13 @@ def calibrate(
     type=click.Choice(["centre", "bottom"]),
     default="centre",
     show_default=True,
-    help="What of a box its position is.",
+    help="Point of a box that its position is of.",
 )
 @click.option(
     "--level",
     type=float,
     metavar="HEIGHT",
-    help="The sensor's up axis is vertical, HEIGHT m above the ground [default: found below the boxes].",
+    help="Take the sensor's up axis as vertical, HEIGHT m above the ground [default: fitted below the boxes].",
 )
 @matching
 def match(
@@ -159,7 +159,7 @@ def match(
 @map_crs_option
 @max_sigma_m_option
 @max_sigma_deg_option
-@click.option("--name", help="What you call the sensor [default: as in the first RUN].")
+@click.option("--name", help="Name of the sensor [default: as in the first RUN].")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 @click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
 def combine(

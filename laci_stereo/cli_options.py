@@ -109,7 +109,7 @@ def a_number(_context: click.Context, parameter: click.Parameter, value: float |
 map_crs_option = click.option(
     "--map-crs",
     metavar="CRS[@E,N]",
-    help="Coordinate system of a map that does not state it, as EPSG:25832; E,N is where they count from.",
+    help="Coordinate system of a map that does not state it, as EPSG:25832; E,N is the origin of its coordinates.",
 )
 
 baseline_option = click.option(
@@ -127,7 +127,7 @@ max_sigma_m_option = click.option(
     metavar="M",
     default=QualitySettings.max_sigma_m,
     show_default=True,
-    help="How well a pass knows places along the track, one standard deviation, m; up to "
+    help="Largest uncertainty of positions along the track for a pass, one standard deviation, m; up to "
     f"{QualitySettings.fail_factor:g} times that is a warning.",
 )
 
@@ -137,7 +137,7 @@ max_sigma_deg_option = click.option(
     metavar="DEG",
     default=QualitySettings.max_sigma_deg,
     show_default=True,
-    help="The same for the yaw, degrees; a tilt may be known half as well.",
+    help="The same for the yaw, degrees; the limit of the tilt is twice that.",
 )
 
 _ASKED = (
@@ -150,19 +150,19 @@ _ASKED = (
         help="Lane map: Lanelet2, OpenDRIVE, GeoJSON, DXF or CSV [default: map.osm or the like beside the recording].",
     ),
     map_crs_option,
-    click.option("--station", type=int, help="Sender, where the log has several [default: all that are surely seen]."),
+    click.option("--station", type=int, help="Sender, if the log has several [default: all that are clearly seen]."),
     click.option(
         "--cam-reference",
         metavar="front|center|rear-axle:X|X,Y",
-        help="Where on the vehicle its position is: centre of the front side (ETSI), of the box, rear axle X m behind "
-        "the box's centre, or X m ahead and Y m left of it [default: front; needed where a log's positions are an "
-        "antenna's].",
+        help="Point of the vehicle that the positions are of: centre of the front side (ETSI), of the box, rear axle "
+        "X m behind the box's centre, or X m ahead and Y m left of it [default: front; required if a log's positions "
+        "are an antenna's].",
     ),
     click.option(
         "--cam-sigma",
         type=float,
         metavar="M",
-        help="How exact positions are where the messages do not tell it, one standard deviation along each axis, m "
+        help="Accuracy of positions whose messages do not report it, one standard deviation along each axis, m "
         f"[default: {JointSettings.position_sigma_m:g}, that of a receiver with carrier-phase corrections (RTK)].",
     ),
     click.option("--crs", help="UTM zone, as EPSG:32632 [default: the zone of the positions]."),
@@ -170,7 +170,7 @@ _ASKED = (
         "--height",
         type=float,
         metavar="M",
-        help="How high the sensor hangs over the road, to a third [default: found].",
+        help="Height of the sensor above the road, m, good to a third [default: estimated].",
     ),
     click.option(
         "--method",
@@ -184,20 +184,20 @@ _ASKED = (
         type=click.Choice(["known", "unknown"]),
         default="known",
         show_default=True,
-        help="Whether sensor and sender follow one clock, to some 10 ms, or may be a second apart.",
+        help="Whether the clocks of sensor and sender are synchronised, to some 10 ms, or may be a second apart.",
     ),
     click.option(
         "--clock-sigma",
         type=float,
         metavar="S",
-        help="How far apart their clocks are, one standard deviation, s [default: "
+        help="Offset between their clocks, one standard deviation, s [default: "
         f"{JointSettings.clock_sigma_s:g}; {UNKNOWN_CLOCK_S:g} with --clock unknown].",
     ),
     max_sigma_m_option,
     max_sigma_deg_option,
     click.option(
         "--name",
-        help="What you call the sensor [default: the folder around images or detections, the folder or bag of scans].",
+        help="Name of the sensor [default: the folder around images or detections, the folder or bag of scans].",
     ),
 )
 

@@ -318,7 +318,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="of the image's size")
     parser.add_argument("--sensor", choices=SENSORS, default="stereo_05")
     parser.add_argument("--no-intensity", action="store_true", help="of a LiDAR")
-    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
+    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools/scenes/scene.py")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     factors = read_factors(arguments.set)

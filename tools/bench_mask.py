@@ -524,7 +524,7 @@ def main() -> None:
     parser.add_argument("--rendered", action="store_true", help="paint images and match them")
     parser.add_argument("--images", type=Path, help="keep rendered images there, and use those that are there already")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
+    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools/scenes/scene.py")
     parser.add_argument("--out", type=Path, help="one line per scene and mask, as CSV")
     parser.add_argument("--resume", action="store_true", help="skip what stands there, of the same factors")
     arguments = parser.parse_args()

@@ -202,7 +202,7 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--in-turn", action="store_true", help="each seed by one sensor, these in turn")
     parser.add_argument("--method", choices=(*METHODS, "both"), default="both", help="both see the scene once")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
+    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools/scenes/scene.py")
     parser.add_argument(
         "--rendered", type=int, default=0, metavar="N", help="seeds of stereo cameras on images, at 5 Hz"
     )

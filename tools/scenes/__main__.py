@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sensor", choices=SENSORS, default="lidar_32")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools.scenes.Factors")
+    parser.add_argument("--set", action="append", default=[], metavar="FACTOR=VALUE", help="see tools/scenes/scene.py")
     arguments = parser.parse_args()
     scene = draw_scene(arguments.seed, arguments.sensor, **settings(arguments.set))
     write_scene(scene, arguments.out)
