@@ -1,4 +1,4 @@
-"""Find where a roadside sensor stands and looks, from one connected vehicle that drives by.
+"""Find the pose of a roadside sensor on the map, from one connected vehicle that drives by.
 
 >>> import laci_stereo
 >>> result = laci_stereo.calibrate("left", "right", "cam.csv")  # doctest: +SKIP
@@ -44,7 +44,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import what is asked for: all of it takes a second, in which a command should be able to start."""
+    """Import a name on demand: importing all takes a second, in which a command should be able to start."""
     home = next((home for home, names in _HOMES.items() if name in names), None)
     if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

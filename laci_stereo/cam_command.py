@@ -1,4 +1,4 @@
-"""``laci-stereo cam``: what a log of messages was understood to say, as words, a map, or another format."""
+"""``laci-stereo cam``: the content of a log of messages, as words, a map, or another format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
 
 OF_NO_USE = 1
-"""Exit code of a log of which no run could use a station."""
+"""Exit code for a log none of whose stations a run could use."""
 
 Format: TypeAlias = Literal["csv", "geojson"]
 

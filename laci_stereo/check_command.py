@@ -1,4 +1,4 @@
-"""``laci-stereo check``: whether a map's lines lie on the road's, for a calibration that was made before."""
+"""``laci-stereo check``: whether a map's lines coincide with the road's, for an existing calibration."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ CONTRADICTED = 1
 """Exit code of a check that fails."""
 
 UNCLAIMED = np.diag([0.0, 0.0, TOO_FAR_RAD**2, TOO_FAR_M**2, TOO_FAR_M**2, 0.0])
-"""Covariance of a calibration that does not say how good it is: in the plane, what a pass rules out must be possible.
-Errors of its tilt and height move the lines on the ground as well, and are counted as such."""
+"""Assumed covariance of a calibration without one: within the plane, errors that a pass rules out must be possible.
+Errors of its tilt and height also displace the lines on the ground, and are counted as such."""
 
 
 def map_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options that a check has, whatever the sensor."""
+    """Add the options of a check, whatever the sensor."""
     for option in (
         click.option("--overwrite", is_flag=True, help="Replace files that are there already."),
         click.option(
@@ -105,7 +105,7 @@ def check(
 
 
 def check_free(picture: Path, json_file: Path | None, *, overwrite: bool) -> None:
-    """Find out before any work is done whether the files can be written.
+    """Check, before any work is done, whether the files can be written.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def check_free(picture: Path, json_file: Path | None, *, overwrite: bool) -> Non
 
 
 def needs_kind(stored: StoredCalibration, kind: str) -> None:
-    """Refuse the result of another kind of sensor.
+    """Raise if a result is of another kind of sensor.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def needs_kind(stored: StoredCalibration, kind: str) -> None:
 
 
 def the_map(stored: StoredCalibration, path: Path | None, crs: str | None = None) -> LaneMap:
-    """Read the map, into the world of a result.
+    """Read the map, in the world frame of a result.
 
     Raises
     ------
@@ -139,13 +139,13 @@ def the_map(stored: StoredCalibration, path: Path | None, crs: str | None = None
 
 
 def placed_by(stored: StoredCalibration) -> Placed:
-    """Return where a result puts its sensor; one that claims nothing is taken for as doubtful as a pass rules out."""
+    """Return the sensor's pose by a result; one without a covariance is assumed as uncertain as a pass rules out."""
     covariance = stored.covariance if stored.claims else UNCLAIMED
     return Placed(stored.T_world_sensor, covariance, stored.centre_world, stored.boxes)
 
 
 def say_notes(stored: StoredCalibration, lines: LaneMap) -> None:
-    """Say how the map was understood, and what was assumed of the result."""
+    """Print how the map was understood, and what was assumed about the result."""
     for note in lines.notes:
         click.echo(f"note: {note}", err=True)
     if not stored.claims:
@@ -157,7 +157,7 @@ def say_notes(stored: StoredCalibration, lines: LaneMap) -> None:
 
 
 def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path | None) -> None:
-    """Print, write, and exit with the code of the verdict."""
+    """Print the verdict, write the files, and exit with the verdict's code if it failed."""
     click.echo(describe_check(checked.check))
     write_picture(picture, checked.picture)
     if json_file is not None:

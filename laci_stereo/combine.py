@@ -1,4 +1,4 @@
-"""From the evidence of several results to one: the run behind ``laci-stereo combine``, for Python."""
+"""From the evidence of several results to one result: what ``laci-stereo combine`` runs, for Python."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from laci_stereo.report.page import Photographs
 
 @dataclass(frozen=True, kw_only=True)
 class CombineOptions:
-    """What a user can say about the estimate from several drives.
+    """Options of the estimate from several drives.
 
     Attributes
     ----------
     name : str or None
-        What people call the sensor; None takes the first result's.
+        Name of the sensor; None takes that of the first result.
     lane_map : Path or None
     map_crs : str or None
         The map's coordinate system where its file does not state it; see `read_lane_map`.
@@ -45,16 +45,16 @@ class CombineOptions:
 
 @dataclass(frozen=True)
 class Origin:
-    """How a result from several drives came about.
+    """Provenance of a result from several drives.
 
     Attributes
     ----------
     provenance : Provenance
     read : str
-        What was read, in words.
+        Description of what was read.
     lane_map : LaneMap or None
     skipped : tuple of str
-        What was left out, one line each.
+        Drives that were left out, one line each.
     """
 
     provenance: Provenance
@@ -63,7 +63,7 @@ class Origin:
     skipped: tuple[str, ...]
 
     def draw(self, _calibration: Calibration) -> Iterator[tuple[str, Raster]]:
-        """Draw nothing of the sensor's own: no image is kept."""
+        """Draw no images of the sensor's: none are kept."""
         yield from ()
 
     def photograph(self, _calibration: Calibration) -> Photographs | None:
@@ -71,12 +71,12 @@ class Origin:
         return None
 
     def remarks(self) -> tuple[str, ...]:
-        """Say nothing of the sensor: the results that were combined do."""
+        """Return no remarks on the sensor: they are with the results that were combined."""
         return ()
 
 
 def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -> Result:
-    """Estimate where a sensor is over the drives of several results.
+    """Estimate a sensor's pose from the drives of several results.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
     Raises
     ------
     InputError
-        If something cannot be read or is not of one sensor.
+        If something cannot be read, or the results are of different sensors.
     CalibrationError
         If the drives do not determine a transform, or contradict one another.
     """
@@ -123,7 +123,7 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
 
 
 def _evidence_of(run: Path) -> Path:
-    """Return the evidence file of a result."""
+    """Return the path of a result's evidence file."""
     if not run.exists():
         raise EvidenceError(f"{run} does not exist; needed is a result folder")
     folder = run.parent if run.name == RESULT_FILE else run
@@ -135,7 +135,7 @@ def _evidence_of(run: Path) -> Path:
 
 
 def _read_as(evidence: Path) -> dict[str, object]:
-    """Return how a result's frames were read, where it says so: what checks and monitors read others by."""
+    """Return the settings by which a result's frames were read, if kept: checks and monitors read others by them."""
     result = evidence.with_name(RESULT_FILE)
     if not result.is_file():
         return {}
@@ -163,7 +163,7 @@ def _named(run: str, kept: Kept) -> Iterator[Passage]:
 
 
 def _config(combined: Combined, options: CombineOptions) -> dict[str, object]:
-    """Return every effective setting; what was known of the clocks beforehand is the drives'."""
+    """Return every effective setting; the prior uncertainty of the clock offset is that of the drives."""
     config: dict[str, object] = asdict(options.core)
     joint = {**asdict(options.core.joint), "clock_sigma_s": combined.calibration.clock_sigma_s}
     return {**config, "method": "joint", "joint": joint}

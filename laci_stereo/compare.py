@@ -1,8 +1,8 @@
-"""Results of one sensor beside each other: the repetition error, and whether they agree within what they claim.
+"""Comparison of results of one sensor: the repetition error, and whether they agree within their uncertainties.
 
 The paper's table (Mueller et al., ITSC 2019, section on repeatability) has the differences of the transform's angles
-and of its translation between two drives. What matters on the road is another number: by how much objects on the
-vehicle's way are put elsewhere.
+and of its translation between two drives. What matters on the road is another quantity: by how much the position of
+objects on the vehicle's path differs.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from laci_stereo.io.output import EVIDENCE_FILE
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
 
 CONTRADICTION_RATE = 0.01
-"""Of pairs of results that are as good as they claim, so many are said to contradict each other."""
+"""Fraction of pairs of results with correct covariances that are reported as contradictory."""
 
 FARTHEST_M = 1000.0
-"""Between two results of one sensor: what is farther apart is not the same mast."""
+"""Largest distance between two results of one sensor: a larger one is between different masts."""
 
 DIGITS = {"deg": 3, "m": 3}
 
 LEAST_SIGMA = 1e-6
-"""Radians and metres: what a result claims to know better is no doubt but a rounding."""
+"""Least standard deviation of a result, radians and metres: smaller ones are only rounding."""
 
 OBJECTS = "objects on the tracks"
 
@@ -44,13 +44,13 @@ Outcome = Literal["agree", "contradict", "cannot tell"]
 
 @dataclass(frozen=True)
 class Difference:
-    """One quantity of two results.
+    """Difference of one quantity between two results.
 
     Attributes
     ----------
     name : str
     value, sigma : float
-        How far apart, without sign, and one standard deviation of that by what both claim; NaN if one claims nothing.
+        Absolute difference, and its standard deviation according to both covariances; NaN if one result has none.
     unit : str
     """
 
@@ -62,18 +62,19 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two results of one sensor.
+    """Comparison of two results of one sensor.
 
     Attributes
     ----------
     first, second : str
-        Where they are.
+        Paths of the results.
     differences : tuple of Difference
-        The paper's three angles (about the sensor's forward axis, down, about the vertical) and three shifts of the
-        sensor; then by how much objects on the tracks are put elsewhere in the plane, and the angle between both.
+        The paper's three angles (roll about the forward axis, down, yaw about the vertical) and the three coordinates
+        of the sensor; then the displacement of objects on the tracks in the plane, and the angle of the whole rotation
+        between both.
     chi_square, probability : float
-        Of all six parameters under both covariances, and how often results that are as good as they claim are at least
-        so far apart; NaN where one claims nothing.
+        Chi-square of all six parameters under both covariances, and the probability that results with correct
+        covariances differ by at least as much; NaN where one has no covariance.
     """
 
     first: str
@@ -84,7 +85,7 @@ class Comparison:
 
     @property
     def outcome(self) -> Outcome:
-        """Whether they agree within what they claim."""
+        """Whether the results agree within their uncertainties."""
         if np.isnan(self.probability):
             return "cannot tell"
         return "agree" if self.probability >= CONTRADICTION_RATE else "contradict"
@@ -98,12 +99,12 @@ def compare(results: Sequence[Path | str], *, renamed: bool = False) -> tuple[Co
     results : sequence of path
         Result folders, or their ``calibration.json``; at least two.
     renamed : bool
-        They are of one sensor though their names for it differ.
+        Whether they are of one sensor although their names for it differ.
 
     Raises
     ------
     CalibrationFileError, EvidenceError
-        If one cannot be read, or they are not of one sensor, frame and UTM zone.
+        If one cannot be read, or they differ in sensor, frame or UTM zone.
     """
     if len(results) < 2:
         raise CalibrationFileError(f"{len(results)} result; needed are at least 2 to compare")
@@ -139,12 +140,12 @@ def _check_same(one: StoredCalibration, other: StoredCalibration) -> None:
 
 
 def _origin_of(other: StoredCalibration, one: StoredCalibration) -> FloatArray:
-    """Return where the world of one result has its origin in another's, shape (3,)."""
+    """Return the origin of the world of ``other`` in the world of ``one``, shape (3,)."""
     return np.append(one.world.from_utm(np.array([other.world.origin_utm]))[0], 0.0)
 
 
 def _track_of(stored: StoredCalibration) -> FloatArray:
-    """Return where the vehicles were seen, world, shape (n, 2): the middle of it where no evidence is kept."""
+    """Return where the vehicles were seen, world, shape (n, 2): only the middle of that where no evidence is kept."""
     evidence = stored.path.parent / EVIDENCE_FILE
     if not evidence.exists():
         return stored.centre_world[None, :2]
@@ -160,7 +161,7 @@ def compare_two(
     ----------
     one, other : StoredCalibration
     track_one, track_other : ndarray, shape (n, 2)
-        Where objects matter, each in its own world.
+        Positions at which the displacement is evaluated, each in its own world.
     """
     shift = _origin_of(other, one)
     T_one, T_other = one.T_world_sensor, other.T_world_sensor.copy()
@@ -182,7 +183,7 @@ def compare_two(
 
 
 def _about(covariance: FloatArray, centre: FloatArray, point: FloatArray) -> FloatArray:
-    """Return a covariance of rotation and translation about one point, as of those about another one."""
+    """Return a covariance of rotation and translation about ``centre`` as the covariance about ``point``."""
     arm = np.eye(6)
     arm[3:, :3] = -np.cross(np.eye(3), centre - point)
     moved: FloatArray = arm @ covariance @ arm.T
@@ -208,7 +209,7 @@ def _shifts(apart_m: FloatArray, covariance: FloatArray) -> Iterator[Difference]
 
 
 def _objects(T_apart: FloatArray, track: FloatArray, centre: FloatArray, covariance: FloatArray) -> Difference:
-    """Return by how much points on the tracks are put elsewhere in the plane, root mean square."""
+    """Return the displacement of points on the tracks in the plane, root mean square."""
     points = np.column_stack([track, np.zeros(len(track))])
     apart_m = float(np.sqrt(((transform(T_apart, points) - points)[:, :2] ** 2).sum(axis=1).mean()))
     variances = [
@@ -251,7 +252,7 @@ def to_table(comparison: Comparison) -> str:
 
 
 def to_summary(comparisons: Sequence[Comparison]) -> str:
-    """Return for each of more than two results how it lies to the others, in lines; nothing for two."""
+    """Return lines on how each of several results compares with the others; nothing for a single pair."""
     if len(comparisons) < 2:
         return ""
     counts = Counter(one.outcome for one in comparisons)
@@ -271,7 +272,7 @@ def to_summary(comparisons: Sequence[Comparison]) -> str:
 
 
 def chance(comparison: Comparison) -> str:
-    """Say how likely the differences are."""
+    """Return words on how likely the differences are."""
     if comparison.outcome == "cannot tell":
         return "one of them was imported and claims nothing, so only by how much they differ can be said"
     return (

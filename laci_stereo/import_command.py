@@ -1,4 +1,4 @@
-"""``laci-stereo import``: a transform of another tool as a result that can be checked and compared."""
+"""``laci-stereo import``: another tool's transform as a result that can be checked and compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``laci-stereo mask``: what a vehicle mask sees, before it is used."""
+"""``laci-stereo mask``: what a vehicle mask detects, before it is used."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from laci_stereo.stereo.recording import LOOK_FRAMES
 
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 MASK_SHARE = 0.4
-"""How strongly a mask colours the picture."""
+"""Opacity of a mask's colour in the picture."""
 
 
 def mask_options(command: click.decorators.FC) -> click.decorators.FC:
@@ -55,12 +55,12 @@ def mask_options(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def asked_mask(model: Path | None, contract: Path | None, provider: Provider, workers: int) -> MaskOptions | None:
-    """Put together what was said about a vehicle mask.
+    """Return the requested vehicle mask, if any.
 
     Raises
     ------
     SettingError
-        If something was said of one, but not which.
+        If there is a contract, but no model.
     """
     if model is not None:
         return MaskOptions(model, contract, provider, workers)
@@ -71,7 +71,7 @@ def asked_mask(model: Path | None, contract: Path | None, provider: Provider, wo
 
 @dataclass(frozen=True)
 class Look:
-    """What was found in an image, and how long it took."""
+    """The detections in an image, and how long the network took."""
 
     path: Path
     image: Raster
@@ -123,7 +123,7 @@ def mask(
 
 
 def looked_at(finder: NetworkFinder, files: tuple[Path, ...]) -> Iterator[Look]:
-    """Run a network on whole images; those that cannot be read are named and left out."""
+    """Run a network on whole images; those that cannot be read are named and skipped."""
     eight_bit = EightBit()
     eight_bit.learn_from(spread(files, LOOK_FRAMES))
     for path in files:
@@ -147,7 +147,7 @@ def row(look: Look) -> str:
 
 
 def drawn(look: Look) -> Raster:
-    """Return the image with what was found in it."""
+    """Return the image with the detections drawn into it."""
     picture: Raster = look.image.copy()
     for vehicle in look.vehicles:
         if vehicle.mask is not None:

@@ -1,4 +1,4 @@
-"""From a log of detections to a result: the run behind ``laci-stereo match``, for Python."""
+"""From a log of detections to a result: what ``laci-stereo match`` runs, for Python."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ from laci_stereo.io.lane_map import find_lane_map
 from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
 
 CONTRADICTION = 4.0
-"""Standard deviations beyond which two heights are not one, and a slope is no road's."""
+"""Number of standard deviations beyond which two heights contradict each other, and beyond which no road is as
+steep."""
 
 STEEP = 2.0
-"""A slope beyond so many standard deviations is mentioned."""
+"""Number of standard deviations beyond which a slope is mentioned."""
 
 BoxOrigin = Literal["centre", "bottom"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchOptions(DriveOptions):
-    """What a user can say about the calibration from the boxes of a detector.
+    """Options of the calibration from the boxes of a detector.
 
     Attributes
     ----------
     axes : Axes
-        Of the sensor's frame.
+        Axes of the sensor's frame.
     box_origin : {"centre", "bottom"}
-        What of a box its position is.
+        Point of a box that its position refers to.
     level_m : float or None
-        How high the sensor stands above the ground, if its up axis is vertical; None finds the ground below the boxes.
+        Height of the sensor above the ground, if its up axis is vertical; None finds the ground below the boxes.
     """
 
     axes: Axes = FORWARD_LEFT_UP_AXES
@@ -48,20 +49,20 @@ class MatchOptions(DriveOptions):
     level_m: float | None = None
 
     def config(self) -> dict[str, object]:
-        """Return every effective setting; paths stand among the inputs."""
+        """Return every effective setting; paths are among the inputs."""
         own = {"axes": asdict(self.axes), "box_origin": self.box_origin, "level_m": self.level_m}
         return {**super().config(), **own}
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchTask(Task):
-    """Detections and messages that hold together.
+    """Detections and messages that are consistent with each other.
 
     Attributes
     ----------
     detections : DetectionLog
     axes : Axes
-        Of the sensor.
+        Axes of the sensor's frame.
     level_m : float or None
         See `MatchOptions`.
     """
@@ -71,7 +72,7 @@ class MatchTask(Task):
     level_m: float | None
 
     def calibrate(self, watch: Watch) -> Calibration:  # noqa: ARG002, there are no frames to watch
-        """Lay the detections on the ground, and match the vehicle's tracks."""
+        """Project the detections onto the ground, and match the vehicles' tracks."""
         options = self.options
         first_ns, last_ns = self.detections.span_ns
         messages = self.drive.messages.between(first_ns, last_ns, options.core.match.clock_sigma_s)
@@ -103,7 +104,7 @@ def match(detections: Path | str, cam: Path | str, options: MatchOptions | None 
 
 
 def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) -> MatchTask:
-    """Read everything, and check that it holds together.
+    """Read everything, and check that it is consistent.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
 
 
 def _with_assumption(calibration: Calibration) -> Calibration:
-    """Let the verdict say that nothing tells where on the vehicle detections without a size are."""
+    """Return a calibration with an objection if detections have no size: they may be anywhere on the vehicle."""
     sized = np.array([sighting.box.length_m > 0.0 for sighting in calibration.track.sightings])
     if 2 * sized.sum() >= len(sized):
         return calibration
@@ -148,7 +149,7 @@ def _with_assumption(calibration: Calibration) -> Calibration:
 
 
 def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> Below | None:
-    """Raise if nothing tells where the ground is; return what the boxes tell of it, if it is said to be level."""
+    """Raise if nothing determines the ground; return the ground by the boxes, if it is specified as level."""
     no_z = bool(np.isnan(log.points_sensor[:, 2]).all())
     if options.level_m is not None:
         above_zero("--level", options.level_m, "m")
@@ -169,7 +170,7 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> Below
 
 
 def _check_level(path: Path, below: Below, level_m: float) -> None:
-    """Raise if the boxes stand elsewhere than so far below the sensor, or on what is steeper than roads are."""
+    """Raise if the boxes are at another height below the sensor, or on ground that is steeper than roads are."""
     if abs(below.height_m - level_m) > CONTRADICTION * np.hypot(below.height_sigma_m, HEIGHT_SIGMA_M):
         raise DetectionError(
             f"{path}: the boxes stand {below.height_m:.1f} m below the sensor, give or take {below.height_sigma_m:.1f} "
@@ -185,7 +186,7 @@ def _check_level(path: Path, below: Below, level_m: float) -> None:
 
 
 def _below(log: DetectionLog, axes: Axes) -> Below | None:
-    """Return what the boxes' own heights tell of the ground; None where they have none."""
+    """Return the ground according to the boxes' own heights; None where they have none."""
     known = np.isfinite(log.points_sensor).all(axis=1) & np.isfinite(log.above_ground_m)
     return ground_below(log.points_sensor[known], log.above_ground_m[known], axes) if known.any() else None
 

@@ -55,12 +55,13 @@ FILES = (STATE_FILE, TABLE_FILE, PICTURE_FILE, FIGURES_FILE, LABELS_FILE)
 
 POLL_S = 1.0
 POLL_SHARE = 0.1
-"""Of the time, at most, a growing folder is listed: with many files that takes longer than the pause."""
+"""Largest fraction of the time that is spent on listing a growing folder: with many files that takes longer than the
+pause."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Watch:
-    """What every monitor is asked, whatever the sensor."""
+    """Options of every monitor, whatever the sensor."""
 
     calibration: Path
     lane_map: Path | None
@@ -76,15 +77,15 @@ class Watch:
 
 @dataclass(frozen=True)
 class Watched:
-    """A recording to go through.
+    """A recording to monitor.
 
     Attributes
     ----------
     frames : Frames
     beside : Path
-        The folder beside which a map may lie.
+        Folder beside which a map may be.
     files : mapping of str to Path
-        What else it is read with, by name.
+        Other files that the frames are read with, by name.
     """
 
     frames: Frames
@@ -112,7 +113,7 @@ _ASKED = (
 
 
 def monitoring(kind: str) -> Callable[[Callable[..., Watched]], Callable[..., None]]:
-    """Make a command of a function that opens a recording: add the options, go through it, and say what was found."""
+    """Make a command of a function that opens a recording: add the options, monitor it, and report the findings."""
 
     def decorate(command: Callable[..., Watched]) -> Callable[..., None]:
         @wraps(command)
@@ -177,7 +178,7 @@ def monitor(
 
 
 def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
-    """Go through a recording, from where an earlier run was, and write what was found.
+    """Monitor a recording, from where an earlier run ended, and write the findings.
 
     Raises
     ------
@@ -188,7 +189,7 @@ def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
     assert map_file is not None
     files = {"calibration": stored.path, "map": map_file, **watched.files}
     plan = plan_of(stored, lane_map, map_file, files, asked.map_crs)
-    if not asked.follow:  # else nothing may be there yet
+    if not asked.follow:  # otherwise there may be no frames yet
         watched.frames.refresh(0)
     there = asked.out.exists()
     _make_folder(asked.out, overwrite=asked.overwrite)
@@ -212,7 +213,7 @@ def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
                 raise
             click.echo(f"interrupted; {done} frames are done, and the same command goes on from there", err=True)
             sys.exit(INTERRUPTED)
-        if not monitor.back().frames:  # what is there tells something, if less than a whole stretch would
+        if not monitor.back().frames:  # the frames there are informative, even if fewer than a whole block
             monitor.step(ended=True)
     _deliver(monitor, watched, stored, lane_map, asked)
 
@@ -220,7 +221,7 @@ def watch(watched: Watched, stored: StoredCalibration, asked: Watch) -> None:
 def plan_of(
     stored: StoredCalibration, lane_map: LaneMap, map_file: Path, files: dict[str, Path], map_crs: str | None
 ) -> Plan:
-    """Put together what frames are held against.
+    """Return the map, the settings and the pose by which frames are evaluated.
 
     Raises
     ------
@@ -254,7 +255,7 @@ def _go_through(monitor: Monitor, asked: Watch) -> None:
 
 
 def _looked(monitor: Monitor, asked: Watch) -> bool:
-    """Look for new frames, and tell whether there are some; of the first ones say so, for counts come much later."""
+    """Look for new frames, and return whether there are any; announce the first ones, as counts come much later."""
     known = len(monitor.frames.stamps_ns)
     monitor.refresh()
     now = len(monitor.frames.stamps_ns)
@@ -265,7 +266,7 @@ def _looked(monitor: Monitor, asked: Watch) -> bool:
 
 
 def _show(monitor: Monitor, asked: Watch) -> None:
-    """Say on a terminal how far it has come."""
+    """Print the progress on a terminal."""
     if sys.stderr.isatty() and not asked.quiet:
         state = monitor.state
         known = len(monitor.frames.stamps_ns)
@@ -274,12 +275,12 @@ def _show(monitor: Monitor, asked: Watch) -> None:
 
 
 def _make_folder(out: Path, *, overwrite: bool) -> None:
-    """Make the folder, or clear it of an earlier monitor where that was asked for.
+    """Make the folder, or clear it of an earlier monitor if that was requested.
 
     Raises
     ------
     OutputError
-        If there is something else.
+        If it contains other files, or cannot be written.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -295,7 +296,7 @@ def _make_folder(out: Path, *, overwrite: bool) -> None:
 
 
 def _clear_up(out: Path, *, folder_too: bool) -> None:
-    """Leave nothing of a monitor that ended before its first checkpoint."""
+    """Remove the files of a monitor that ended before its first checkpoint."""
     if (out / STATE_FILE).exists():
         return
     (out / TABLE_FILE).unlink(missing_ok=True)

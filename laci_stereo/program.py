@@ -22,7 +22,7 @@ def _terminate(_signal: int, _frame: FrameType | None) -> None:
 
 
 def run_command(command: click.Command, program: str) -> None:
-    """Run a command line: every error that is the input's becomes one line and an exit code."""
+    """Run a command line: every error of the input becomes one line and an exit code."""
     _silence_decoders()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -35,7 +35,7 @@ def run_command(command: click.Command, program: str) -> None:
 
 
 def _outcome(command: click.Command, program: str) -> tuple[str, int]:
-    """Return what to say, in one line, and the exit code."""
+    """Return the message, in one line, and the exit code."""
     try:
         command(prog_name=program, standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):
@@ -56,7 +56,7 @@ def _outcome(command: click.Command, program: str) -> tuple[str, int]:
 
 
 def _silence_decoders() -> None:
-    """Keep standard error for ourselves: libjpeg writes to its descriptor, whatever one sets, about damaged images."""
+    """Keep standard error for this program: libjpeg writes about damaged images to its descriptor, whatever is set."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     if sys.stderr is None:  # closed by whoever started the command
         sys.stderr = os.fdopen(nowhere, "w", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""``laci-stereo rig``: what a stereo calibration was understood to be, and whether it fits the images."""
+"""``laci-stereo rig``: how a stereo calibration was understood, and whether it fits the images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from laci_stereo.io.timed_files import names_in
 from laci_stereo.stereo.rectify import already_rectified
 
 DOES_NOT_FIT = 1
-"""Exit code of a calibration that fails."""
+"""Exit code of a calibration that does not fit."""
 
 
 @click.command()
@@ -69,7 +69,7 @@ def rig(
 
 
 def _pairs(left: Path, right: Path) -> tuple[StereoPair, ...]:
-    """Pair images by their times; by their names where these are the same but tell no time, or there is one only."""
+    """Pair images by their times; by name where names are the same but contain no time, or there is one image only."""
     try:
         return pair_images(ImageFolder.open(left), ImageFolder.open(right)).pairs
     except ImageError:

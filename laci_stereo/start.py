@@ -1,4 +1,4 @@
-"""Where the console scripts begin: an interrupt while modules are still being imported ends them without a word."""
+"""Start of the console scripts: an interrupt while modules are still being imported ends them without a message."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _INTERRUPTED = 130
 
 def start(module: str) -> None:
     """Import a module, which takes a second, and run its ``main``."""
-    # An exception could be raised anywhere in the modules' own code, and be caught or changed into another one there.
+    # An exception could be raised anywhere in the modules' own code, and be caught or converted into another one there.
     inherited = signal.getsignal(signal.SIGINT)
     if inherited is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)

@@ -1,4 +1,4 @@
-"""What moved and what was sent, as it is or as it might be, and which track is which sender's then."""
+"""The input of an association, as recorded or with an assumption changed, and the choice that follows from it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from laci_stereo.core.tracking import Track
 
 @dataclass(frozen=True)
 class Case:
-    """What `choose_track` chooses by, whose parameters these are."""
+    """The parameters of `choose_track`, bundled."""
 
     tracks: Sequence[Track]
     vehicles: Mapping[int, VehicleTrack]
@@ -25,20 +25,20 @@ class Case:
 
     @property
     def matched(self) -> bool:
-        """Whether a matcher saw any of it, and so a stereo camera."""
+        """Whether any of it was seen by a stereo matcher, and so by a stereo camera."""
         return any(track.window_rad for track in self.tracks)
 
     @property
     def by_boxes(self) -> Case:
-        """The same, but by boxes whatever fits best is chosen."""
+        """The same, but judged by boxes only, and with whatever fits best chosen."""
         return replace(self, settings=self.settings.any_fit, likeness=no_likeness)
 
     def choose(self) -> Choice:
-        """Return what is likeliest; errors are those of `choose_track`."""
+        """Return the likeliest choice; errors are those of `choose_track`."""
         return choose_track(self.tracks, self.vehicles, self.settings, self.likeness)
 
     def chosen(self) -> Choice | None:
-        """Return what is likeliest; None where nothing is."""
+        """Return the likeliest choice; None if there is none."""
         try:
             return self.choose()
         except (TrackError, MatchError):
@@ -47,14 +47,15 @@ class Case:
 
 @dataclass(frozen=True)
 class Alternative:
-    """What would fit if something were not as it was said.
+    """A choice that would fit if something were not as specified.
 
     Attributes
     ----------
     choice : Choice
     words : str
     log_searched : float
-        Of how many it is the best, as a logarithm: one of so many fits so well by chance.
+        Logarithm of the number of alternatives of which it is the best (look-elsewhere effect): one of that many fits
+        as well by chance.
     nearer_per_m : float
         By how much inverse distances would have to be larger, 1/m.
     """
@@ -66,12 +67,12 @@ class Alternative:
 
     @property
     def log_odds(self) -> float:
-        """Against everything being where it is by chance."""
+        """Log odds against everything being where it is by chance."""
         return self.choice.log_likelihood - self.log_searched
 
 
 def log_odds_between(one: Choice | None, other: Choice | None) -> float:
-    """Return the log odds of one choice against another; what does not fit at all is infinitely unlikely."""
+    """Return the log odds of one choice against another; one that does not fit at all is infinitely unlikely."""
     if one is None:
         return -math.inf
     return math.inf if other is None else one.log_likelihood - other.log_likelihood

@@ -1,4 +1,4 @@
-"""Why no track is surely a sender's, in words."""
+"""Messages on why no track is certainly a sender's."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ from laci_stereo.core.track_scene import TABLE_S, Scene, extent
 from laci_stereo.core.tracking import Track
 
 COVERED_SHARE = 0.9
-"""What is empty in no more than a tenth of the frames is background, see `learn_background`."""
+"""Fraction of the time from which a covered place counts as background, see `learn_background`: it is empty in no more
+than a tenth of the frames."""
 
 TURNED_RAD = np.radians(30.0)
-"""A drive that turns by so much lacks no turn."""
+"""A drive that turns by as much needs no further turn."""
 
 EVEN_ODDS = 2.0
-"""Up to such odds people call two things equally likely."""
+"""Up to these odds people call two things equally likely."""
 
 
 def named(scene: Scene, best: Account, second: Account) -> str:
-    """Name what fits second best."""
+    """Return the name of the second-best hypothesis."""
     if second.station != best.station:
         return f"station {second.station}"
     return f"another moving object, seen in {len(joined(scene, second).usable)} frames"
 
 
 def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
-    """Say that two things fit nearly as well as each other, whose log odds are ``margin``."""
+    """Return the message that two hypotheses, whose log odds are ``margin``, fit nearly equally well."""
     frames = [len(joined(scene, account).usable) for account in (best, second)]
     what = (
         f"stations {best.station} and {second.station}"
         if second.station != best.station
         else f"two moving objects, seen in {frames[0]} and {frames[1]} frames,"
     )
-    # Where one may drive in line with the other, the one that was taken need not be the likelier of the two.
+    # Where one may drive in line with the other, the best hypothesis need not be the likelier of the two.
     odds = math.exp(max(margin, 0.0))
     well = f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1)"
     if second.station != best.station and not set(best.tracks) & set(second.tracks):
@@ -54,7 +55,7 @@ def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
 
 
 def by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> str:
-    """Say that the one that fits may be a stranger, and what the log odds are that it is not."""
+    """Return the message that the object that fits may be a stranger, with the log odds that it is not."""
     track = joined(scene, best)
     poses = scene.senders[best.station].at(np.array([sighting.stamp_s for sighting in track.usable]))
     turns = np.ptp(poses.yaw_rad[poses.known]) > TURNED_RAD if poses.known.any() else False
@@ -67,7 +68,7 @@ def by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> str
 
 
 def no_fit(scene: Scene, seeds: Sequence[Seed]) -> str:
-    """Say that nothing fits, and how well the best did."""
+    """Return the message that nothing fits, with how well the best candidate did."""
     best, least = max(seeds, key=lambda seed: seed.share), scene.settings.min_explained
     stations = ", ".join(str(station) for station in sorted(scene.senders))
     off = hold_against(scene, scene.senders[best.station], best.motion).typical
@@ -79,7 +80,7 @@ def no_fit(scene: Scene, seeds: Sequence[Seed]) -> str:
 
 
 def folding(vehicles: Mapping[int, VehicleTrack]) -> str:
-    """Say whose vehicle folds in bends, where it is as good as not sent."""
+    """Return words on vehicles that articulate in bends, where their messages cannot be used."""
     counts = {station: np.count_nonzero(vehicle.folded) for station, vehicle in sorted(vehicles.items())}
     return "".join(
         f"; station {station}'s, {vehicles[station].length_m:.1f} m long, folds in bends, at {count} of "
@@ -90,7 +91,7 @@ def folding(vehicles: Mapping[int, VehicleTrack]) -> str:
 
 
 def lingering(scene: Scene) -> str:
-    """Say whose vehicle hardly leaves its own place, where it passes for what always stands there."""
+    """Return words on vehicles that hardly leave their own place, where they may be taken for the background."""
     seen_s = np.array([sighting.stamp_s for track in scene.tracks for sighting in track.sightings])
     times_s = np.arange(seen_s.min(), seen_s.max(), TABLE_S) if len(seen_s) else seen_s
     found = []
@@ -110,7 +111,7 @@ def lingering(scene: Scene) -> str:
 
 
 def towing(scene: Scene) -> str:
-    """Say that what was seen longest is longer than any sender tells that it is, such as a car with its trailer."""
+    """Return words if the object seen longest is longer than any sender's vehicle, such as a car with its trailer."""
     longest = max(scene.tracks, key=lambda track: len(track.usable), default=None)
     if longest is None or extent(longest.centres) < scene.settings.min_path_m:
         return ""
@@ -125,7 +126,7 @@ def towing(scene: Scene) -> str:
 
 
 def nothing_found(tracks: Sequence[Track], settings: MatchSettings) -> str:
-    """Say that no track is long enough to be anything."""
+    """Return the message that no track is long enough to be a vehicle's."""
     longest = max((len(track.usable) for track in tracks), default=0)
     widest = max((extent(track.centres) for track in tracks), default=0.0)
     flaws: Counter[str] = sum((track.flaws() for track in tracks), Counter())

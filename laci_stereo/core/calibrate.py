@@ -41,15 +41,15 @@ def calibrate(
     Parameters
     ----------
     source : PointCloudSource
-        The recording. It is read twice: a survey of whole frames, then every frame once; and so once more where the
-        sender's way shows that the ground found first is not the road.
+        The recording. It is read twice: a survey of whole frames, then every frame once. Both are repeated where the
+        sender's path shows that the ground found first is not the road.
     messages : CamLog
-        Of one station or several: all that are surely seen are used.
+        Messages of one station or several: all that are certainly seen are used.
     settings : Settings
     reference : ReferencePoint
-        Where on the vehicle the messages' positions are.
+        Point of the vehicle that the messages' positions refer to.
     crs : str
-        The UTM zone; None takes the one of the messages.
+        The UTM zone; None takes that of the messages.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def calibrate(
 def locate(
     seen: Observation, vehicles: Mapping[int, VehicleTrack], world: World, settings: Settings | None = None
 ) -> Calibration:
-    """Find the transform from what a sensor saw and where the senders' vehicles were.
+    """Find the transform from what a sensor saw and the tracks of the senders' vehicles.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def locate(
 
 
 def _assumed(vehicles: Mapping[int, VehicleTrack]) -> str:
-    """Say what was assumed of the first vehicle whose messages do not tell its length: it may be what does not fit."""
+    """Return what was assumed of the first vehicle without a reported length: that may be why nothing fits."""
     assumed = (
         f"; station {station}: {remark}"
         for station, vehicle in sorted(vehicles.items())
@@ -125,7 +125,7 @@ def _assumed(vehicles: Mapping[int, VehicleTrack]) -> str:
 def _passages(
     choice: Choice, seen: Observation, vehicles: Mapping[int, VehicleTrack], world: World, settings: Settings
 ) -> list[Passage]:
-    """Return the drives of all senders that are seen, where boxes put them; the one that was chosen first."""
+    """Return the drives of all senders that are seen, located by boxes; the drive of the chosen one first."""
     return [
         Passage(
             world=world,
@@ -146,7 +146,7 @@ def _passages(
 
 
 def world_around(messages: CamLog, crs: str | None = None) -> World:
-    """Lay the world around where the messages are: around the median, for some positions may be wrong by far.
+    """Return a world around the median of the messages' positions, some of which may be far off.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def world_around(messages: CamLog, crs: str | None = None) -> World:
 
 
 def vehicles_of(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:
-    """Lay the track of every station that has one into the world; the rest, such as roadside units, are no vehicles.
+    """Return the track, in the world, of every station that has one; others, such as roadside units, have none.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Cooperative Awareness Messages: the log of one sender, and its vehicle's track in the world."""
+"""Cooperative Awareness Messages (CAMs): one sender's log, and the track of its vehicle in the world frame."""
 
 from __future__ import annotations
 
@@ -29,34 +29,36 @@ from laci_stereo.core.tractrix import BodyYaw, body_yaw
 from laci_stereo.core.world import World
 
 MAX_GAP_S = 1.5
-"""A gap between messages that is longer than this is not interpolated across (ETSI's slowest rate is 1 Hz)."""
+"""Longest gap between messages that is interpolated across (the lowest rate that ETSI allows is 1 Hz)."""
 
 ELLIPSE_SIGMAS = 2.4477
-"""A two-dimensional normal distribution has 95 % within so many standard deviations: sqrt(-2 ln 0.05)."""
+"""Semi-axis of the 95 % ellipse of a two-dimensional normal distribution, in standard deviations: sqrt(-2 ln 0.05)."""
 
 STANDING_MPS = 0.5
-"""Below this speed the heading, which is the direction of motion, says nothing about the vehicle's body."""
+"""Below this speed the heading, which is the direction of motion, does not determine the yaw of the vehicle's body."""
 
 TIGHTEST_M, HURRIED_MPS2 = 3.0, 2.0
-"""Of a small car (9.5 m from kerb to kerb, 2.4 m from axle to axle) the rear axle's middle goes on that radius at the
-least. Nobody speeds up by more in order to turn round."""
+"""Smallest turning radius of the middle of a small car's rear axle (turning circle of 9.5 m from kerb to kerb,
+wheelbase of 2.4 m), and the largest acceleration that a driver uses in order to turn round."""
 
 NARROWEST_M = 1.1
-"""No car is narrower (the narrowest quadricycles have 1.2 m). Riders are half as wide as their handlebars."""
+"""No car is narrower (the narrowest quadricycles are 1.2 m wide). The body of a two-wheeler's rider is half as wide as
+the handlebars."""
 
 COARSE_DECIMALS, ROUNDED_SHARE = 5, 1e-3
-"""Of latitudes and longitudes: a metre, and how near to such a step a number is that has no more."""
+"""Largest number of decimals of latitudes and longitudes that is checked for rounding (five are a metre), and how near
+to a multiple of the last decimal's step a rounded value is, as a fraction of that step."""
 
 METRES_PER_DEG = 111_195.0
-"""Of latitude, on a sphere as large as the Earth: 0.5 % off at most."""
+"""Length of a degree of latitude on a sphere with the Earth's radius: wrong by at most 0.5 %."""
 
 OTHER_SPEEDS = {"km/h": 3.6, "knots": 3.6 / 1.852, "miles per hour": 3.6 / 1.609344, "cm/s": 100.0}
-"""What speeds are written in instead of m/s; no two of these are within 10 %."""
+"""Units that senders use instead of m/s, as multiples of m/s; no two of these are within 10 % of each other."""
 
 
 @dataclass(frozen=True)
 class CamLog(Columns):
-    """Messages in the order of time. What a sender did not know is NaN.
+    """Messages in order of time. Values that a sender did not know are NaN.
 
     Attributes
     ----------
@@ -64,14 +66,15 @@ class CamLog(Columns):
         Unix time (UTC), nanoseconds, ascending.
     station_id : ndarray of int64, shape (n,)
     latitude_deg, longitude_deg : ndarray, shape (n,)
-        Of the reference point, WGS84.
+        Position of the reference point, WGS84.
     heading_deg : ndarray, shape (n,)
         Direction of motion, clockwise from true north.
     speed_mps, altitude_m : ndarray, shape (n,)
     length_m, width_m : ndarray, shape (n,)
-        Of the vehicle.
+        Dimensions of the vehicle.
     semi_major_95_m, semi_minor_95_m, ellipse_orientation_deg : ndarray, shape (n,)
-        The 95 % ellipse of the position; its orientation is that of the major axis, clockwise from true north.
+        The 95 % confidence ellipse of the position; its orientation is that of the major axis, clockwise from true
+        north.
     """
 
     stamps_ns: IntArray
@@ -98,8 +101,8 @@ class CamLog(Columns):
     def between(self, first_ns: int, last_ns: int, clock_sigma_s: float = 0.0) -> CamLog:
         """Return the messages from just before to just after an interval, so that its ends can be interpolated.
 
-        That is whatever the offset between their clock and that of the interval is found to be: up to three times its
-        standard deviation (`MatchSettings`).
+        The margin covers clock offsets between messages and sensor of up to three times their prior standard deviation
+        (`MatchSettings`).
         """
         margin_ns = int((MAX_GAP_S + 3.0 * clock_sigma_s) * 1e9)
         return self[(self.stamps_ns >= first_ns - margin_ns) & (self.stamps_ns <= last_ns + margin_ns)]
@@ -109,7 +112,7 @@ class CamLog(Columns):
         return self[self.station_id == station]
 
     def exact_to(self, sigma_m: float) -> CamLog:
-        """Return the messages with positions exact to so much, one standard deviation, where they do not tell it."""
+        """Return the messages with a given position uncertainty (standard deviation) where they do not report one."""
         told = np.isfinite(self.semi_major_95_m) | np.isfinite(self.semi_minor_95_m)
         major_m, minor_m = (
             np.where(told, axis, ELLIPSE_SIGMAS * sigma_m) for axis in (self.semi_major_95_m, self.semi_minor_95_m)
@@ -119,10 +122,10 @@ class CamLog(Columns):
 
 @dataclass(frozen=True)
 class ReferencePoint:
-    """Where in the vehicle frame (x forward, y left, from the box's centre) the sender's positions are.
+    """Point that a sender's positions refer to, in the vehicle frame (x forward, y left, from the box's centre).
 
-    ETSI EN 302 637-2 puts it on the ground under the centre of the vehicle's front side; ``x_m`` is then half the
-    vehicle's length, and None says so.
+    ETSI EN 302 637-2 puts it on the ground under the centre of the vehicle's front side: ``x_m`` is then half the
+    vehicle's length, which None stands for.
     """
 
     x_m: float | None = None
@@ -148,25 +151,26 @@ class VehicleTrack:
     epoch_ns : int
         Unix time of second zero: the recording's first stamp.
     xy : ndarray, shape (n, 2)
-        Under the centre of the vehicle's box, in the world.
+        Position of the centre of the vehicle's box, on the ground, in the world frame.
     yaw_rad : ndarray, shape (n,)
-        Of the vehicle's body, unwrapped.
+        Yaw of the vehicle's body, unwrapped.
     length_m, width_m : float
     reference : tuple of float
-        The point that the messages' positions are of, vehicle frame.
+        The point that the messages' positions refer to, vehicle frame.
     position_sigma_m : float
-        Of these positions, one standard deviation along each axis; NaN where no message tells. It is that of their
-        steps, too.
+        Standard deviation of these positions along each axis, including that of a step between them if there is one;
+        NaN where no message reports any.
     guessed_m : tuple of float
-        Standard deviations of length and width beyond those of told ones, where they had to be assumed.
+        Standard deviations of length and width where they had to be assumed, in addition to those of reported
+        dimensions.
     remarks : tuple of str
         What was assumed or left out.
     doubts : tuple of str
-        Why the messages may be wrong as a whole.
+        Objections: why the messages as a whole may be wrong.
     slope : Slope or None
-        Of the ground, where it is known; positions and yaws are then along the ground, not on the level map.
+        Slope of the ground, where it is known; positions and yaws are then along the ground, not on the level map.
     altitude_m : ndarray, shape (n,), or None
-        Of the messages, NaN where not told; None where none tells.
+        Altitudes of the messages, NaN where not reported; None where none is.
     """
 
     stamps_s: FloatArray
@@ -186,7 +190,7 @@ class VehicleTrack:
     def at(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolate the track.
 
-        Both follow a modified Akima spline, which does not overshoot where the motion changes abruptly.
+        Position and yaw follow a modified Akima spline, which does not overshoot where the motion changes abruptly.
 
         Returns
         -------
@@ -194,7 +198,7 @@ class VehicleTrack:
         yaw_rad : ndarray, shape (m,)
         known : ndarray of bool, shape (m,)
             False before the first message, after the last one, in gaps longer than `MAX_GAP_S`, and while the vehicle
-            folds in a bend; the pose is NaN there.
+            articulates in a bend; the pose is NaN there.
         """
         first, last = self.stretch(stamps_s)
         known = (first <= stamps_s) & (stamps_s <= last) & (first < last)
@@ -206,9 +210,9 @@ class VehicleTrack:
         return pose[:, :2], pose[:, 2], known
 
     def stretch(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return from when to when the track is known without a gap, around the last message before each time.
+        """Return the interval, around the last message before each time, within which the track is known without a gap.
 
-        Both of shape (m,); a time that is later than that is in a gap.
+        Its start and its end, both of shape (m,); a time that is later than the end lies in a gap.
         """
         before = np.searchsorted(self.stamps_s, stamps_s, side="right").clip(1) - 1
         first, last = self._stretches
@@ -216,7 +220,7 @@ class VehicleTrack:
 
     @cached_property
     def _stretches(self) -> tuple[FloatArray, FloatArray]:
-        """Of each message, the first and the last message between which the track is known throughout."""
+        """For each message, the first and last stamp of the interval around it within which the track has no gap."""
         broken = (np.diff(self.stamps_s) > MAX_GAP_S) | self.folded[:-1] | self.folded[1:]
         first = np.where(np.append(True, broken), self.stamps_s, -np.inf)
         last = np.where(np.append(broken, True), self.stamps_s, np.inf)
@@ -224,19 +228,19 @@ class VehicleTrack:
 
     @cached_property
     def folded(self) -> BoolArray:
-        """At which messages it folds in a bend, so that it is no rigid body, shape (n,)."""
+        """Whether the vehicle articulates in a bend at each message, so that it is no rigid body, shape (n,)."""
         if self.length_m <= longest_rigid(self.width_m):
             return np.zeros(len(self.stamps_s), dtype=bool)
         return folded(self.body, self.stamps_s, along_line(self.xy))
 
     @cached_property
     def body(self) -> BodyYaw:
-        """By how much the body is turned against the headings, for any lever."""
+        """Yaw of the body relative to the reported headings, for any lever."""
         return body_yaw(self.stamps_s, self.xy, self.yaw_rad)
 
     @cached_property
     def _ways(self) -> dict[float, PPoly]:
-        """The poses of each stretch that is known, by its begin: what is beyond a gap says nothing of its bends."""
+        """The path through each interval without a gap, by its start: messages beyond a gap do not affect its shape."""
         ways = {}
         for begin, end in zip(*(np.unique(ends) for ends in self._stretches), strict=True):
             part = (begin <= self.stamps_s) & (self.stamps_s <= end)
@@ -249,7 +253,7 @@ class VehicleTrack:
 
 
 def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> PPoly:
-    """Return the poses between two messages, at one speed, of a vehicle that turns evenly: a parabola."""
+    """Return the poses between two messages at constant speed and constant yaw rate: a parabola."""
     chord, turn, span_s = xy[1] - xy[0], float(wrap(yaw_rad[1] - yaw_rad[0])), stamps_s[1] - stamps_s[0]
     bend = turn / 2 * np.array([-chord[1], chord[0]])
     by_power = np.append(bend, 0.0) / span_s**2, np.append(chord - bend, turn) / span_s, np.append(xy[0], yaw_rad[0])
@@ -257,25 +261,25 @@ def _arc(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> PPoly:
 
 
 def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: ReferencePoint = FRONT) -> VehicleTrack:
-    """Turn one station's messages into the track of the centre of its vehicle on the map.
+    """Turn one station's messages into the track of the centre of its vehicle, in the world frame.
 
     Parameters
     ----------
     log : CamLog
-        Of one station.
+        Messages of one station.
     world : World
     epoch_ns : int
-        Second zero of the track's stamps.
+        Unix time of second zero of the track's stamps.
     reference : ReferencePoint
-        Where on the vehicle the positions are.
+        Point of the vehicle that the positions refer to.
 
     Raises
     ------
     CamError
-        If there are fewer than two messages with a position, or no two near one another in time, or fewer than half fit
-        one another, or headings are not what they should be.
+        If fewer than two messages have a position, or no two are close enough in time, or fewer than half are
+        consistent with one another, or headings have the wrong unit, axis or sign.
     TrackError
-        If the vehicle stands still.
+        If the vehicle is stationary, or so long that it articulates and no two consecutive messages find it straight.
     """
     log = log[world.holds(log.latitude_deg, log.longitude_deg)] if len(log) else log
     if len(log) < 2:
@@ -291,7 +295,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         remarks += (left_out,)
         if np.mean(~fits) > WRONG_SHARE:
             doubts = (*doubts, left_out)
-    # They may be of another place than was said: the front's, the middle, or the rear axle.
+    # The positions may refer to another point than was specified: the front, the middle, or the rear axle.
     elsewhere = ((x, y), *((share * float(length), 0.0) for share in (0.5, 0.0, REAR_AXLE_SHARE)))
     places = [arm for each in elsewhere for arm in levers(each, float(length))]
     whole = fits | _another_part(log, world, xy, fits, arms)
@@ -330,13 +334,13 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
 def _fitting(
     log: CamLog, world: World, xy: FloatArray, arms: Sequence[tuple[float, float]]
 ) -> tuple[BoolArray, tuple[str, ...]]:
-    """Tell which messages, whose positions are ``xy``, fit one another, and why all may be wrong.
+    """Return which messages, at positions ``xy``, are consistent with one another, and why all may be wrong.
 
     Raises
     ------
     CamError
-        If fewer than half do, or one, or headings are something else: then it is not some messages that are wrong, but
-        what all tell.
+        If fewer than half of them are, or only one is, or headings have the wrong unit, axis or sign: then not some
+        messages are wrong, but a quantity in all of them.
     """
     station = int(log.station_id[0])
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
@@ -375,7 +379,7 @@ def _fitting(
 
 
 def _rounding(log: CamLog, step_m: float) -> list[str]:
-    """Say that positions are rounded to more than half of what the vehicle moves between messages, if they are."""
+    """Return words if positions are rounded to more than half of the distance driven between messages."""
     places = np.concatenate([log.latitude_deg, log.longitude_deg])
     for decimals in range(COARSE_DECIMALS + 1):
         steps = places * 10.0**decimals
@@ -389,7 +393,7 @@ def _rounding(log: CamLog, step_m: float) -> list[str]:
 def _another_part(
     log: CamLog, world: World, xy: FloatArray, fits: BoolArray, arms: Sequence[tuple[float, float]]
 ) -> BoolArray:
-    """Tell which messages, of those that do not fit, fit one another; none, if they may be wrong each by itself."""
+    """Return which of the messages left out are consistent with one another; none if each may be wrong by itself."""
     found = np.zeros(len(fits), dtype=bool)
     left = np.flatnonzero(~fits)
     most = WRONG_SHARE * len(fits)
@@ -404,9 +408,10 @@ def _another_part(
 def _with_steps(
     log: CamLog, world: World, epoch_ns: int, xy: FloatArray, arms: Sequence[tuple[float, float]]
 ) -> tuple[float, tuple[str, ...]]:
-    """Return how exact positions are, of which those after a step are off against those before, and that it is there.
+    """Return the standard deviation of positions, including that of a step between them, and words on the step.
 
-    Which of them are right is not known: one that is taken from either is off by nothing or by the whole.
+    Which side of the step is right is not known: a position taken from either side is off by nothing or by the whole
+    step.
     """
     told_m = _position_sigma(log)
     stamps_s, yaw = (log.stamps_ns - epoch_ns) / 1e9, _body_yaw(log, world, xy)
@@ -423,7 +428,7 @@ def _with_steps(
 
 
 def _narrow(width_m: float, station: int) -> tuple[str, ...]:
-    """Say that a vehicle is no box."""
+    """Return an objection if a vehicle is too narrow to be modelled as a box."""
     if width_m >= NARROWEST_M:
         return ()
     words = (
@@ -434,12 +439,12 @@ def _narrow(width_m: float, station: int) -> tuple[str, ...]:
 
 
 def _check_folding(track: VehicleTrack, station: int) -> str:
-    """Say how many of a station's messages are of no use because its vehicle folds.
+    """Return words on how many of a station's messages cannot be used because its vehicle articulates.
 
     Raises
     ------
     TrackError
-        If no two messages in a row are left.
+        If no two consecutive messages are left.
     """
     folds, count = track.folded, f"{np.count_nonzero(track.folded)} of {len(track.folded)} messages"
     what = (
@@ -454,7 +459,7 @@ def _check_folding(track: VehicleTrack, station: int) -> str:
 def _position_sigma(log: CamLog) -> float:
     """Return the standard deviation of the positions along each axis, from their 95 % ellipses; NaN without one.
 
-    An axis that is not told is taken to be as long as the other.
+    An axis that is not reported is assumed to be as long as the other.
     """
     major, minor = log.semi_major_95_m, log.semi_minor_95_m
     area = np.where(np.isfinite(major), major, minor) * np.where(np.isfinite(minor), minor, major)
@@ -463,9 +468,9 @@ def _position_sigma(log: CamLog) -> float:
 
 
 def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
-    """Return the body's yaw, unwrapped: from the sent heading while the vehicle moves, interpolated while it stands.
+    """Return the body's yaw, unwrapped: the reported heading, interpolated while the vehicle is stationary.
 
-    Where no heading was sent at all, it is the way in which the positions move.
+    Where no message reports a heading, the direction in which the positions move is used.
     """
     yaw = world.yaw_from_heading(log.heading_deg, log.latitude_deg, log.longitude_deg)
     stamps_s = (log.stamps_ns - log.stamps_ns[0]) / 1e9
@@ -489,19 +494,19 @@ def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:
 
 
 def _may_turn(passed_s: FloatArray, speed_mps: FloatArray) -> BoolArray:
-    """Tell in which gaps, shape (n,), a vehicle may turn by a right angle unseen, given its mean speed at their ends.
+    """Return during which gaps, shape (n,), a vehicle may turn by a right angle, given its mean speed at their ends.
 
-    It may drive faster meanwhile, but has to speed up and slow down for that.
+    It may drive faster in the meantime, but has to accelerate and brake for that.
     """
     way_m = passed_s * (np.abs(speed_mps) + HURRIED_MPS2 * passed_s / 4)
     return (passed_s > MAX_GAP_S) & (way_m > TIGHTEST_M * np.pi / 2)
 
 
 def _without_reversing(yaw: FloatArray, speed_mps: FloatArray) -> FloatArray:
-    """Turn the directions of motion while reversing round, shape (n,), of messages between which it cannot turn unseen.
+    """Return the body's yaw from directions of motion, shape (n,), of messages between which it cannot turn round.
 
-    From one message to the next no body turns by more than a right angle, so a direction that does has been reversed;
-    and nobody drives faster backwards than forwards.
+    From one message to the next no body turns by more than a right angle, so a direction that does belongs to a vehicle
+    that reverses; and nobody drives faster backwards than forwards.
     """
     body = np.unwrap(yaw, period=np.pi)
     forwards = np.cos(yaw - body) > 0.0

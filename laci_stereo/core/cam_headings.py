@@ -1,4 +1,4 @@
-"""Headings that all messages of a log tell wrongly: in another unit, from another axis, or turned round."""
+"""Headings that are wrong in all messages of a log: in another unit, from another axis, or turned by 180 deg."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, FloatArray
 
 MOVING_MPS = 2.0
-"""Slower than that, what is wrong with positions turns the direction in which they move."""
+"""At lower speeds, errors of positions change the direction in which they move."""
 
 FEWEST = 5
-"""So few messages tell nothing of all."""
+"""With fewer messages nothing can be said about all of them."""
 
 WRONG_SHARE = 0.3
-"""So many messages may be wrong, each by itself."""
+"""Largest fraction of messages that may be wrong, each by itself."""
 
 SURELY_OFF_DEG = float(np.degrees(4.0 * DIRECTION_SIGMA_RAD))
-"""Four sigma: nothing that is told rightly is so far off in most messages."""
+"""Four standard deviations: correct headings are not off by as much in most messages."""
 
 REVERSING_MPS = 4.0
-"""Nobody reverses faster: it is the pace of a jogger, to whom one has to look back all the time."""
+"""Nobody reverses faster: it is a jogger's pace, and the driver has to look back all the time."""
 
 NEEDED = "needed are degrees clockwise from north"
 
@@ -36,27 +36,28 @@ READINGS: tuple[tuple[str, Reading], ...] = (
     ("the latitudes lack their sign", lambda told: 180.0 - told),
     ("headings are in degrees and were taken for tenths", lambda told: 10.0 * told),
 )
-"""What senders and loggers write instead, and what heading that is; angles between -180 and 180 deg."""
+"""What senders and loggers write instead of headings, with functions from that to the heading; angles lie between -180
+and 180 deg."""
 
 
 def check_reading(heading_deg: FloatArray, course_deg: FloatArray, speed_mps: FloatArray, station: int) -> None:
     """Check that headings are degrees clockwise from north.
 
-    They are not where another reading is near to the way in which the positions move, and what is told is not, neither
-    forwards nor backwards.
+    They are not if another interpretation is close to the direction in which the positions move, while the reported
+    headings are close neither to that direction nor to its opposite.
 
     Parameters
     ----------
     heading_deg : ndarray, shape (n,)
-        As told; NaN where not.
+        As reported; NaN where not.
     course_deg, speed_mps : ndarray, shape (n,)
-        Whither, clockwise from north, and how fast the positions move.
+        Direction, clockwise from north, and speed of the motion of the positions.
     station : int
 
     Raises
     ------
     CamError
-        It says what they likely are.
+        With the likely interpretations.
     """
     moves = np.isfinite(heading_deg) & (speed_mps >= MOVING_MPS)
     if np.count_nonzero(moves) < FEWEST:
@@ -76,18 +77,18 @@ def check_reading(heading_deg: FloatArray, course_deg: FloatArray, speed_mps: Fl
 
 
 def check_forwards(onwards_mps: FloatArray, station: int) -> str:
-    """Check that a vehicle does not reverse where nobody would, and say whether it does nothing but reverse.
+    """Check that a vehicle does not reverse faster than anybody would, and return words if it reverses all the time.
 
     Parameters
     ----------
     onwards_mps : ndarray, shape (n,)
-        How fast positions move where the heading points; negative where they move the opposite way.
+        Speed of the positions along the heading; negative where they move the opposite way.
     station : int
 
     Raises
     ------
     CamError
-        If most of what is faster than people reverse goes backwards.
+        If it reverses in most of the messages in which it is faster than people reverse.
     """
     turned = (
         "the headings are turned by 180 deg, or count counter-clockwise, or longitudes or latitudes lack their sign"
@@ -110,18 +111,18 @@ def check_forwards(onwards_mps: FloatArray, station: int) -> str:
 
 
 def check_filled(fits: BoolArray, fits_without: BoolArray, station: int) -> None:
-    """Check that headings that are all 0 are headings, and not what stands where nobody knew one.
+    """Check that headings that are all 0 are real, rather than a placeholder for unknown ones.
 
     Parameters
     ----------
     fits, fits_without : ndarray of bool, shape (n,)
-        Which messages fit one another with and without their headings.
+        Which messages are consistent with one another, with and without their headings.
     station : int
 
     Raises
     ------
     CamError
-        If without them more fit than by chance.
+        If more messages are consistent without headings than chance explains.
     """
     gained = np.count_nonzero(fits_without) - np.count_nonzero(fits)
     if gained > WRONG_SHARE / 2 * len(fits):
@@ -132,11 +133,11 @@ def check_filled(fits: BoolArray, fits_without: BoolArray, station: int) -> None
 
 
 def _half_turn(angle_deg: FloatArray) -> FloatArray:
-    """Return the same angles between -180 and 180 deg."""
+    """Return the same angles, wrapped to between -180 and 180 deg."""
     wrapped: FloatArray = (angle_deg + 180.0) % 360.0 - 180.0
     return wrapped
 
 
 def _most(off_deg: FloatArray) -> float:
-    """Return what those that are right, of so many that may be wrong, are off by at most."""
+    """Return the largest error among correct headings: the quantile that excludes the fraction that may be wrong."""
     return float(np.quantile(off_deg, 1.0 - WRONG_SHARE))

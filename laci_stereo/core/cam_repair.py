@@ -1,4 +1,8 @@
-"""What of a log is wrong: messages that do not fit the others, and dimensions that cannot be a body's."""
+"""Errors in a log: messages that are inconsistent with the others, and dimensions that cannot be those of a body.
+
+A message's *lever* is the vector to the point that its position refers to from the point that moves where its heading
+points: a rear axle, or the middle.
+"""
 
 from __future__ import annotations
 
@@ -11,80 +15,84 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, rotate_xy, wrap
 
 TOLD_SIGMA_M = 0.05
-"""Of a position against those before and after it, at the least, where messages tell how exact they are: receivers with
-corrections tell 1 to 3 cm, and switch between satellites now and then."""
+"""Least standard deviation of a position relative to those before and after it where messages report their accuracy:
+receivers with corrections report 1 to 3 cm, and switch between satellites now and then."""
 
 UNTOLD_SIGMA_M = 0.1
-"""The same where messages tell nothing: receivers without corrections smooth their positions to that."""
+"""The same where messages report no accuracy: receivers without corrections smooth their positions to that."""
 
 SPEED_SIGMA_MPS = 0.1
-"""Of a speed: ETSI's step is 1 cm/s, wheels and Doppler tell 5 to 10 cm/s."""
+"""Standard deviation of a speed: ETSI's resolution is 1 cm/s, wheel and Doppler speeds are accurate to 5 to 10 cm/s."""
 
 DIRECTION_SIGMA_RAD = 0.05
-"""Of the direction of motion against the heading that is told: receivers err by 0.5 deg, and the rear axle's place is
-guessed, which makes 3 deg in a tight bend."""
+"""Standard deviation of the direction of motion relative to the reported heading: receivers err by 0.5 deg, and the
+position of the rear axle is assumed, which makes 3 deg in a tight bend."""
 
 REAR_AXLE_SHARE = -0.3
-"""Where the rear axle is, from the middle, over the length: cars and buses alike."""
+"""Position of the rear axle relative to the vehicle's middle, over its length: the same for cars and buses."""
 
 LONG_M = 12.0
-"""What is longer is a bus, or a lorry with a trailer (Directive 96/53/EC)..."""
+"""Longer vehicles are buses, or lorries with a trailer (Directive 96/53/EC)..."""
 
 TOWING_AXLES_M = (5.0, 7.0, 8.5)
-"""...whose wheels that do not steer are so far behind its front: a tractor's of a semi-trailer (1.4 m of overhang and
-3.6 m to the axle), a lorry's, an articulated bus's in front of the joint."""
+"""...whose rear axle of the towing part is that far behind the front: a semi-trailer's tractor (1.4 m of overhang and
+3.6 m of wheelbase), a lorry, an articulated bus ahead of its joint."""
 
 PASSED_OVER = -math.log(0.1)
-"""What it costs to take a message for wrong: in a log that is worth anything nine of ten are right."""
+"""Cost (negative log-likelihood) of discarding a message as wrong: in any usable log nine of ten are right."""
 
 JUMPED = -math.log(0.002)
-"""What it costs to take a step for a jump: one in five hundred, which is one in a minute. It is 3.5 sigma, so that a
-tenth of a second at 10 m/s leaves 0.3 m where exactness is told, and 0.5 m where not."""
+"""Cost (negative log-likelihood) of explaining a step as a jump: one message in five hundred, which is one a minute. It
+corresponds to 3.5 sigma: 0.1 s at 10 m/s leaves 0.3 m where accuracy is reported, and 0.5 m where it is not."""
 
 NEIGHBOURS = 5
-"""Messages on either side whose median tells a speed that is not sent, in spite of some that are wrong."""
+"""Messages on either side over which the median speed is taken where none is reported; it is robust to some wrong
+ones."""
 
 WIDEST_M = 2.6
 """No vehicle may be wider without a permit (2.55 m, refrigerated ones 2.60 m: Directive 96/53/EC; 102 inches = 2.59 m:
-23 CFR 658.15), mirrors excepted. More is told by those who count the mirrors; their bodies are as wide as allowed."""
+23 CFR 658.15), mirrors excepted. Senders that report more include the mirrors; their bodies have the permitted
+width."""
 
 SLOWEST_M = 0.01
-"""Less than this between two messages is no motion: a position's last digit."""
+"""A shorter distance between two messages is no motion: it is the last digit of a position."""
 
 USUAL_WIDTH_M, USUAL_WIDTH_SIGMA_M = 1.80, 0.08
-"""Of passenger cars (the mean of those sold in Europe since 2018; 1.6 m is a small one, 2.0 m a large one)."""
+"""Width of passenger cars (mean of those sold in Europe since 2018; a small one has 1.6 m, a large one 2.0 m)."""
 
 WIDER_PER_M, WIDTH_SIGMA_M = 0.16, 0.07
-"""How much wider longer cars are, and how they differ then: from 1.63 m at 3.6 m to vans' 2.02 m at 5.9 m."""
+"""Increase of a car's width with its length, and the dispersion about it: from 1.63 m at 3.6 m to vans' 2.02 m at 5.9
+m."""
 
 MIRRORS_M, MIRRORS_SIGMA_M = 0.3, 0.1
-"""By how much both mirrors stand out: 0.15 to 0.28 m on cars, 0.33 to 0.46 m on vans."""
+"""Protrusion of both mirrors together: 0.15 to 0.28 m on cars, 0.33 to 0.46 m on vans."""
 
 OVER_MIRRORS = 0.2
-"""How likely a width is told over the mirrors: SAE J2735 counts all that the factory fits, as some papers do."""
+"""Prior probability that a reported width includes the mirrors: SAE J2735 counts everything that is fitted by the
+factory, as some vehicle papers do."""
 
 ROUNDED_M = 0.05
-"""Of a width that is told to 0.1 m, some by rounding upwards."""
+"""Standard deviation of a width that is reported to 0.1 m, by some senders rounded up."""
 
 USUAL_LENGTH_M, USUAL_LENGTH_SIGMA_M = 4.4, 0.4
-"""Of passenger cars: small ones are 3.6 m long, large ones 5.2 m."""
+"""Length of passenger cars: small ones are 3.6 m long, large ones 5.2 m."""
 
 LONGEST_CAR_M = 6.0
-"""What is longer and tells no width is a lorry or a bus."""
+"""A longer vehicle without a reported width is a lorry or a bus."""
 
 ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M = 2.55, 0.05
 
 
 def levers(told: tuple[float, float], length_m: float) -> list[tuple[float, float]]:
-    """Return the levers to the point whose position is told from those that may go where the heading points in a bend.
+    """Return the possible levers from the point that moves where the heading points to the reported point.
 
-    These are the rear axle, or that of what tows, or the middle, where a body's yaw is told, and the point itself where
-    its own direction is.
+    The former is the rear axle, or that of the towing part, or the middle, if the reported heading is the body's yaw;
+    the lever is zero if the heading is the reported point's own direction of motion.
 
     Parameters
     ----------
     told : tuple of float
-        Vehicle frame, from the middle.
+        Reported point, vehicle frame, from the middle.
     length_m : float
     """
     x, y = told
@@ -103,11 +111,11 @@ def fitting(
     sigma_m: float,
     longest_s: float,
 ) -> BoolArray:
-    """Tell which messages fit one another.
+    """Return which messages are consistent with one another.
 
-    One follows from another if its position is where both speeds and directions lead in the time between. Of all ways
-    to go through a log from message to message, passing over some and taking some steps for jumps, the likeliest is
-    taken; of what jumps divide, the part with most messages is kept.
+    One message follows from another if its position is where the speeds and directions of both lead in the time
+    between. Of all paths through a log from message to message, each of which discards some messages and explains some
+    steps as jumps, the likeliest is taken; of the parts that jumps divide it into, the one with most messages is kept.
 
     Parameters
     ----------
@@ -116,15 +124,15 @@ def fitting(
     xy : ndarray, shape (n, 2)
         Positions in the world, metres.
     yaw_rad : ndarray, shape (n,)
-        Directions that were told; NaN where none was. Whoever reverses may tell the opposite one.
+        Reported directions; NaN where none was. A vehicle that reverses may report the opposite one.
     speed_mps : ndarray, shape (n,)
-        NaN where none was told.
+        NaN where none was reported.
     levers : sequence of tuple of float
         See `levers`.
     sigma_m : float
-        What the messages tell of their positions; NaN where nothing.
+        Reported standard deviation of the positions; NaN if none is.
     longest_s : float
-        What is on both sides of a longer gap cannot be compared.
+        Messages on both sides of a longer gap are not compared.
     """
     speed = np.abs(np.where(np.isfinite(speed_mps), speed_mps, usual_speed(stamps_s, xy)))
     direction = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
@@ -136,11 +144,12 @@ def fitting(
     farthest_m = max(float(np.hypot(*lever)) for lever in levers)
 
     def strain(i: int, j: IntArray) -> FloatArray:
-        """Return how much less likely it is that i follows from each of j than in the best case."""
+        """Return the negative log-likelihood, relative to its best value, of i following from each of j."""
         passed, fast = stamps_s[i] - stamps_s[j], (speed[i] + speed[j]) / 2
         expected = (velocity[i] + velocity[j]) / 2 * passed[:, None]
         off = np.fmin.reduce(np.linalg.norm(points[:, i, None] - points[:, j] - expected, axis=2))
-        # Where the direction is the point's own but the speed the wheels', the point swings out faster than that.
+        # Where the direction is the reported point's own, but the speed the wheels', the point swings out faster than
+        # that.
         swing = farthest_m * np.abs(wrap(yaw_rad[i] - yaw_rad[j]))
         most = np.hypot(1.0, swing / np.maximum(fast * passed, SLOWEST_M))
         longer = dot_xy(xy[i] - xy[j], expected) / np.maximum(dot_xy(expected, expected), SLOWEST_M**2)
@@ -159,15 +168,16 @@ def fitting(
 
 
 def _likeliest(part: IntArray, starts: IntArray, strain: Callable[[int, IntArray], FloatArray]) -> IntArray:
-    """Return the longest piece without a jump of the likeliest way through a part of a log (dynamic programming).
+    """Return the longest piece without a jump of the likeliest path through a part of a log (dynamic programming).
 
     Parameters
     ----------
     part : ndarray, shape (n,)
         Consecutive indices of messages.
     starts : ndarray, shape (n,)
-        The first message that each can follow from.
+        Index of the first message that each can follow from.
     strain : callable
+        Negative log-likelihood of message i following from each of the messages j.
     """
     first = int(part[0])
     cost = PASSED_OVER * np.arange(len(part), dtype=np.float64)
@@ -191,26 +201,26 @@ def _likeliest(part: IntArray, starts: IntArray, strain: Callable[[int, IntArray
 
 
 def usual_speed(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return how fast positions move, shape (n,), by the medians over some messages before and after."""
+    """Return the speed of the positions, shape (n,), the median over some messages before and after each."""
     speed: FloatArray = np.nanmedian(np.linalg.norm(_rates(stamps_s, xy), axis=2), axis=1)
     return speed
 
 
 def usual_velocity(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return how positions move, shape (n, 2), by the medians over some messages before and after."""
+    """Return the velocity of the positions, shape (n, 2), the medians over some messages before and after each."""
     velocity: FloatArray = np.nanmedian(_rates(stamps_s, xy), axis=1)
     return velocity
 
 
 def onwards_mps(stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Return how fast positions move where the yaw points, shape (n,), negative backwards; 0 where it is not told."""
+    """Return the speed of the positions along the yaw, shape (n,), negative backwards; 0 where no yaw is reported."""
     direction = np.nan_to_num(np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)]))
     onwards: FloatArray = np.nanmedian(np.einsum("nkj,nj->nk", _rates(stamps_s, xy), direction), axis=1)
     return onwards
 
 
 def _rates(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return the velocity from each of n > 1 messages to its neighbours, shape (n, neighbours, 2); NaN beyond ends."""
+    """Return the velocity from each of n > 1 messages to its neighbours, shape (n, neighbours, 2); NaN past ends."""
     around = np.concatenate([np.arange(-NEIGHBOURS, 0), np.arange(1, NEIGHBOURS + 1)])
     other = np.arange(len(xy))[:, None] + around
     beyond = (other < 0) | (other >= len(xy))
@@ -221,24 +231,24 @@ def _rates(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
-    """Return a vehicle's length and width, what they may be off by beyond what is usual, and remarks.
+    """Return a vehicle's length and width, their uncertainty in addition to the usual one, and remarks.
 
     Parameters
     ----------
     length_m, width_m : ndarray, shape (n,)
-        As told; NaN where not.
+        As reported; NaN where not.
 
     Returns
     -------
     size, sigma : ndarray, shape (2,)
-        Metres.
+        Dimensions and their additional standard deviations, metres.
     remarks : tuple of str
         What had to be assumed.
 
     Raises
     ------
     CamError
-        If it is wider than long, or as wide as a lorry and of unknown length.
+        If the vehicle is wider than long, or as wide as a lorry and of unknown length.
     """
     length, width = _told(length_m), _told(width_m)
     if width > length:
@@ -278,10 +288,10 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
 
 
 def _without_mirrors(length_m: float, told_m: float) -> tuple[float, float]:
-    """Return the likelier of a car's width as told and its width if that is over the mirrors, and what it may be off.
+    """Return a car's likelier width, with or without the mirrors subtracted, and its additional standard deviation.
 
-    By Bayes' rule between the two, from how wide cars of this length are; the other one counts in the variance. What is
-    told is not over the mirrors where the body would be even wider.
+    Bayes' rule decides between the two, with the widths of cars of this length as the prior; the less likely one counts
+    in the variance. A reported width does not include the mirrors where the body's would come out even larger.
     """
     usual_m = USUAL_WIDTH_M + WIDER_PER_M * (length_m - USUAL_LENGTH_M)
     sigmas = np.hypot(WIDTH_SIGMA_M, (ROUNDED_M, math.hypot(ROUNDED_M, MIRRORS_SIGMA_M)))

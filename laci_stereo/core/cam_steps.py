@@ -1,4 +1,4 @@
-"""Where a receiver's positions jump aside, by less than one message may be off by itself, so that all after it are."""
+"""Lateral steps in a receiver's positions: smaller than the error of a single message, but shared by all after it."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from laci_stereo.core.receiver import FINEST_M
 from laci_stereo.core.robust import NORMAL
 
 BESIDE = 5
-"""Messages on either side that tell a step: it has the noise of one message, 1.3 times."""
+"""Messages on either side from which a step is estimated: it has 1.3 times the noise of one message."""
 
 LONGEST_S = 1.5
-"""These must be together within so long, as those are that come every 0.15 s: of seldom ones bends look like steps."""
+"""The messages around a step must span no more, as those that come every 0.15 s do: at lower rates bends look like
+steps."""
 
 SURELY = 6.0
-"""A step is beyond so many standard deviations, on two axes: of 60 million places without one is one."""
+"""A step must exceed this many standard deviations, on two axes: one of 60 million places without a step does."""
 
 NEAR = 4
-"""Of the noise tell all places, and those near by, up to so many times as many messages away as tell a step, and none
-of them: where it drives fast, inexact headings and stamps make more."""
+"""The noise is estimated from all places, and from those near by: up to `NEAR` times as many messages away as a step is
+estimated from, excluding the messages around the step itself. Where the vehicle drives fast, inexact headings and
+stamps increase the noise."""
 
 BEYOND_TOLD = 4.0
-"""A step must be beyond so many standard deviations of what messages tell of their positions, too."""
+"""A step must also exceed this many of the standard deviations that messages report for their positions."""
 
 
 def largest_step(
@@ -35,11 +37,12 @@ def largest_step(
     levers: Sequence[tuple[float, float]],
     sigma_m: float,
 ) -> tuple[float, float]:
-    """Return by how far positions jump aside at most, metres, and when; 0 where they do not.
+    """Return the size, metres, and the time of the largest lateral step of the positions; zeros where there is none.
 
-    Speeds and headings lead on from one to the next. Beside a parabola, which is what wrong headings and speeds make of
-    a way, the positions of some messages before and after each place have a step, or none; not if it goes with one of
-    these messages. Of all points that may go where the heading points, the one counts that has the least.
+    Speeds and headings lead from one position to the next. The positions of some messages before and after each place
+    are fitted by a parabola, which is how errors of headings and speeds distort a path, and by a step, or by none; a
+    step does not count if it disappears with one of these messages. Of all points that may move where the heading
+    points, the one with the smallest step counts.
 
     Parameters
     ----------
@@ -48,13 +51,13 @@ def largest_step(
     xy : ndarray, shape (n, 2)
         Positions in the world, metres.
     yaw_rad : ndarray, shape (n,)
-        Of the body.
+        Yaw of the body.
     onwards_mps : ndarray, shape (n,)
-        Speeds as told, negative backwards.
+        Reported speeds, negative backwards.
     levers : sequence of tuple of float
         See `laci_stereo.core.cam_repair.levers`.
     sigma_m : float
-        What the messages tell of their positions; NaN where nothing.
+        Standard deviation that messages report for their positions; NaN if none does.
     """
     if len(stamps_s) < 2 * BESIDE:
         return 0.0, 0.0
@@ -72,8 +75,8 @@ def largest_step(
     size_m = np.linalg.norm(by_lever, axis=2)
     lever = size_m.argmin(axis=0)
     steps = by_lever[lever, np.arange(len(place))]
-    # Inexact headings move a point by its lever, which bends tell: straight on, a point without one has less noise.
-    # Smoothed headings are more exact, but where a bend begins.
+    # Inexact headings displace a point in proportion to its lever, which only bends determine: on a straight road, a
+    # point without a lever has less noise. Smoothed headings are more exact, except where a bend begins.
     noise = np.maximum(_noise(steps, place), _noise(by_lever[size_m.mean(axis=1).argmin()], place))
     steps_m, sigmas = (np.linalg.norm(each_way, axis=1) for each_way in (steps, steps / noise))
     surely = (sigmas > SURELY) & (steps_m > BEYOND_TOLD * float(np.nan_to_num(sigma_m)))
@@ -86,7 +89,7 @@ def largest_step(
 
 
 def _steps(stamps_s: FloatArray, off: FloatArray, around: IntArray, place: IntArray) -> FloatArray:
-    """Return the steps before the messages ``place``, shape (m, 2), by the messages ``around``, shape (m, q)."""
+    """Return the steps just before the messages ``place``, shape (m, 2), from the messages ``around``, shape (m, q)."""
     at_s = stamps_s[around] - stamps_s[place][:, None]
     later = np.asarray(around >= place[:, None], dtype=np.float64)
     by_step = np.linalg.pinv(np.stack([np.ones_like(at_s), at_s, at_s**2, later], axis=2))[:, 3]
@@ -95,7 +98,7 @@ def _steps(stamps_s: FloatArray, off: FloatArray, around: IntArray, place: IntAr
 
 
 def _smoothed(stamps_s: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Return yaws by parabolas through each message and the two before and after (Savitzky and Golay 1964)."""
+    """Return yaws smoothed by parabolas through five messages around each (Savitzky and Golay 1964)."""
     smooth: FloatArray = yaw_rad.copy()
     five = np.arange(-2, 3) + np.arange(2, len(yaw_rad) - 2)[:, None]
     five = five[np.ptp(stamps_s[five], axis=1) <= LONGEST_S / 2.0]
@@ -106,7 +109,7 @@ def _smoothed(stamps_s: FloatArray, yaw_rad: FloatArray) -> FloatArray:
 
 
 def _noise(steps: FloatArray, place: IntArray) -> FloatArray:
-    """Return the standard deviation of steps on both axes, shape (m, 2), where there are none."""
+    """Return the standard deviation of estimated steps on both axes, shape (m, 2), where there is no step."""
     noise = np.tile(np.maximum(FINEST_M, NORMAL * np.median(np.abs(steps), axis=0)), (len(steps), 1))
     ends = (-NEAR * BESIDE, -BESIDE, BESIDE + 1, NEAR * BESIDE + 1)
     for i, (first, own, after, last) in enumerate(np.searchsorted(place, place[:, None] + np.array(ends)).tolist()):

@@ -1,4 +1,4 @@
-"""What an association says: which track is which sender's, and what else was weighed for that."""
+"""The result of an association: which track belongs to which sender, and which alternatives were considered."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from laci_stereo.core.tracking import Times, Track
 
 @dataclass(frozen=True)
 class Other:
-    """Another sender that is as clearly seen.
+    """Another sender that is seen as clearly as the first.
 
     Attributes
     ----------
     station : int
     track : Track
     late_s : float
-        By how much later than the first sender's its clock must be for that: boxes are some decimetres off, which a
-        vehicle drives in less than a tenth of a second; or it is wrong.
+        How much later its clock must be than the first sender's. Box errors are some decimetres, which a vehicle covers
+        in less than 0.1 s; with a larger offset, the clock is wrong.
     alone : bool
-        Its own motion shows it, where the first sender's has it elsewhere.
+        Whether only its own motion shows it, while the first sender's motion places it elsewhere.
     """
 
     station: int
@@ -33,33 +33,33 @@ class Other:
 
 @dataclass(frozen=True)
 class Choice:
-    """The track that is the sender's.
+    """The track that belongs to the sender.
 
     Attributes
     ----------
     station : int
     track : Track
-        Its fragments joined.
+        All fragments joined.
     explained : float
-        Of how many frames the fit accounts for, each counted by how well.
+        Number of frames that the fit accounts for, each weighted by how well.
     second : float
-        The same of the best other candidate.
+        The same for the second-best candidate.
     fit : PlanarMatch
-        The motion from the level into the world frame that brings the track onto the sender's.
+        Motion from the level into the world frame that maps the track onto the sender's.
     time_offset_s : float
-        To be added to the sensor's stamps to get the CAMs' time.
+        Offset that, added to the sensor's stamps, gives the CAMs' time.
     log_likelihood : float
-        Of this hypothesis, against everything being where it is by chance.
+        Log-likelihood ratio of this hypothesis against everything being where it is by chance.
     log_likelihood_margin : float
-        Log odds against the second-best hypothesis that says something else; infinite if there is none.
+        Log odds against the second-best hypothesis that contradicts this one; infinite if there is none.
     second_is : str
-        What that is, in words.
+        Description of that hypothesis.
     doubt : str
-        Why the track may yet be a stranger's; empty where that is out of the question.
+        Objection: why the track may be a stranger's; empty where that is out of the question.
     beside : int
-        In how many frames something else moves as one with it; see `companion`.
+        Number of frames in which another object moves as one with it; see `companion`.
     clocks : str
-        By how much clocks would be apart that explain clearly more; empty where none do.
+        Words on a clock offset that explains clearly more; empty where none does.
     others : tuple of Other
         Other senders that are clearly seen as well.
     """
@@ -81,18 +81,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class Resemblance:
-    """Log odds that what was seen is a sender's vehicle, against a stranger that moves much like it.
+    """Log odds that an object seen is a sender's vehicle, against a stranger that moves much like it.
 
     Attributes
     ----------
     body : float
-        By its length.
+        Contribution of its length.
     way : float or None
-        By how exactly its outline follows the sender's way; None where no outline was seen.
+        Contribution of how exactly its outline follows the sender's path; None where no outline was seen.
     strayed_s : tuple of (float, float)
-        Times from which to which something else was seen with it or instead of it.
+        Intervals, from a first to a last time, in which something else was seen with it or instead of it.
     fit : PlanarMatch or None
-        The motion into the world by the outline, which is more exact than by boxes.
+        Motion into the world according to the outline, which is more exact than that by boxes.
     """
 
     body: float = 0.0
@@ -102,9 +102,9 @@ class Resemblance:
 
 
 Likeness = Callable[[Track, VehicleTrack, PlanarMatch, float], Resemblance]
-"""Whether a track is a sender's vehicle, given the motion into the world and the clock offset."""
+"""Compares a track with a sender's vehicle, given the motion into the world and the clock offset."""
 
 
 def no_likeness(_track: Track, _vehicle: VehicleTrack, _fit: PlanarMatch, _time_offset_s: float) -> Resemblance:
-    """Know nothing of outlines."""
+    """Return a neutral resemblance, without looking at outlines."""
     return Resemblance()

@@ -1,7 +1,7 @@
-"""What is longer than any rigid body folds in bends: a lorry or a car with its trailer, or an articulated bus.
+"""Articulated vehicles, which are longer than any rigid one: a lorry or car with a trailer, or an articulated bus.
 
-How far what is behind the joint is off then depends on hitches and drawbars that no message tells. By about how much it
-folds follows from the way, and so does when it is straight again.
+How far the part behind the joint deviates depends on hitches and drawbars that no message reports. The approximate
+articulation angle follows from the path, and so does the time at which the vehicle is straight again.
 """
 
 from __future__ import annotations
@@ -15,38 +15,41 @@ from laci_stereo.core.outline import HEAVY_WIDTH_M
 from laci_stereo.core.tractrix import BodyYaw
 
 LONGEST_RIGID_M = 15.0
-"""Lorries without a trailer end at 12 m, buses that do not fold at 15 m (Directive 96/53/EC, annex I)."""
+"""Longest rigid vehicle: lorries without a trailer are up to 12 m long, rigid buses up to 15 m (Directive 96/53/EC,
+annex I)."""
 
 LONGEST_VAN_M = 7.5
-"""What is no lorry or bus is a car or a van, the longest of which are 7.4 m long."""
+"""Longest rigid vehicle that is no lorry or bus: the longest vans are 7.4 m long."""
 
 TOWED_M = 8.0
-"""A semi-trailer's axles are 7.5 to 8.2 m behind its kingpin; with shorter drawbars it folds less."""
+"""Assumed distance of a trailer's axles behind its hitch: a semi-trailer's are 7.5 to 8.2 m behind its kingpin; with
+shorter drawbars the articulation is less."""
 
 STRAIGHT_RAD = 0.02
-"""What folds by less is off by 0.25 m at its end, as much as a length or a position may be; headings err by less."""
+"""Largest articulation angle of a vehicle that counts as straight: its end deviates by 0.25 m, as much as a length or a
+position may be off; headings err by less."""
 
 WEAVE_M = 4.0 * TOWED_M
-"""Between folds to either side that are nearer to one another it is never straight: what is left of a fold after so far
-is a fiftieth, and what is seen between them is on its way from one to the other."""
+"""A vehicle is not straight between articulations to opposite sides that are closer together than this: over this
+distance an articulation decays to a fiftieth, and any state in between is a passage from one side to the other."""
 
 
 def longest_rigid(width_m: float) -> float:
-    """Return how long a rigid vehicle of some width may be, metres."""
+    """Return the length of the longest rigid vehicle of some width, metres."""
     return LONGEST_VAN_M if width_m < HEAVY_WIDTH_M else LONGEST_RIGID_M
 
 
 def folded(body: BodyYaw, stamps_s: FloatArray, along_m: FloatArray) -> BoolArray:
-    """Tell when a vehicle that is too long to be rigid is no longer straight, shape (n,).
+    """Return when a vehicle that is too long to be rigid is not straight, shape (n,).
 
-    A trailer's wheels follow its hitch as a body's rear axle follows its front: by a tractrix. One that weaves follows
-    late, which would pass for an error of the clocks.
+    A trailer's wheels follow its hitch as a body's rear axle follows its front: along a tractrix. A trailer that weaves
+    follows with a delay, which would be mistaken for a clock offset.
 
     Parameters
     ----------
     body : BodyYaw
     stamps_s, along_m : ndarray, shape (n,)
-        Of the messages, and how far the vehicle has come by then.
+        Stamps of the messages, and the distance that the vehicle has driven by then.
     """
     angle = body.at(stamps_s, TOWED_M)[0]
     found: BoolArray = np.abs(angle) > STRAIGHT_RAD

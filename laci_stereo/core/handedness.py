@@ -1,4 +1,4 @@
-"""Whether a sensor's frame is right-handed: in a mirrored one a vehicle that turns left is seen to turn right."""
+"""Whether a sensor's frame is right-handed: in a mirrored one, a vehicle that turns left appears to turn right."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from laci_stereo.core.choice import Choice
 from laci_stereo.core.reframing import mirrored_track
 
 MOST_ODDS = 1e6
-"""Beyond this nobody reads odds any more."""
+"""Larger odds are reported as these: nobody distinguishes them any more."""
 
 
 def mirrored(case: Case, choice: Choice | None) -> Alternative | None:
-    """Say that what moves fits the messages clearly better with left and right exchanged; None where it does not.
+    """Return the alternative of left and right exchanged if it fits the messages clearly better; else None.
 
-    One vehicle on a straight road fits both ways equally well. Boxes are asked first, for outlines take time. What a
-    matcher saw is never mirrored: images that are would not match.
+    A single vehicle on a straight road fits equally well either way. Boxes are compared first, as outlines take time.
+    The points of a stereo matcher are never mirrored: mirrored images would not match.
 
     Parameters
     ----------

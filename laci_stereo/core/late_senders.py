@@ -1,4 +1,4 @@
-"""Other senders that are seen where they would be if only their clocks were set otherwise."""
+"""Other senders whose vehicles are seen where they would be if only the senders' clocks were set differently."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from laci_stereo.core.track_motion import Motion
 from laci_stereo.core.track_scene import TABLE_S, Scene, Sender
 
 LATEST_S = 3.0 * UNKNOWN_CLOCK_S
-"""What a clock is off that nobody has set, by three of its standard deviations. Whoever takes longer for its own length
-hardly moves."""
+"""Largest offset of a clock that nobody has set: three of its standard deviations. A vehicle that takes longer to drive
+its own length hardly moves."""
 
 
 def by_another_clock(scene: Scene, motion: Motion, sender: Sender, claimed: Set[int]) -> tuple[Account, float] | None:
-    """Return what speaks for a sender being seen elsewhere on its way than it says, and how much later it says it.
+    """Return the evidence that a sender is seen elsewhere on its path than it reports, and its clock offset.
 
-    A clock that is off moves a vehicle on its way. It is looked for no farther from where its messages have it than it
-    is long: nothing else can be there.
+    A wrong clock displaces a vehicle along its path. The search extends no farther from the reported position than the
+    vehicle's length: no other object can be there.
 
     Parameters
     ----------
     scene : Scene
     motion : Motion
-        Into the world, as another sender tells it.
+        Motion into the world, as determined by another sender.
     sender : Sender
-        That is not seen where it says.
+        A sender that is not seen where it reports.
     claimed : set of int
-        Tracks that are others' vehicles.
+        Tracks that are other senders' vehicles.
 
     Returns
     -------
     tuple of Account and float, or None
-        Seconds; None where nothing is seen.
+        How much later, in seconds, the sender's clock is than the motion's; None where nothing is seen.
     """
     late_s = _possible_s(scene, sender, motion)
     held = [hold_against(scene, sender, replace(motion, offset_s=motion.offset_s + each)) for each in late_s]
@@ -46,14 +46,14 @@ def by_another_clock(scene: Scene, motion: Motion, sender: Sender, claimed: Set[
     if not apart:
         return None
     best = max(apart, key=lambda i: held[i].value)
-    # Of so many times the best one was taken.
+    # Look-elsewhere penalty: the best of several times was taken.
     return replace(held[best], value=held[best].value - math.log(len(held))), float(late_s[best])
 
 
 def _possible_s(scene: Scene, sender: Sender, motion: Motion) -> FloatArray:
-    """Return by how much a sender's clock may be off, shape (k,), in steps in which positions are not told apart.
+    """Return the offsets of a sender's clock to try, shape (k,), in steps within which positions are indistinguishable.
 
-    Empty where it does not drive in view.
+    Empty where the vehicle does not drive in view.
     """
     stamps_s = np.arange(scene.knots.stamp_s.min(), scene.knots.stamp_s.max(), TABLE_S)
     poses = sender.at(stamps_s + motion.offset_s)

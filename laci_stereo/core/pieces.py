@@ -1,4 +1,4 @@
-"""Vehicles that are seen in pieces: where little of a body sends light back, its cluster falls apart."""
+"""Vehicles that are seen in pieces: where little of a body sends light back, its cluster splits."""
 
 from __future__ import annotations
 
@@ -20,46 +20,49 @@ from laci_stereo.core.track_likelihood import SIZE_SIGMA_M
 from laci_stereo.core.tracking import Track
 
 LEAST_FRAMES = 5
-"""Two pieces are seen together in so many frames at least, and in half of those of the one that is seen less."""
+"""Least number of frames in which two pieces must be seen together; they must also be so in half of the frames in which
+the piece seen less often is."""
 
 LARGEST_GAP_M = 2.0
-"""Between pieces, in half of the frames: where one hides the other it looks wider. Queues stand as close, but nobody
-drives so close behind another by more than a vehicle's length."""
+"""Largest gap between pieces, not exceeded in half of the frames: where one hides the other the gap looks wider.
+Vehicles in a queue are as close, but nobody follows another as closely over more than a vehicle's length."""
 
 MOSTLY = 0.9
-"""What a quantile of the frames says: in the others much is hidden, or noise makes things look longer."""
+"""Quantile of the frames that is representative: in the others much is hidden, or noise makes things look longer."""
 
 MORE_OFTEN = 0.5
-"""In more than this share of the frames in which it is straight both together are no larger than the vehicle."""
+"""Both pieces together must be no larger than the vehicle in more than this fraction of the frames in which it is
+straight."""
 
 SIDE_SEEN_RAD = 0.35
-"""Where rays meet a side at this angle or a steeper one, its far end is seen as well: at 20 deg its points are three
-times as far apart along it as across the view."""
+"""Where rays meet a side at this angle or a steeper one, its far end is visible as well: at 20 deg the spacing of its
+points along the side is three times that across the view."""
 
 LEAST_UNSEEN_M = 1.0
-"""A bonnet that lies below a sparse scanner's layers, or mirrors what a camera looks for, is up to a metre long."""
+"""Length of a vehicle's end that may remain unseen without an objection: a bonnet that lies below a sparse scanner's
+layers, or has only specular reflections where a camera needs texture, is up to a metre long."""
 
 _DIRECTIONS = np.pi / 18 * np.arange(18)
 _ACROSS = np.array([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
 
 
 def whole(tracks: Sequence[Track], vehicles: Collection[VehicleTrack], settings: Settings) -> list[Track]:
-    """Join tracks that are seen at once and can only be one vehicle.
+    """Join tracks that are seen at the same time and can only be one vehicle.
 
-    They are if they stay close together while they move by more than their common length, and if that is no longer
-    than some sender's vehicle.
+    They are one if they stay close together while they move by more than their common length, and if that length is no
+    more than the length of some sender's vehicle.
 
     Parameters
     ----------
     tracks : sequence of Track
-        Those of boxes that a detector gave stay as they are.
+        Tracks of boxes that a detector gave stay as they are.
     vehicles : collection of VehicleTrack
     settings : Settings
 
     Returns
     -------
     list of Track
-        The one with most sightings first.
+        In descending order of the number of sightings.
     """
     joined = list(tracks)
     place = list(range(len(tracks)))
@@ -77,16 +80,16 @@ def whole(tracks: Sequence[Track], vehicles: Collection[VehicleTrack], settings:
 
 @dataclass(frozen=True)
 class Companion:
-    """What moves as one with a vehicle, in line.
+    """An object that moves as one with a vehicle, in line with it.
 
     Attributes
     ----------
     frames : int
-        In which both are seen; 0 if nothing does.
+        Number of frames in which both are seen; 0 if there is no such object.
     ahead_m : float
-        How far its middle is ahead of the vehicle's, the median; negative behind it.
+        Median distance of its middle ahead of the vehicle's; negative behind it.
     track : Track
-        Of the other thing; empty if there is none.
+        Track of the object; empty if there is none.
     """
 
     frames: int = 0
@@ -95,17 +98,17 @@ class Companion:
 
 
 def companion(track: Track, tracks: Sequence[Track], yaw_at: Callable[[FloatArray], FloatArray]) -> Companion:
-    """Return what moves as one with a vehicle, in line, in most frames.
+    """Return the object that moves as one with a vehicle, in line with it, in most frames.
 
-    What is too thin for a box, such as matches that bleed from the vehicle, does not count.
+    Objects that are too thin for a box, such as stereo matches that bleed from the vehicle, do not count.
 
     Parameters
     ----------
     track : Track
-        Of the vehicle.
+        Track of the vehicle.
     tracks : sequence of Track
     yaw_at : callable
-        The yaw of the vehicle's body at some of the track's stamps, level frame.
+        Returns the yaw of the vehicle's body at some of the track's stamps, level frame; NaN where it is not known.
     """
     vehicle, found = Track(track.usable), Companion()
     for one in (one for one in tracks if not track.shares(one)):
@@ -129,12 +132,12 @@ def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple
     match : PlanarMatch
         From the level into the world frame.
     time_offset_s : float
-        Of the drive.
+        Clock offset of the drive.
 
     Returns
     -------
     rear_m, front_m : float
-        What all but a tenth of the frames lack of it; 0 if its side was seen in less than `LEAST_FRAMES`.
+        Length that is missing in all but a tenth of the frames; 0 if the side is seen in fewer than `LEAST_FRAMES`.
     """
     ends = _ends_m(drive, match, time_offset_s)
     if len(ends) < LEAST_FRAMES:
@@ -144,7 +147,7 @@ def unseen_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> tuple
 
 
 def seen_share(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> float:
-    """Return what share of a vehicle's length is seen at a time, while its side is: the median; 1 if it never is.
+    """Return the median fraction of a vehicle's length that is seen at a time while its side is; 1 if it never is.
 
     Parameters are those of `unseen_m`.
     """
@@ -153,7 +156,7 @@ def seen_share(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> flo
 
 
 def _ends_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> FloatArray:
-    """Return from where to where along the vehicle something is seen in the frames in which its side is, (n, 2)."""
+    """Return the first and last position along the vehicle in each frame that shows its side, shape (n, 2), metres."""
     vehicle = drive.vehicle
     half = np.array([vehicle.length_m, vehicle.width_m]) / 2
     xy, yaw, known = vehicle.at(drive.stamps_s + time_offset_s)
@@ -166,7 +169,7 @@ def _ends_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> FloatA
 
 
 def _often_close(tracks: Sequence[Track], length_m: float) -> list[tuple[int, int]]:
-    """Return the pairs of tracks whose middles are no farther apart than that, those most often so first."""
+    """Return the pairs of tracks whose middles are at most ``length_m`` apart in enough frames, most frequent first."""
     frames: dict[float, list[tuple[int, FloatArray]]] = {}
     for index, track in enumerate(tracks):
         for one in track.sightings:
@@ -186,7 +189,7 @@ def _root(place: Sequence[int], index: int) -> int:
 
 
 Pairs = Sequence[tuple[Sighting, Sighting]]
-"""What is seen of two tracks in the same frames."""
+"""Sightings of two tracks in the same frames."""
 
 
 def _at_once(first: Track, second: Track) -> Pairs:
@@ -195,7 +198,7 @@ def _at_once(first: Track, second: Track) -> Pairs:
 
 
 def _move_as_one(pairs: Pairs, first: Track, second: Track) -> bool:
-    """Tell whether two tracks stay close together while they move by more than their common length."""
+    """Return whether two tracks stay close together while they move by more than their common length."""
     if len(pairs) < max(LEAST_FRAMES, min(len(first.sightings), len(second.sightings)) / 2):
         return False
     if min(_moved_m(each) for each in zip(*pairs, strict=True)) < np.quantile(_extents_m(pairs).max(axis=1), MOSTLY):
@@ -205,19 +208,19 @@ def _move_as_one(pairs: Pairs, first: Track, second: Track) -> bool:
 
 
 def _moved_m(piece: Sequence[Sighting]) -> float:
-    """Return the farthest way of any border of a piece, in any direction.
+    """Return the largest distance that any edge of a piece moves, in any direction.
 
-    What comes into view bit by bit has a middle that lags behind; what stands has borders that move by no more than its
-    length.
+    The middle of an object that comes into view bit by bit lags behind; the edges of a stationary object move by no
+    more than its length.
     """
     along = [one.points[:, :2] @ _ACROSS for one in piece]
     return float(np.ptp([(at.min(axis=0), at.max(axis=0)) for at in along], axis=0).max())
 
 
 def _fit_one(pairs: Pairs, vehicles: Iterable[VehicleTrack]) -> bool:
-    """Tell whether both together are no larger than one of some vehicles, whose mirrors stand out.
+    """Return whether both together are no larger than one of some vehicles, with an allowance for its mirrors.
 
-    What folds in bends is wider there; it is looked at where it is straight.
+    An articulated vehicle is wider in bends; it is judged only where it is straight.
     """
     extents_m = _extents_m(pairs)
     across_m, along_m = extents_m.min(axis=1), extents_m.max(axis=1)
@@ -233,19 +236,19 @@ def _fit_one(pairs: Pairs, vehicles: Iterable[VehicleTrack]) -> bool:
 
 
 def _straight(vehicle: VehicleTrack, stamps_s: FloatArray) -> BoolArray:
-    """Tell when a vehicle does not fold, as its nearest message says."""
+    """Return at which times a vehicle is straight, not articulated, according to its nearest message."""
     nearest = np.searchsorted((vehicle.stamps_s[1:] + vehicle.stamps_s[:-1]) / 2, stamps_s)
     straight: BoolArray = ~vehicle.folded[nearest]
     return straight
 
 
 def _over_m(pairs: Pairs) -> FloatArray:
-    """Return by how much both together may look larger than they are, shape (n,): by clusters' reach, and noise."""
+    """Return how much larger both together may look than they are, shape (n,): by the clusters' reach, and by noise."""
     return SIZE_SIGMA_M + 5 * np.array([max(a.sigma_m, b.sigma_m) for a, b in pairs])
 
 
 def _extents_m(pairs: Pairs) -> FloatArray:
-    """Return how far both together extend in each of 18 directions, shape (n, 18)."""
+    """Return the extent of both together in each of 18 directions, shape (n, 18), metres."""
     return np.array([np.ptp(np.vstack([a.points, b.points])[:, :2] @ _ACROSS, axis=0) for a, b in pairs])
 
 

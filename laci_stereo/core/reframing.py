@@ -1,4 +1,4 @@
-"""What was seen in the level frame of one ground, laid into that of another, and what was told on the map."""
+"""Sightings moved from the level frame of one ground to that of another, or distorted, and reports on the map."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from laci_stereo.core.tracking import Track
 
 
 def transformed_xy(T_a_b: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return places on the ground of b, shape (n, 2), on the ground plan of a."""
+    """Map points on the ground of b, shape (n, 2), to the ground plan of a."""
     return transform(T_a_b, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
 
 def transformed_track(T_a_b: FloatArray, track: Track) -> Track:
-    """Return a track in the level frame of a."""
+    """Map a track from the level frame of b to that of a."""
     return Track(
         tuple(
             replace(
@@ -56,7 +56,7 @@ def mirrored_track(track: Track) -> Track:
 
 
 def stretched_track(track: Track, ahead: float, aside: float) -> Track:
-    """Return a track that is so many times as deep along the sensor's axis, and as large across it and upwards."""
+    """Return a track scaled by ``ahead`` along the sensor's axis, and by ``aside`` across it and vertically."""
     over = np.array([ahead, aside, aside])
     return Track(
         tuple(
@@ -75,9 +75,9 @@ def stretched_track(track: Track, ahead: float, aside: float) -> Track:
 
 
 def nearer_track(track: Track, per_m: float) -> Track:
-    """Return a track whose inverse distances from the sensor on the ground plan are larger by so much.
+    """Return a track whose inverse distances from the sensor, on the ground plan, are larger by ``per_m``.
 
-    Boxes keep their directions: where they are in view they are small against their distance.
+    Boxes keep their directions: those in view are small relative to their distance.
     """
 
     def by(xy: FloatArray) -> FloatArray:
@@ -112,7 +112,7 @@ def reported_on_map(vehicle: VehicleTrack) -> tuple[FloatArray, FloatArray]:
 
 
 def moved_vehicle(vehicle: VehicleTrack, xy: FloatArray, yaw_rad: FloatArray, slope: Slope | None) -> VehicleTrack:
-    """Return a track with what `reported_on_map` returned, along a sloping ground where there is one."""
+    """Return a vehicle with positions and yaws as `reported_on_map` returns them, along the ground if it slopes."""
     if slope is not None:
         xy, yaw_rad = slope.along_ground(xy), slope.yaw_along_ground(yaw_rad)
     centre = xy - rotate_xy(yaw_rad, np.tile(vehicle.reference, (len(xy), 1)))
@@ -120,7 +120,7 @@ def moved_vehicle(vehicle: VehicleTrack, xy: FloatArray, yaw_rad: FloatArray, sl
 
 
 def transformed_background(T_a_b: FloatArray, background: Background) -> Background:
-    """Return a background in the level frame of a."""
+    """Map a background from the level frame of b to that of a."""
     boxes = tuple(replace(static, box=_laid_box(T_a_b, static.box)) for static in background.boxes)
     return replace(background, boxes=boxes)
 

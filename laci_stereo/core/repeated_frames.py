@@ -1,4 +1,4 @@
-"""Frames that a recorder wrote again under a later time: the vehicle seems to stand, and is then ahead at once."""
+"""Frames that a recorder wrote again with a later stamp: the vehicle seems to be stationary, and then jumps ahead."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from laci_stereo.core.sighting import Sighting
 from laci_stereo.core.tracking import Track
 
 SAME_M = 1e-3
-"""Noise of centimetres brings ten points to within this of where they were before once in a billion times."""
+"""With noise of centimetres, ten points are all within this distance of where they were before once in a billion
+times."""
 
 DRIVES_M = 0.05
-"""A vehicle that moves by more from one frame to the next is seen to move."""
+"""A vehicle that moves by more than this from one frame to the next is seen to move."""
 
 MOST_LATE_S = 0.005
-"""Frames that are older than they say by this in the mean count: half of what synchronised clocks are apart."""
+"""Frames that are on average older than their stamps by this matter: half of the offset of synchronised clocks."""
 
 
 def repeats_of(track: Track, vehicle: VehicleTrack, time_offset_s: float) -> tuple[str, ...]:
-    """Say that what was seen of a vehicle was seen again under other times while it drove on, where that matters."""
+    """Return an objection if sightings of a vehicle were repeated with other stamps while it drove on."""
     pairs = [pair for pair in pairwise(track.sightings) if _same(*pair)]
     stamps_s = np.array([[one.stamp_s for one in pair] for pair in pairs]).reshape(-1, 2) + time_offset_s
     (before, _, known), (after, _, still_known) = (vehicle.at(stamps) for stamps in stamps_s.T)
@@ -37,7 +38,7 @@ def repeats_of(track: Track, vehicle: VehicleTrack, time_offset_s: float) -> tup
 
 
 def _same(one: Sighting, other: Sighting) -> bool:
-    """Tell whether two sightings are of the same data; motion compensation leaves heights as they were."""
+    """Return whether two sightings are of the same data; motion compensation leaves heights unchanged."""
     if one.count != other.count or one.points.shape != other.points.shape:
         return False
     if not len(one.points):

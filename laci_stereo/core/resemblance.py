@@ -1,4 +1,4 @@
-"""Whether what was seen is the vehicle that the messages describe: as long, and on its way in its time."""
+"""Whether the object seen is the vehicle that the messages describe: its length, and its path at their times."""
 
 from __future__ import annotations
 
@@ -23,39 +23,44 @@ from laci_stereo.core.track_motion import rigid_motion
 from laci_stereo.core.tracking import Times, Track
 
 STRANGER_LENGTH_M = 0.6
-"""Standard deviation of how the lengths of two cars differ: they are 4.4 +- 0.4 m. Widths differ by a tenth only, which
-is what a camera's distances err by together, so they tell nothing."""
+"""Standard deviation of the difference between the lengths of two cars, which are 4.4 +- 0.4 m. Widths differ by a
+tenth of a metre only, which is also the error that a camera's distances have in common, so they are not compared."""
 
 MISTAKEN = 0.02
-"""One sender in fifty tells something wrong, by as much as strangers differ."""
+"""One sender in fifty reports something wrong, by as much as strangers differ."""
 
 MOSTLY_SEEN, HIDDEN, STRANGER_SMALL = 0.5, 0.05, 0.5
-"""Of one vehicle in twenty less than half is seen at a time though its side is: something hides it or it is dark. Every
-second stranger is as small against a long vehicle: a cyclist has room for any way of its own along a bus."""
+"""Of one vehicle in twenty, less than half of the length is visible at a time although its side is in view: something
+hides it, or it is dark. Every second stranger is as small relative to a long vehicle: a cyclist has room for any path
+of its own along a bus."""
 
 FREE_M = 2.0
-"""Standard deviation of where a stranger is about the way of the sender that it was brought together with."""
+"""Standard deviation of a stranger's positions about the path of the sender that it was aligned with."""
 
 FREE_DEG = 5.0
-"""Standard deviation of the heading that is told, against the body: a stranger's body follows its way as well, so that
-only what is far from any is told by it."""
+"""Assumed standard deviation of the reported heading relative to the body: a stranger's body follows its path as well,
+so the heading only excludes yaws that are far from those of any path."""
 
 FREE_LEVER_M = 1.0
-"""Standard deviation of where on the vehicle its position is: front, middle and rear axle are some 2 m apart, and that
-one was taken for another is said, and no reason to take the vehicle for a stranger's."""
+"""Assumed standard deviation of the reference point on the vehicle: front, middle and rear axle are some 2 m apart. A
+reference point that was mistaken for another one is reported as such; it is no reason to take the vehicle for a
+stranger."""
 
 FREE_S, MOST_KNOTS = 1.0, 16
-"""A stranger's way has one knot a second, which shows how it brakes and bends, but no more than so many."""
+"""Interval of the knots of a stranger's path, which resolves how it brakes and bends, and the largest number of these
+knots."""
 
 EXACT_M = (0.1, 0.3)
-"""Positions may be as exact as they are told, or as these standard deviations during a passage, whatever is told."""
+"""Positions may be as exact as reported, or have one of these standard deviations during a passage, whatever is
+reported."""
 
 STRAYED, MOST_STRAYED = 0.1, 1 / 3
-"""Probability that a second of a track shows something else that stands or moves beside the vehicle, and the largest
-share of such seconds in a track that can be told from one of something else."""
+"""Probability that a second of a track shows something else that is stationary or moves beside the vehicle, and the
+largest fraction of such seconds with which a track can still be distinguished from one of something else."""
 
 SHIFT_S = 0.05
-"""Step at which a drive is tried at other times: at 10 m/s half a metre, within which what fits changes little."""
+"""Step of the times at which a drive is tried: half a metre at 10 m/s, within which the quality of a fit changes
+little."""
 
 _GRID = np.linspace(-6.0, 6.0, 241)
 
@@ -66,19 +71,19 @@ def resemblance(
 ) -> Resemblance:  # fmt: skip
     """Return the log odds that a track is the vehicle's, against that of a stranger which moves like it.
 
-    The outline is registered with a length as free as strangers', on a way as free as theirs. How likely what is
-    found is if the messages tell the truth, over how likely if not, is the ratio of both priors, averaged over what
-    the points leave open (the Savage-Dickey ratio of densities, for a prior of any form).
+    The outline is registered with priors of the length and the path that are as wide as strangers'. The ratio of the
+    probability of the result if the messages are true to that if not is the ratio of both priors, averaged over the
+    posterior that the points leave (the Savage-Dickey density ratio, for a prior of any form).
 
     Parameters
     ----------
     track : Track
     vehicle : VehicleTrack
     start : PlanarMatch
-        From the level into the world frame, by the track and the vehicle's.
+        Motion from the level into the world frame, by the track and the vehicle's.
     time_offset_s : float
     height_m : float
-        Of the sensor above the ground.
+        Height of the sensor above the ground.
     settings : JointSettings
     """
     settings = settings or JointSettings()
@@ -92,16 +97,16 @@ def resemblance(
     free = replace(settings, bias_time_s=KNOTS_PER_TIME * step_s, bias_way_m=math.inf, heading_sigma_deg=FREE_DEG)
     try:
         rough = fit_roughly(drive, start, time_offset_s, free)
-        if np.linalg.eigvalsh(rough.information)[-1] < FREE_M**-2:  # noise hides the outline: boxes tell more
+        if np.linalg.eigvalsh(rough.information)[-1] < FREE_M**-2:  # noise hides the outline: boxes determine more
             return Resemblance()
         way, strayed_s = _way(rough, vehicle, time_offset_s, clocks)
-        if way < 0.0:  # or the sender is mistaken about which of its points it tells the position of
+        if way < 0.0:  # or the sender is mistaken about its reference point
             lever = fit_roughly(drive, start, time_offset_s, replace(free, lever_sigma_m=FREE_LEVER_M))
             mistaken, strayed = _way(lever, vehicle, time_offset_s, clocks)
             if mistaken + math.log(MISTAKEN) > way:
                 way, strayed_s = mistaken + math.log(MISTAKEN), strayed
         alone = track.without(strayed_s)
-        if 2 * len(alone.sightings) < len(track.sightings):  # then what is left is no more likely the vehicle
+        if 2 * len(alone.sightings) < len(track.sightings):  # then the rest is no more likely the vehicle
             alone, strayed_s = track, ()
         drive = evidence_of(alone, stranger, height_m)
         fit = fit_roughly(drive, start, time_offset_s, settings)
@@ -115,10 +120,11 @@ def resemblance(
 
 
 def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: JointSettings) -> tuple[float, Times]:
-    """Return the log odds that the way is the sender's, and from when to when something else was seen.
+    """Return the log odds that the path is the sender's, and the intervals in which something else was seen.
 
-    A stranger's differs in speed, and it brakes and bends elsewhere. Or it makes the sender's manoeuvre, but has its
-    speed by chance, and its time: it fits as well at as many other times as the drive shifted to these does.
+    A stranger's path differs in speed, and it brakes and bends elsewhere. Alternatively, the stranger makes the
+    sender's manoeuvre, but has its speed and its time by chance: it fits equally well at as many other times as the
+    sender's drive does when it is shifted to these.
     """
     stamps_s = fit.knots_s + time_offset_s
     xy, _, known = vehicle.at(np.clip(stamps_s, *vehicle.stamps_s[[0, -1]]))
@@ -143,7 +149,10 @@ def _way(fit: RoughFit, vehicle: VehicleTrack, time_offset_s: float, settings: J
 
 
 def _most_likely(fit: RoughFit, prior: FloatArray) -> tuple[float, BoolArray]:
-    """Return the log probability of what was found, and about which knots something else was seen, shape (k,)."""
+    """Return the log evidence, and the knots about which something else was seen for that, shape (k,).
+
+    Knots are freed one by one, as long as the evidence grows by more than `STRAYED` costs.
+    """
     strayed = np.zeros(len(fit.knots_s))
     best = _log_evidence(fit, prior)
     for _ in range(round(MOST_STRAYED * len(strayed))):
@@ -157,7 +166,7 @@ def _most_likely(fit: RoughFit, prior: FloatArray) -> tuple[float, BoolArray]:
 
 
 def _log_evidence(fit: RoughFit, prior: FloatArray) -> float:
-    """Return the log probability of what was found, where the errors have a covariance of ``prior`` on each axis."""
+    """Return the log evidence, up to a constant, if the errors have a covariance of ``prior`` on each axis."""
     values, vectors = np.linalg.eigh(prior)
     root = np.kron(np.eye(2), vectors * np.sqrt(np.maximum(values, 0.0)))
     inner = np.eye(len(root)) + root.T @ fit.information @ root
@@ -168,7 +177,7 @@ def _log_evidence(fit: RoughFit, prior: FloatArray) -> float:
 def _alike(
     fit: RoughFit, xy: FloatArray, vehicle: VehicleTrack, time_offset_s: float, own: FloatArray, settings: JointSettings
 ) -> float:
-    """Return minus the log probability that a stranger makes the sender's manoeuvre with its speed and in its time."""
+    """Return the negative log probability that a stranger makes the sender's manoeuvre at its speed and at its time."""
     prior = np.linalg.inv(np.kron(np.eye(2), own))
     weight = fit.information - fit.information @ np.linalg.solve(prior + fit.information, fit.information)
     found = np.linalg.lstsq(fit.information, fit.pull)[0]
@@ -188,7 +197,7 @@ def _alike(
 
 
 def _odds(correction: Correction, differs: float) -> float:
-    """Return the log of the mean ratio of the sender's prior over the stranger's."""
+    """Return the log of the ratio of the sender's prior to the stranger's, averaged over the posterior."""
     told = math.sqrt(max(correction.sigma**2 - differs**2, 1e-12))
     values = correction.value + correction.after * _GRID
     weight = np.exp(-(_GRID**2) / 2)

@@ -1,7 +1,7 @@
-"""What stays right ahead of a vehicle, or right behind it, where its messages have it, whether that is seen or not.
+"""Objects that stay right ahead of a vehicle or right behind it, at its reported positions, whether it is seen or not.
 
-While a part of a vehicle is in view, what was taken for all of it may be in view no more: a lorry shunts below a
-scanner that sees its cab when it does not see its trailer.
+While a part of a vehicle is in view, the object that was taken for all of it may be out of view: a lorry manoeuvres
+below a scanner that sees its cab when it does not see its trailer.
 """
 
 from __future__ import annotations
@@ -21,19 +21,22 @@ from laci_stereo.core.robust import weighted_median
 from laci_stereo.core.tracking import Track
 
 MOVES_MPS = 0.5
-"""Frames in which a vehicle is slower tell nothing: whatever stands near it stays there."""
+"""Frames in which a vehicle is slower are not used: any object near it stays there."""
 
 STAYS_M = 0.25
-"""Rings of a scanner and windows of a matcher show an edge to within so much. The gap to who drives ahead changes by
-more: at speeds that differ by a twentieth, by half a metre over the length of two cars."""
+"""Accuracy to which a scanner's rings and a matcher's windows show an edge. The gap to a vehicle that drives ahead
+changes by more: at speeds that differ by a twentieth, by half a metre over the length of two cars."""
 
 BACKS_M = 1.0
-"""Nobody keeps so close to another who backs, and drives on again, each by as much."""
+"""Nobody stays so close to another vehicle that reverses and drives on again, each by this distance."""
 
 
 @dataclass(frozen=True)
 class _Ride:
-    """What stays at one end of a vehicle: how far that drives ahead up to each frame meanwhile, and how long it is."""
+    """An object that stays at one end of a vehicle: the vehicle's advance up to each frame meanwhile, and its length.
+
+    The length includes the gap to the vehicle.
+    """
 
     ahead: bool
     steps_m: dict[float, float]
@@ -41,19 +44,19 @@ class _Ride:
 
 
 def ridden_frames(passages: Sequence[Passage], tracks: Sequence[Track], match: PlanarMatch) -> tuple[int, ...]:
-    """Return for each of some drives in how many frames something stays right ahead of its vehicle, or right behind it.
+    """Return for each drive in how many frames an object stays right ahead of its vehicle or right behind it.
 
-    It does where it is in line, with a gap that hardly changes while the vehicle drives by more than both are long, for
-    which nobody keeps so close to another, or while it drives forth and back.
+    It must be in line with the vehicle, with a gap that hardly changes, while the vehicle either drives by more than
+    both are long, for which nobody stays so close to another, or drives back and forth.
 
     Parameters
     ----------
     passages : sequence of Passage
-        With their clock offsets.
+        Drives with their clock offsets.
     tracks : sequence of Track
-        All that moved, in the level frame of the passages.
+        Everything that moved, in the level frame of the passages.
     match : PlanarMatch
-        From the level into the world frame.
+        Motion from the level into the world frame.
     """
     others = [track for track in tracks if not any(each.track.shares(track) for each in passages)]
     return tuple(_ridden(passage, others, match) for passage in passages)
@@ -99,7 +102,7 @@ def _rides(passage: Passage, tracks: Sequence[Track], match: PlanarMatch) -> Ite
 
 
 def _driven(stamps_s: FloatArray, xy: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far a vehicle drives ahead between its frames, shape (n - 1,), and the part of each frame, (n,)."""
+    """Return a vehicle's advance between frames, shape (n - 1,), and the distance each frame represents, (n,)."""
     passed_s = np.diff(stamps_s)
     steps_m = (np.diff(xy, axis=0) * np.column_stack([np.cos(yaw[1:]), np.sin(yaw[1:])])).sum(axis=1)
     steps_m = np.where((passed_s < unseen_s(stamps_s)) & (np.abs(steps_m) > MOVES_MPS * passed_s), steps_m, 0.0)

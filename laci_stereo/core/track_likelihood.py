@@ -1,7 +1,8 @@
-"""How likely a hypothesis makes what was seen of one station.
+"""The likelihood of what was seen of one station's vehicle under a hypothesis.
 
-Frames are not independent, because what is visible of a vehicle changes only as it moves, so everything is counted per
-metre of its path.
+Frames are not independent, because the visible part of a vehicle changes only as it moves, so all evidence is counted
+per metre of its path: in *stretches* of `MatchSettings.stretch_m`, whose sightings are independent of one another. A
+*stranger* is any moving object but the sender's vehicle.
 """
 
 from __future__ import annotations
@@ -20,62 +21,70 @@ from laci_stereo.core.track_scene import KNOT_S, TABLE_S, Knots, Poses, Scene, S
 from laci_stereo.core.tracking import GATE, Track
 
 PRECISIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
-"""How exact positions may be, relative to the settings' sigma: from GNSS alone down to one with carrier phases."""
+"""Possible standard deviations of positions, relative to the settings' sigma: from GNSS alone down to carrier
+phases."""
 
 RADIAL_SIGMA_MPS = 0.3
-"""Of a radial speed: wheels and the Doppler cell of a radar."""
+"""Standard deviation of a radial speed: turning wheels, and the Doppler cell of a radar."""
 
 RADIAL_SLOPE = 0.05
-"""A sensor 6 m above ground that is 20 m away sees cos(17 deg) = 0.95 of a speed along the ground."""
+"""Relative error of a radial speed: a sensor 6 m above ground and 20 m away measures cos(17 deg) = 0.95 of a speed
+along the ground."""
 
 SIZE_SIGMA_M = 0.5
-"""By how much a box may be longer than the vehicle's diagonal: the reach of a cluster on both of its ends."""
+"""Standard deviation of a box's excess length over the vehicle's diagonal: the reach of a cluster at both of its
+ends."""
 
 SPEED_SPREAD = 0.2
-"""Standard deviation of the speeds of free traffic, relative to their mean: how likely a stranger has the same."""
+"""Standard deviation of the speeds of free traffic, relative to their mean: how likely a stranger has the same
+speed."""
 
 MANOEUVRES = 3
-"""However special a drive is, a stranger may make the same at another time, since it has the same roads and lights:
-straight on, to the left or to the right."""
+"""Number of manoeuvres that a stranger may make: straight on, to the left, or to the right. However special a drive is,
+a stranger may make the same one at another time, since it has the same roads and traffic lights."""
 
 OTHER_TIME_S = 3.0
-"""Searched is so long before and after; what fits at a time farther off has turned or stopped elsewhere by then."""
+"""Longest shift in time, earlier and later, at which a drive is tried: one that fits at a larger shift has turned or
+stopped elsewhere by then."""
 
 USUAL_MPS2 = 1.0
-"""Standard deviation of accelerations in traffic, along and across."""
+"""Standard deviation of accelerations in traffic, along and across the direction of motion."""
 
 MAX_ORDER = 5
-"""Up to this order a stranger's path is a polynomial; its bends and stops within the view are one or two."""
+"""Largest order of the polynomials that a stranger's path is modelled by; it has one or two bends and stops in view."""
 
 MAX_GOOD_SIGMA = 2.0
-"""The median of what remains of a right match is 1.2 sigma in two dimensions; of five stretches, 2 % exceed this."""
+"""Largest median of the residuals of a correct match: their median is 1.2 sigma in two dimensions; with five stretches,
+2 % exceed this."""
 
 MISSED = -math.log(0.2)
-"""What a stretch costs in which a vehicle that must be in view is not seen: one in five is hidden by other traffic."""
+"""Negative log-likelihood of a stretch in which a vehicle that must be in view is not seen: one in five is hidden by
+other traffic."""
 
 HIDDEN_STRETCHES = 2.0
-"""What hides a vehicle, such as one that comes towards it, does so on average for two more stretches."""
+"""Mean number of further stretches for which an object that hides a vehicle, such as an oncoming one, goes on to do
+so."""
 
 
 @dataclass(frozen=True)
 class Account:
-    """What a hypothesis says of one station.
+    """Evidence about one station under a hypothesis.
 
     Attributes
     ----------
     station : int
     tracks : tuple of int
-        Those that are its vehicle's, the one that is explained best first.
+        Indices of its vehicle's tracks, the one that is explained best first.
     explained : float
-        Of how many frames.
+        Number of frames that are explained, each weighted by how well.
     typical : float
-        The median of what remains, in sigma.
+        Median residual, in sigma.
     value : float
-        Log likelihood, over that of all tracks being strangers'.
+        Log-likelihood ratio against all tracks being strangers'.
     way : float
-        What of it the way tells, as far as boxes show it.
+        Part of ``value`` that comes from the path, as far as boxes determine it.
     coincidence : float
-        Minus the log probability that a stranger is where the vehicle must be.
+        Negative log probability that a stranger is where the vehicle must be.
     """
 
     station: int
@@ -88,7 +97,7 @@ class Account:
 
 
 def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
-    """Hold a hypothesis against all that was seen, for one station."""
+    """Compare a hypothesis with everything that was seen, for one station."""
     settings = scene.settings
     knots = scene.knots
     poses = sender.at(knots.stamp_s + motion.offset_s)
@@ -102,7 +111,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
         fitting = np.flatnonzero(explained / possible >= settings.min_explained)
     more = np.bincount(knots.track, (_too_long(knots, sender) > GATE) * usable * knots.frames, len(scene.tracks))
     alone = fitting[more[fitting] < 0.5 * possible[fitting]]
-    # A track of the vehicle as one with what it tows counts only where none of the vehicle alone fits.
+    # A track of the vehicle together with what it tows counts only where no track of the vehicle alone fits.
     fitting = alone if len(alone) else fitting
     fitting = fitting[np.argsort(-explained[fitting], kind="stable")]
     missed = _missed(scene, sender, motion, poses.known & (remains <= 2 * sender.reach_m))
@@ -131,7 +140,7 @@ def hold_against(scene: Scene, sender: Sender, motion: Motion) -> Account:
 
 
 def joined(scene: Scene, account: Account) -> Track:
-    """Join the fragments of one drive, the longest first; what is seen beside them is another part of the vehicle."""
+    """Join the fragments of one drive; of two seen at once, both parts of the vehicle, the best explained counts."""
     first, *others = (scene.tracks[index] for index in account.tracks)
     for other in others:
         first = first.joined(other)
@@ -139,7 +148,7 @@ def joined(scene: Scene, account: Account) -> Track:
 
 
 def _odd(knots: Knots, poses: Poses, motion: Motion, sender: Sender) -> FloatArray:
-    """Return what else than the position is wrong with the sightings, squared in sigma: size and speed."""
+    """Return the squared deviations, in sigma, of the sightings' size and radial speed."""
     sight = knots.xy / np.maximum(np.linalg.norm(knots.xy, axis=1, keepdims=True), 1e-9)
     radial = (rotate_xy(-motion.yaw_rad, poses.velocity) * sight).sum(axis=1)
     off = np.where(np.isfinite(knots.radial_mps), knots.radial_mps - radial, 0.0) / _radial_sigma(radial)
@@ -159,10 +168,10 @@ def _radial_sigma(radial_mps: FloatArray) -> FloatArray:
 
 
 def _fits_for(scene: Scene, sender: Sender, knots: Knots, motion: Motion, weight: FloatArray) -> float:
-    """Return for how long (s) the sender's drive fits a track as well as now, were it driven earlier or later.
+    """Return for how long (s) the sender's drive would fit a track as well as it does now if driven earlier or later.
 
-    A bend that is driven at a steady speed fits for long, because the motion takes the shift up. A clock that is not
-    known would have been set to any time at which it fits.
+    A bend that is driven at a steady speed fits for long, because the fitted motion absorbs the shift. An unknown clock
+    offset adds to this: it would have been set to any time at which the drive fits.
     """
     settings = scene.settings
     steps = round(OTHER_TIME_S / TABLE_S)
@@ -183,12 +192,13 @@ def _evidence(
     often: float,
     settings: MatchSettings,
 ) -> float:
-    """Return the log likelihood of a track if it is the sender's over that if it is a stranger's.
+    """Return the log-likelihood ratio of a track being the sender's against it being a stranger's.
 
-    The motion that is fitted takes up any position and direction. A stranger follows a polynomial of time. Of each of
-    its coefficients it must have the right value within the resolution: for the speed that is sigma sqrt(12 / n) in the
-    whole length of n stretches, or what radial speeds tell, for what bends the path sigma / sqrt(n) in some a t^2 / 8,
-    on both axes. Or it makes the sender's manoeuvre: as ``often`` as that fits by its time, if it has its speed too.
+    The fitted motion absorbs any position and direction. A stranger's path is a polynomial of time, each of whose
+    coefficients must have the right value to within its resolution by chance: for the speed that is sigma sqrt(12 / n)
+    over the whole length of n stretches, or what radial speeds determine; for what bends the path it is sigma / sqrt(n)
+    relative to a usual a t^2 / 8, on both axes. Alternatively, the stranger makes the sender's manoeuvre: the odds of
+    that are the fraction ``often`` of times at which it fits, and those of having the sender's speed.
     """
     stretches = float(weight.sum())
     sigma_m = float(np.sqrt(np.average(sigma**2, weights=weight)))
@@ -203,7 +213,8 @@ def _evidence(
     for order in range(1, min(MAX_ORDER, len(knots) - 1) + 1):
         surprise = math.log(max(1.0, speed)) + 2 * (order - 1) * math.log(max(1.0, bend))
         rest = _polynomial_misfit(powers[:, : order + 1], xy_level, sigma, q, weight)
-        # However special a drive is, a stranger's may be just like it; the polynomial then leaves its noise alone.
+        # However special a drive is, a stranger's may be just like it; then only the noise remains as the polynomial's
+        # residual.
         stranger = min(stranger, min(surprise, alike) + _misfit(rest, weight, 2 * order + 2))
     return min(stranger - _misfit(q, weight, 3), alike)
 
@@ -211,7 +222,10 @@ def _evidence(
 def _polynomial_misfit(
     powers: FloatArray, xy_level: FloatArray, sigma: FloatArray, q: FloatArray, weight: FloatArray
 ) -> FloatArray:
-    """Return what a polynomial leaves of a path, squared in sigma, at first without what the sender's drive misfits."""
+    """Return the squared residuals, in sigma, of a robust fit of a path by a polynomial.
+
+    The first iteration has the weights of the residuals ``q`` of the sender's drive.
+    """
     for _ in range(3):
         root = np.sqrt(weight * trust(q))[:, None] / sigma[:, None]
         polynomial = np.linalg.lstsq(root * powers, root * xy_level)[0]
@@ -220,9 +234,10 @@ def _polynomial_misfit(
 
 
 def _misfit(q: FloatArray, weight: FloatArray, fitted: int) -> float:
-    """Return minus the log likelihood of residuals, squared in sigma, after a fit of some parameters.
+    """Return the negative log-likelihood of squared residuals, in sigma, after a fit of some parameters.
 
-    Sigma is what the noise may be, and the residuals tell whether it is less: all of `PRECISIONS` are as likely.
+    Sigma is an upper bound of the noise, and the residuals determine whether it is less: all `PRECISIONS` are equally
+    likely a priori.
     """
     scale = np.asarray(PRECISIONS)[:, None]
     right = (1 - OUTLIER) * np.exp(-np.minimum(q / scale**2, 200.0) / 2) / scale**2
@@ -231,7 +246,7 @@ def _misfit(q: FloatArray, weight: FloatArray, fitted: int) -> float:
 
 
 def _missed(scene: Scene, sender: Sender, motion: Motion, near: BoolArray) -> float:
-    """Return minus the log likelihood of what is not seen: where a vehicle must be in view, but nothing is."""
+    """Return the negative log-likelihood of not seeing the vehicle where it must be in view."""
     stamps_s = scene.knots.stamp_s
     bins = np.arange(stamps_s.min(), stamps_s.max() + KNOT_S, KNOT_S)
     poses = sender.at(bins + motion.offset_s)

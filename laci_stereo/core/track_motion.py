@@ -1,4 +1,4 @@
-"""The rigid motion and the clock offset that bring one track together with one sender's."""
+"""The rigid motion and the clock offset that align one track with one sender's."""
 
 from __future__ import annotations
 
@@ -14,21 +14,25 @@ from laci_stereo.core.subsampling import evenly
 from laci_stereo.core.track_scene import KNOT_S, Knots, Poses, Scene, Sender, extent
 
 OUTLIER = 0.005
-"""Weight of a wrong sighting beside a right one: one in twenty is wrong, and it is spread over ten times the area."""
+"""Likelihood of an outlier relative to a correct sighting: one in twenty is one, spread over ten times the area."""
 
 WORST = -math.log(OUTLIER)
-"""What a stretch costs whose sightings are all wrong."""
+"""Cost (negative log-likelihood) of a stretch whose sightings are all outliers."""
 
 GRAZING = 0.3
-"""A side that is seen at less than this angle (rad) is foreshortened to a third; from there on its part fades out."""
+"""Angle (rad) at which a side is foreshortened to a third; at smaller angles the correction for its missing part fades
+out."""
 
 SEARCH_KNOTS = 30
-"""So many knots of a track bring it together with a sender's; all of them judge the result."""
+"""Number of a track's knots with which a motion is searched; all of them judge the result."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A hypothesis; the yaw has shape (g,) and the shift (g, 2), or () and (2,) of a single one."""
+    """A hypothesis: the motion from the level to the world frame, and the clock offset.
+
+    The yaw has shape (g,) and the shift (g, 2), or () and (2,) of a single one.
+    """
 
     yaw_rad: FloatArray
     shift: FloatArray
@@ -41,7 +45,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class Seed:
-    """What one track and one station say by themselves."""
+    """The best alignment of one track with one station, regardless of all others.
+
+    ``share`` is the fraction of the frames that it explains.
+    """
 
     station: int
     track: int
@@ -51,14 +58,15 @@ class Seed:
 
 
 def find_seeds(scene: Scene) -> list[Seed]:
-    """Bring each track together with each station, the one with the best match first."""
+    """Align each track with each station; return the alignments with the best score first."""
     seeds = []
     for index in range(len(scene.tracks)):
         knots = scene.knots[(scene.knots.track == index) & scene.knots.usable]
         if knots.frames.sum() < scene.settings.min_frames:
             continue
         for sender in scene.senders.values():
-            # What stands wanders by less, as more or less of it is seen; all fragments together tell how far it drives.
+            # A stationary object's position wanders by less, as more or less of it is seen; how far the vehicle drives
+            # is judged later, from all fragments together.
             if extent(knots.xy) < sender.reach_m:
                 continue
             seed = _seed(index, knots, sender, scene.settings)
@@ -68,12 +76,13 @@ def find_seeds(scene: Scene) -> list[Seed]:
 
 
 def _seed(index: int, knots: Knots, sender: Sender, settings: MatchSettings) -> Seed | None:
-    """Search the clock offset on a grid, and around its best."""
+    """Search the clock offset on a grid, then on finer ones around the best value."""
     knots = knots[evenly(len(knots), SEARCH_KNOTS)]
     told = sender.table[sender.known, 2:4]
     fastest_mps = max(float(np.linalg.norm(told, axis=1).max(initial=0.0)), 1.0)
     limit_s = 3 * settings.clock_sigma_s
-    # A step moves the vehicle by less than its reach, most of which the motion takes up; the grid is then narrowed.
+    # A step moves the vehicle by less than its reach, most of which the fitted motion absorbs; the grid is then
+    # refined.
     steps = math.ceil(limit_s * fastest_mps / (3 * settings.position_sigma_m))
     offsets_s, step_s = np.linspace(-limit_s, limit_s, 2 * steps + 1), limit_s / max(steps, 1)
     found: Seed | None = None
@@ -107,7 +116,7 @@ def _best_offset(
 
 
 def path_shares(poses: Poses, stamps_s: FloatArray, settings: MatchSettings) -> FloatArray:
-    """Return how many independent stretches each knot stands for: its part of the path, shape (..., n)."""
+    """Return the number of independent stretches that each knot represents, by its part of the path, shape (..., n)."""
     if len(stamps_s) < 2:
         return np.zeros_like(poses.path_m)
     half_s = np.minimum(np.diff(stamps_s), 2 * KNOT_S) / 2
@@ -121,14 +130,14 @@ def path_shares(poses: Poses, stamps_s: FloatArray, settings: MatchSettings) -> 
 def fit_all(
     knots: Knots, poses: Poses, weight: FloatArray, sender: Sender, settings: MatchSettings
 ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
-    """Fit a motion at each of g offsets, robustly, from the best of three starts: the whole track and its halves.
+    """Fit a motion at each of g offsets, robustly, from the best of three starts: the whole track and its two halves.
 
     Returns
     -------
     yaw : ndarray, shape (g,)
     shift : ndarray, shape (g, 2)
     remains : tuple of ndarray, shape (g, n)
-        Squared in sigma, and in metres.
+        Residuals: squared and in units of sigma, and in metres.
     """
     half = len(knots) // 2
     parts = np.ones((3, len(knots)))
@@ -137,7 +146,7 @@ def fit_all(
     starts = []
     for part in parts:
         yaw, shift = rigid_motion(level, poses.xy, weight * part)
-        # A start is judged by how much of the path it brings to within the vehicle's reach.
+        # A start is judged by how much of the path it maps to within the vehicle's reach.
         q = ((rotate_xy(yaw[:, None], level) + shift[:, None] - poses.xy) ** 2).sum(axis=-1) / sender.reach_m**2
         starts.append((yaw, shift, q, (weight * q / (q + 1.0)).sum(axis=1)))
     pick = np.argmin([cost for *_, cost in starts], axis=0)
@@ -153,20 +162,20 @@ def fit_all(
 
 
 def cost(q: FloatArray) -> FloatArray:
-    """Return minus the log likelihood of what remains, squared in sigma, when some sightings are wrong."""
+    """Return the negative log-likelihood of squared residuals, in sigma, in the presence of outliers."""
     cost: FloatArray = -np.log(OUTLIER + (1 - OUTLIER) * np.exp(-np.minimum(q, 100.0) / 2))
     return cost
 
 
 def trust(q: FloatArray) -> FloatArray:
-    """Return the probability that a sighting is right."""
+    """Return the probability that a sighting is no outlier."""
     right = (1 - OUTLIER) * np.exp(-np.minimum(q, 60.0) / 2)
     trust: FloatArray = right / (right + OUTLIER)
     return trust + 1e-9
 
 
 def rigid_motion(level: FloatArray, world: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the yaw, shape (...), and the shift, shape (..., 2), of the least-squares motions of (..., n, 2)."""
+    """Return the yaw, shape (...), and shift, shape (..., 2), of the least-squares motions of points (..., n, 2)."""
     weight = weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-12)
     middle_level = np.einsum("...n,...nk->...k", weight, level)
     middle_world = np.einsum("...n,...nk->...k", weight, world)
@@ -180,10 +189,11 @@ def rigid_motion(level: FloatArray, world: FloatArray, weight: FloatArray) -> tu
 def completed(
     knots: Knots, poses: Poses, yaw_rad: FloatArray, sender: Sender, settings: MatchSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Grow the boxes away from the sensor to the vehicle's size: their centres, shape (..., n, 2), and their sigma.
+    """Extend boxes away from the sensor to the vehicle's size; return their centres, shape (..., n, 2), and sigma.
 
-    What is lacking faces away from the sensor, so by half of it the centre is off. Where it is hidden by something else
-    it may lack on the near side too: by twice the standard deviation the centre is back where it was.
+    The missing part of a box is on the side away from the sensor, so its centre is off by half of that. Where another
+    object hides the vehicle, it may also be on the near side: two standard deviations reach back to the original
+    centre.
     """
     yaw_level = poses.yaw_rad - yaw_rad
     turned = knots.yaw_rad - yaw_level
@@ -198,7 +208,8 @@ def completed(
     sight = rotate_xy(-yaw_level, knots.xy / np.maximum(np.linalg.norm(knots.xy, axis=1, keepdims=True), 1e-9))
     grown = knots.xy + rotate_xy(yaw_level, (sight / GRAZING).clip(-1.0, 1.0) * lacking / 2)
     variance = settings.position_sigma_m**2 + knots.sigma_m**2 + (lacking**2).sum(axis=-1) / 16
-    # From the reference point at the vehicle's front to its middle the messages' heading was followed.
+    # The middle was computed from the reference point at the vehicle's front along the heading instead of the body's
+    # yaw.
     variance = variance + (sender.length_m / 2 * np.sin(poses.slip_rad)) ** 2
     return grown, np.sqrt(variance)
 

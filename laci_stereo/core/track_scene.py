@@ -1,4 +1,4 @@
-"""Tracks and senders in the form in which they are compared: sightings thinned to knots, poses tabled."""
+"""Tracks and senders in the form in which they are compared: sightings averaged to knots, poses tabulated."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking import Track
 
 KNOT_S = 0.4
-"""Sightings are averaged over this time; braking at 9 m/s^2 bends the path by 9 * 0.4^2 / 24 = 6 cm meanwhile."""
+"""Time over which sightings are averaged; braking at 9 m/s^2 displaces the path by 9 * 0.4^2 / 24 = 6 cm meanwhile."""
 
 TABLE_S = 0.05
-"""Step at which a sender's poses are tabled; between them 9 m/s^2 bends the path by 3 mm."""
+"""Step of the table of a sender's poses; in between, 9 m/s^2 displaces the path by 3 mm."""
 
 LEVER_SHARE = 1 / 3
-"""The heading is the direction in which some point moves that is ahead of the rear axle by up to the wheelbase, 0.6 of
-the length: a standard deviation of a third of it."""
+"""Standard deviation, as a fraction of the vehicle's length, of the lever of the heading: it is the direction of motion
+of some point ahead of the rear axle by up to the wheelbase, 0.6 of the length."""
 
 BEND_S = 0.5
-"""Over so long before and after, five messages at 5 Hz, the curvature of a path is averaged."""
+"""Time before and after over which the curvature of a path is averaged: five messages at 5 Hz."""
 
 VIEW_CELL_M = 5.0
-"""Where something was seen, so far around it everything can be seen: about a vehicle's length."""
+"""Distance around a sighting within which everything is assumed to be in view: about a vehicle's length."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Knots(Columns):
 
 @dataclass(frozen=True)
 class Poses:
-    """Of a sender's vehicle: each attribute has the shape of the stamps, ``xy`` and ``velocity`` one axis more.
+    """Poses of a sender's vehicle: each attribute has the shape of the stamps, ``xy`` and ``velocity`` one axis more.
 
     ``slip_rad`` is the standard deviation of the body's yaw about the heading, which is large in narrow bends.
     """
@@ -68,7 +68,7 @@ class Poses:
 
 @dataclass(frozen=True)
 class Sender:
-    """A sender's poses on a regular grid of times that begins at ``first_s``."""
+    """A sender's poses on a uniform grid of times that begins at ``first_s``."""
 
     station: int
     first_s: float
@@ -79,11 +79,11 @@ class Sender:
 
     @property
     def reach_m(self) -> float:
-        """Half of the diagonal: the centre of what is visible of a vehicle is no farther from its own."""
+        """Half of the diagonal: the largest distance of a vehicle's centre from that of its visible part."""
         return math.hypot(self.length_m, self.width_m) / 2
 
     def at(self, stamps_s: FloatArray) -> Poses:
-        """Interpolate; where the sender was silent the poses mean nothing."""
+        """Interpolate the poses; where the sender was silent they have no meaning."""
         place = (stamps_s - self.first_s) / TABLE_S
         before = np.floor(place).astype(np.int64).clip(0, len(self.table) - 2)
         share = (place - before)[..., None]
@@ -95,21 +95,21 @@ class Sender:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that was seen and sent.
+    """Everything that was seen and sent.
 
     Attributes
     ----------
     tracks : sequence of Track
     knots : Knots
-        Of all tracks.
+        Knots of all tracks.
     senders : mapping of int to Sender
         By station.
     seen_cells : ndarray of bool, shape (i, j)
-        Of `VIEW_CELL_M`, in which a vehicle would have been seen.
+        Cells of `VIEW_CELL_M` in which a vehicle would have been seen.
     first_cell : ndarray, shape (2,)
-        Their corner, level frame, metres.
+        Corner of the first cell, level frame, metres.
     density : float
-        Objects for each square metre of what is in view, at one time.
+        Number of objects at one time per square metre in view.
     settings : MatchSettings
     """
 
@@ -122,7 +122,7 @@ class Scene:
     settings: MatchSettings
 
     def in_view(self, xy_level: FloatArray) -> BoolArray:
-        """Tell where on the ground, shape (n, 2), a vehicle would have been seen."""
+        """Return where on the ground, shape (n, 2), a vehicle would have been seen."""
         cell = np.floor((xy_level - self.first_cell) / VIEW_CELL_M)
         inside = np.all((cell >= 0) & (cell < self.seen_cells.shape), axis=1)
         i, j = np.where(inside[:, None], cell, 0).astype(np.int64).T
@@ -131,7 +131,7 @@ class Scene:
 
 
 def lay_out(tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], settings: MatchSettings) -> Scene:
-    """Thin the sightings and table the poses."""
+    """Average the sightings to knots and tabulate the senders' poses."""
     knots = _knots(tracks)
     senders = {
         station: _sender(station, vehicle) for station, vehicle in vehicles.items() if len(vehicle.stamps_s) >= 2
@@ -141,7 +141,7 @@ def lay_out(tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], setti
     cells = np.floor((usable - first_cell) / VIEW_CELL_M).astype(np.int64)
     seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
     seen[tuple(cells.T)] = True
-    # How many other objects there are for each square metre where there are any, at one time.
+    # The number of other objects at one time per square metre of where there are any.
     bins = max(1, len(np.unique(np.floor(knots.stamp_s / KNOT_S))))
     density = max(len(knots) / bins, 1.0) / (np.count_nonzero(seen) * VIEW_CELL_M**2)
     view = binary_dilation(seen, np.ones((3, 3), dtype=bool))
@@ -197,16 +197,16 @@ def _sender(station: int, vehicle: VehicleTrack) -> Sender:
 
 
 def _slip(yaw: FloatArray, path_m: FloatArray, length_m: float) -> FloatArray:
-    """Return by how much the body may point elsewhere than the heading, from the curvature of the path."""
+    """Return the standard deviation of the body's yaw about the heading, rad, from the curvature of the path."""
     half = min(round(BEND_S / TABLE_S), (len(yaw) - 1) // 2)
     place = np.arange(len(yaw))
     before, after = np.maximum(place - half, 0), np.minimum(place + half, len(yaw) - 1)
-    # Below a metre the heading of a vehicle that stands tells nothing of a bend.
+    # Over less than a metre, the heading of a stationary vehicle determines no curvature.
     curvature = np.abs(yaw[after] - yaw[before]) / np.maximum(path_m[after] - path_m[before], 1.0)
     slip: FloatArray = np.arcsin(np.minimum(LEVER_SHARE * length_m * curvature, 1.0))
     return slip
 
 
 def extent(xy: FloatArray) -> float:
-    """Return how far positions, shape (n, 2), are spread: the diagonal of what encloses them."""
+    """Return the extent of positions, shape (n, 2): the diagonal of their bounding rectangle."""
     return float(np.linalg.norm(np.ptp(xy, axis=0))) if len(xy) else 0.0

@@ -1,4 +1,4 @@
-"""Whether the messages fit better if nothing is known of the clocks: one that nobody has set is off for all senders."""
+"""Whether the messages fit better with unknown clock offsets: a clock that nobody has set is off for all senders."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from laci_stereo.core.choice import Choice, Likeness, no_likeness
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, with_turn
 
 SURELY = 4.0
-"""By so many standard deviations clocks never differ that are as was said."""
+"""Clocks that are as synchronised as specified never differ by more than this many standard deviations."""
 
 
 def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> Alternative | None:
-    """Say that clocks which are farther apart than was said explain clearly more; None where they do not.
+    """Return the alternative of clocks farther apart than specified if it explains clearly more; else None.
 
-    With a turn, or with vehicles that drive in several directions, a clock that is off fits no position. The one sender
-    that is seen on a straight road fits all the same, in a wrong place: then it is the others that do not.
+    With a turn, or with vehicles that drive in several directions, no position fits with a wrong clock offset. A single
+    sender that is seen on a straight road fits all the same, in a wrong place: then the other senders do not fit.
 
     Parameters
     ----------
     case : Case
     choice : Choice or None
-        What was chosen by the clocks that were asked for, if anything fits.
+        What was chosen with the specified clock uncertainty, if anything fits.
     by_any_clock : callable
-        The likeness where nothing is known of the clocks; asked where nothing was surely chosen.
+        The likeness with unknown clocks; used where nothing was certainly chosen.
     """
     known_s, least_log_odds = case.settings.clock_sigma_s, case.settings.least_log_odds
     if known_s >= UNKNOWN_CLOCK_S:
@@ -54,7 +54,7 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> A
 
 
 def _explains_more(other: Choice, choice: Choice, case: Case) -> bool:
-    """Tell whether more senders are seen by another clock, and that is clearly likelier, by boxes."""
+    """Return whether more senders are seen by another clock offset, and that is clearly likelier, judged by boxes."""
     if len(_together(other)) <= len(_together(choice)):
         return False
     by_boxes = case.by_boxes.chosen()
@@ -62,6 +62,6 @@ def _explains_more(other: Choice, choice: Choice, case: Case) -> bool:
 
 
 def _together(choice: Choice) -> list[int]:
-    """Return which stations are seen by one motion and one clock."""
+    """Return which stations are seen by one motion and one clock offset."""
     together = (other.station for other in choice.others if other.late_s == 0.0 and not other.alone)
     return [choice.station, *together]

@@ -1,4 +1,4 @@
-"""Which of what moves is which sender's vehicle, without what it tows, and what else would have to be wrong."""
+"""Which moving object is which sender's vehicle, without what it tows; if none, what error would explain that."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from laci_stereo.core.wrong_place import place_off
 def choose_vehicle(
     tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], height_m: float, settings: Settings
 ) -> Choice:
-    """Find which track is which sender's vehicle, and what makes that doubtful.
+    """Find which track belongs to which sender's vehicle, with the objections against that.
 
     Parameters
     ----------
@@ -33,16 +33,17 @@ def choose_vehicle(
     vehicles : mapping of int to VehicleTrack
         By station.
     height_m : float
-        Of the sensor above the ground.
+        Height of the sensor above the ground.
     settings : Settings
 
     Raises
     ------
     TrackError
-        If no sender moves while it is recorded, or no track is long enough.
+        If no sender moves during the recording, or no track is long enough.
     MatchError
-        If none fits, two fit equally well, or all fit better in a mirrored frame; where they would by another clock,
-        with positions of another place on the vehicle, or with another stereo calibration, that is said.
+        If no track fits, two fit equally well, or all fit better in a mirrored frame. If they would fit by another
+        clock offset, with another reference point on the vehicle, or with another stereo calibration, the message says
+        so.
     """
     case = Case(tracks, vehicles, settings.match, _likeness_by(settings.joint, height_m))
     by_any_clock = _likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S), height_m)
@@ -65,7 +66,7 @@ def choose_vehicle(
 
 
 def told(instead: Sequence[Alternative], settings: MatchSettings) -> str:
-    """Return in words what else would fit: the likeliest, and what is nearly as likely; empty if nothing would."""
+    """Return words on what would fit: the likeliest alternative and those nearly as likely; empty if there is none."""
     best = max((each.log_odds for each in instead), default=0.0)
     likely = sorted(instead, key=lambda each: -each.log_odds)
     return "; or ".join(each.words for each in likely if each.log_odds > best - settings.least_log_odds)
@@ -79,7 +80,7 @@ def _likeness_by(settings: JointSettings, height_m: float) -> Likeness:
 
 
 def _that_drives_ahead(case: Case) -> Choice:
-    """Return which track is which sender's; of two that move as one it is the one ahead, for what is towed follows."""
+    """Return which track belongs to which sender; of two that move as one, the one ahead: what is towed follows."""
     choice = case.choose()
     beside = _companion(case, choice, choice.station, choice.track)
     left = case
@@ -87,19 +88,19 @@ def _that_drives_ahead(case: Case) -> Choice:
         left = replace(left, tracks=[track for track in left.tracks if not choice.track.shares(track)])
         ahead = left.chosen()
         if ahead is None or not any(each.shares(beside.track) for each in _tracks_of(ahead)):
-            break  # what is ahead does not fit: it will be said that it is there
+            break  # the object ahead does not fit: an objection will mention it
         choice = ahead
         beside = _companion(case, choice, choice.station, choice.track)
     return replace(choice, beside=beside.frames)
 
 
 def _tracks_of(choice: Choice) -> list[Track]:
-    """Return what is taken for a sender's vehicle."""
+    """Return the tracks that are taken for senders' vehicles."""
     return [choice.track, *(other.track for other in choice.others)]
 
 
 def _companion(case: Case, choice: Choice, station: int, track: Track) -> Companion:
-    """Return what `companion` does of the track of a station, given what was chosen."""
+    """Return the result of `companion` for the track of a station, given what was chosen."""
 
     def yaw_at(stamps_s: FloatArray) -> FloatArray:
         return case.vehicles[station].at(stamps_s + choice.time_offset_s)[1] - choice.fit.yaw_rad

@@ -1,6 +1,6 @@
-"""Whether what a stereo camera saw fits the messages by other optics: another focal length, or another baseline.
+"""Whether a stereo camera's sightings fit the messages by another focal length, baseline, or disparity offset.
 
-Or if all disparities are off by one offset, as by a camera that has turned sideways, or another principal point.
+All disparities are off by one offset if a camera has yawed, or has another principal point.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from laci_stereo.core.track_scene import extent
 FOCAL, BASELINE, OFFSET = "focal length", "baseline", "offset"
 
 MOST = 2.0
-"""By so much: images of half the size that the calibration is for."""
+"""Largest factor that is tried: images of half the size that the calibration is for."""
 
 STEP = 0.06
-"""Of the logarithm; half of it is half a metre where a drive ends 15 m from its middle, which boxes are off by as
-well."""
+"""Step of the factor's logarithm. Half of it displaces the end of a drive, 15 m from its middle, by half a metre, which
+is also the error of boxes."""
 
 LADDER = 2
-"""First every second step is tried, then those beside the best."""
+"""Every second step is tried first, then those beside the best."""
 
 OFFSETS = 12
-"""So many half steps to either side are tried of an offset: it bends a drive, so that beside the right one nothing fits
-at all. The last are a third of the depth."""
+"""Number of half steps to either side at which a disparity offset is tried: it bends a drive, so beside the right one
+nothing fits at all. The outermost change the depth by a third."""
 
 AROUND = 3
-"""So many half steps around the best by boxes are held against outlines, which are more exact: a box is of what is
-seen."""
+"""Number of half steps on either side of the best by boxes that are compared by outlines, which are more exact: a box
+only encloses the visible part."""
 
 
 @dataclass(frozen=True)
 class _Stretched:
-    """What fits best if all is so many times as deep, by another focal length, or as large, by another baseline.
+    """The choice with everything ``by`` times as deep (another focal length) or as large (another baseline).
 
-    By an offset of all disparities it is so many times as deep at a typical distance.
+    With an offset of all disparities, the depth at a typical distance is ``by`` times as large.
     """
 
     what: str
@@ -59,7 +59,7 @@ def _stretched(case: Case, what: str, by: float) -> _Stretched:
 
 
 def _nearer_per_m(case: Case, by: float) -> float:
-    """Return by how much inverse distances are larger where all is so many times as deep at a typical distance."""
+    """Return the increase of inverse distances, 1/m, that scales the depth at a typical distance by ``by``."""
     return (1.0 / by - 1.0) / _typical_m(case)
 
 
@@ -68,9 +68,9 @@ def _typical_m(case: Case) -> float:
 
 
 def optics_off(case: Case) -> Alternative | None:
-    """Say by how much longer a focal length or a baseline would have what moves fit the messages; None if none would.
+    """Return the focal length or the baseline by which moving objects fit the messages; None if there is none.
 
-    Asked where nothing fits as it was seen. What is not a matcher's has no such optics.
+    Called where nothing fits as it was seen. Only the points of a stereo matcher depend on either.
     """
     moving = _moving(case)
     if not case.matched or not moving.tracks:
@@ -95,9 +95,9 @@ def optics_off(case: Case) -> Alternative | None:
 
 
 def disparities_off(case: Case) -> Alternative | None:
-    """Say the same of an offset of all disparities.
+    """Return the offset of all disparities by which moving objects fit the messages; None if there is none.
 
-    One by which boxes fit about as well as they were seen may still be one by which outlines do, and else not.
+    Boxes may fit hardly better with the offset than as seen, while outlines fit only with it, so outlines decide.
     """
     moving = _moving(case)
     if not case.matched or not moving.tracks:
@@ -123,7 +123,7 @@ def _moving(case: Case) -> Case:
 
 
 def _by_boxes(moving: Case, whats: Sequence[str], ladder: FloatArray) -> tuple[_Stretched, Choice | None]:
-    """Return the likeliest of some optics by boxes, and what is chosen by them as they were seen."""
+    """Return the likeliest factor of some quantities by boxes, and what is chosen by boxes as they were seen."""
     boxes = replace(moving.by_boxes, tracks=[track.without_points() for track in moving.tracks])
     best = as_seen = _stretched(boxes, whats[0], 1.0)
     for what in whats:
@@ -133,7 +133,7 @@ def _by_boxes(moving: Case, whats: Sequence[str], ladder: FloatArray) -> tuple[_
 
 
 def _by_outlines(moving: Case, best: _Stretched) -> _Stretched:
-    """Return what is likeliest by outlines around the best by boxes."""
+    """Return the likeliest factor by outlines, of those around the best by boxes."""
     around = best.by * np.exp(STEP / 2 * np.arange(-AROUND, AROUND + 1))
     return _better(_Stretched(best.what, 1.0, None), (_stretched(moving, best.what, float(by)) for by in around))
 

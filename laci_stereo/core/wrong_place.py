@@ -1,4 +1,4 @@
-"""Whether what moves fits the messages if their positions are of another place on the vehicle than was said."""
+"""Whether moving objects fit the messages if positions refer to another point of the vehicle than specified."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from laci_stereo.core.resemblance import FREE_LEVER_M
 
 
 def place_off(case: Case) -> Alternative | None:
-    """Say from where on the vehicle positions would surely fit what moves; None if from nowhere, or as they are.
+    """Return the reference point by which positions certainly fit moving objects; None if there is no other one.
 
-    Asked where nothing fits as it was said; straight on everything would. Positions of all senders are of one place, as
-    the option says it. Outlines are asked at once: the box of what is seen of a lorry may be half a length off.
+    Called where nothing fits as specified; on a straight road everything would. The positions of all senders have the
+    same reference point, as for the option. Outlines are compared right away: the box of the visible part of a lorry
+    may be off by half its length.
     """
     as_told = replace(case, settings=case.settings.any_fit).chosen()
     elsewhere = _elsewhere(case.vehicles)
@@ -39,9 +40,9 @@ def place_off(case: Case) -> Alternative | None:
 
 
 def _elsewhere(vehicles: Mapping[int, VehicleTrack]) -> dict[str, dict[int, VehicleTrack]]:
-    """Return where vehicles are if positions are of where receivers mostly are, by the options that say so.
+    """Return the vehicles' tracks for each usual place of a receiver on a vehicle, by the option for it.
 
-    That which was said is left out: by it all are where they are.
+    The specified reference point is left out: it leaves all of them where they are.
     """
     places = {"front": FRONT, "center": CENTRE}
     for vehicle in vehicles.values():
@@ -56,9 +57,9 @@ def _elsewhere(vehicles: Mapping[int, VehicleTrack]) -> dict[str, dict[int, Vehi
 
 
 def _moved(vehicle: VehicleTrack, place: ReferencePoint) -> VehicleTrack:
-    """Return where a vehicle is if positions are of a place; itself if that is so near that its outline tells as well.
+    """Return a vehicle's track for another reference point; the same track if outlines can correct the change.
 
-    An offset to the left that was said is of an antenna that is not at this place.
+    A lateral offset that was specified belongs to an antenna that is not at this point.
     """
     there = place.offset(vehicle.length_m)
     by = np.asarray(vehicle.reference) - there
