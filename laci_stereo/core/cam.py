@@ -14,6 +14,7 @@ from laci_stereo.core.cam_repair import (
     REAR_AXLE_SHARE,
     dimensions,
     fitting,
+    held_positions,
     levers,
     onwards_mps,
     usual_speed,
@@ -286,6 +287,11 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         raise CamError(f"{len(log)} CAMs with a position while it is recorded; needed are at least 2")
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
+    held = held_positions(log.stamps_ns / 1e9, xy, log.speed_mps, STANDING_MPS)
+    if held.any():
+        of_station = f"messages of station {log.station_id[0]}"
+        remarks += (f"{np.count_nonzero(held)} of {len(held)} {of_station} repeat an older position: left out",)
+        log, xy = log[~held], xy[~held]
     x, y = reference.offset(float(length)).tolist()
     arms = levers((x, y), float(length))
     fits, doubts = _fitting(log, world, xy, arms)
@@ -311,6 +317,8 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     if not np.isfinite(log.heading_deg).any():
         no_heading = "the messages tell no heading: taken for the way in which positions move, as if it drove forwards"
         remarks += (no_heading,)
+    altitude_m, of_altitude = _altitudes(log.altitude_m)
+    remarks += of_altitude
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
     track = VehicleTrack(
         stamps_s=stamps_s,
@@ -324,11 +332,24 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
         doubts=(*doubts, *stepped, *_narrow(float(width), int(log.station_id[0]))),
-        altitude_m=log.altitude_m if np.isfinite(log.altitude_m).any() else None,
+        altitude_m=altitude_m,
     )
     if not track.folded.any():
         return track
     return replace(track, remarks=(*remarks, _check_folding(track, int(log.station_id[0]))))
+
+
+def _altitudes(altitude_m: FloatArray) -> tuple[FloatArray | None, tuple[str, ...]]:
+    """Return the altitudes, shape (n,), or None if they are unknown, and what is to be remarked about them.
+
+    A receiver's altitudes vary by centimetres at least: where all are 0, the sender fills in what it does not know.
+    """
+    known = altitude_m[np.isfinite(altitude_m)]
+    if not len(known):
+        return None, ()
+    if not known.any():
+        return None, ("the messages report 0 m as altitude throughout: taken as unknown",)
+    return altitude_m, ()
 
 
 def _fitting(

@@ -83,6 +83,31 @@ LONGEST_CAR_M = 6.0
 ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M = 2.55, 0.05
 
 
+def held_positions(stamps_s: FloatArray, xy: FloatArray, speed_mps: FloatArray, standing_mps: float) -> BoolArray:
+    """Return which messages repeat an older position, shape (n,), although the vehicle moves.
+
+    Senders repeat a receiver's last position until it has a new one, such as one per second in ten messages. That the
+    vehicle moves is reported by its speed, or where that is missing follows from the next position.
+
+    Parameters
+    ----------
+    stamps_s : ndarray, shape (n,)
+        Times of the messages, ascending.
+    xy : ndarray, shape (n, 2)
+        Their positions, metres.
+    speed_mps : ndarray, shape (n,)
+        The reported speeds; NaN where unknown.
+    standing_mps : float
+        Speed up to which a vehicle may be stationary.
+    """
+    new = np.append(True, (np.diff(xy, axis=0) != 0.0).any(axis=1))
+    first = np.flatnonzero(new)
+    lasts_s = np.maximum(np.diff(stamps_s[first]), 1e-9)
+    by_positions = np.append(np.linalg.norm(np.diff(xy[first], axis=0), axis=1) / lasts_s, 0.0)[np.cumsum(new) - 1]
+    held: BoolArray = ~new & (np.where(np.isfinite(speed_mps), speed_mps, by_positions) > standing_mps)
+    return held
+
+
 def levers(told: tuple[float, float], length_m: float) -> list[tuple[float, float]]:
     """Return the possible levers from the point that moves where the heading points to the reported point.
 

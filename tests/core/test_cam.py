@@ -133,6 +133,34 @@ def test_speed_that_was_not_sent_follows_from_the_positions() -> None:
     assert np.abs(np.degrees(track.yaw_rad) - 30.0).max() < 1.0
 
 
+@pytest.mark.parametrize("every", [2, 10])
+@pytest.mark.parametrize("drive", [NORTH, TURN])
+def test_positions_that_are_repeated_until_there_is_a_new_one_are_left_out(drive: Drive, every: int) -> None:
+    log = cam_log(ULM, car(drive), 5.0, rate_hz=10.0)
+    new = np.arange(len(log)) % every == 0
+    last = np.maximum.accumulate(np.where(new, np.arange(len(log)), 0))
+    held = replace(log, latitude_deg=log.latitude_deg[last], longitude_deg=log.longitude_deg[last])
+    track, expected = track_of(held), track_of(log[new])
+    np.testing.assert_array_equal(track.stamps_s, expected.stamps_s)
+    np.testing.assert_allclose(track.xy, expected.xy, atol=1e-9)
+    assert any("repeat an older position" in remark for remark in track.remarks)
+
+
+def test_a_vehicle_that_waits_repeats_no_older_position() -> None:
+    waits = replace(NORTH, speeds=((0.0, 8.0), (1.0, 8.0), (3.0, 0.0), (6.0, 0.0), (7.0, 8.0)))
+    log = cam_log(ULM, car(waits), 9.0, rate_hz=10.0)
+    assert len(track_of(log).stamps_s) == len(log)
+
+
+def test_altitudes_that_are_all_zero_are_unknown() -> None:
+    log = cam_log(ULM, car(TURN), 5.0)
+    track = track_of(replace(log, altitude_m=np.zeros(len(log))))
+    assert track.altitude_m is None
+    assert any("0 m as altitude" in remark for remark in track.remarks)
+    sea_level_m = np.linspace(-0.05, 0.05, len(log))
+    assert track_of(replace(log, altitude_m=sea_level_m)).altitude_m is not None
+
+
 def test_values_that_a_sender_did_not_know_are_skipped() -> None:
     log = cam_log(ULM, car(TURN), 5.0, rounded=False)
     every_third = np.where(np.arange(len(log)) % 3 == 0, np.nan, 1.0)
