@@ -32,7 +32,7 @@ from tests.stereo.rigs import RIGS
 from tests.stereo.support import STATIC, exposed, views, write_pairs
 
 KINDS = ("five", "askew", "fisheye", "mirrored askew")
-AXES = {"x": "up or down (pitch)", "y": "sideways (yaw)", "z": "about its line of sight (roll)"}
+AXES = {"x": "in pitch", "y": "in yaw", "z": "in roll"}
 DRIVER = Box(13.0, -1.0, yaw_rad=0.2, seed=3, grey=110.0)
 SPEED_M = 0.5
 """Of the moving box from one frame to the next."""
@@ -97,7 +97,7 @@ def test_a_camera_that_has_turned_is_found_and_named(matched: Callable[[str], Ma
     assert (np.abs(turn.angles_rad - expected) < 3 * turn.sigma_rad).all()
     assert np.degrees(np.abs(turn.angles_rad - expected)).max() < 0.05
     if axis != "y":
-        assert f"stale, or of another camera; the right camera has turned by +0.30 deg {AXES[axis]}" in said(check)
+        assert f"stale, or of another camera; the right camera has rotated by +0.30 deg {AXES[axis]}" in said(check)
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.3])
@@ -116,7 +116,7 @@ def test_a_large_turn_sideways_fails(matched: Callable[[str], Matched]) -> None:
     """It shifts disparities, by 360 px per radian, and in the corners rows."""
     check = check_rig(turned(RIGS["five"], "y", -1.0), matched("five"))
     assert check.outcome == "fail"
-    assert "the right camera has turned sideways by +1.0" in said(check)
+    assert "the right camera has yawed by +1.0" in said(check)
 
 
 def test_points_beyond_infinity_are_named(matched: Callable[[str], Matched]) -> None:
@@ -139,7 +139,7 @@ def test_a_wrong_focal_length_is_no_turn(matched: Callable[[str], Matched]) -> N
     K[:2, 2] = rig.right.K[:2, 2]
     check = check_rig(replace(rig, right=replace(rig.right, K=K)), matched("five"))
     assert check.outcome == "fail"
-    assert "no turn of a camera explains it: focal lengths, lens distortion" in said(check)
+    assert "no rotation of a camera explains it: focal lengths, lens distortion" in said(check)
 
 
 def test_images_of_another_size_are_named(matched: Callable[[str], Matched]) -> None:

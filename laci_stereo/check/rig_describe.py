@@ -107,7 +107,7 @@ def _fit_lines(fit: Fit) -> Iterator[tuple[str, str]]:
         + " deg",
     )
     unseen = 3 * parallax.turn.sigma_rad[1]
-    blind = f"a turn sideways below {np.degrees(unseen):.2f} deg, {fit.points.focal_px * unseen:.1f} px of disparity"
+    blind = f"a yaw below {np.degrees(unseen):.2f} deg, {fit.points.focal_px * unseen:.1f} px of disparity"
     yield "Unseen", f"{blind}: it hardly moves points off their rows"
     low, high = np.percentile(fit.points.disparity_px, [1, 99])
     yield "Disparity", f"{low:.1f} to {high:.1f} px"

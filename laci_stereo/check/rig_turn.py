@@ -80,8 +80,8 @@ class RightTurn:
         """What was corrected, including the yaw from the drive."""
         if not self.looks or self.turn_deg is None:
             return self.by_rows
-        said = f"by the drive the right camera has turned by {self.turn_deg[1]:+.3f} deg sideways"
-        return (*self.by_rows, f"stereo calibration: {said}; that is taken into account, too")
+        said = f"by the drive, the right camera has yawed by {self.turn_deg[1]:+.3f} deg"
+        return (*self.by_rows, f"stereo calibration: {said}; this is compensated, too")
 
     def sideways(self, plane: Rectification, per_m: float, after_per_m: float) -> RightTurn:
         """Return the turn with its yaw increased so that inverse depths, 1/m, change by ``per_m``.
@@ -131,9 +131,9 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
     said, turn_rad = _in_words(fits(NO_TURN), turn_deg), float(np.radians(np.linalg.norm(turn_deg)))
     off_px = fit.points.focal_px * turn_rad
     if off_px <= WARN_PX:
-        return RightTurn(turn_deg, off_px, by_rows=(f"{said}; that is taken into account",), doubts=doubts, fits=fits)
+        return RightTurn(turn_deg, off_px, by_rows=(f"{said}; this is compensated",), doubts=doubts, fits=fits)
     doubt = (
-        f"{said}; that is taken into account, but a turn sideways by as much, which only the drive tells, puts what is "
+        f"{said}; this is compensated, but a yaw of the same size, which only the drive can show, would put what is "
         f"{SAID_AT_M:.0f} m away {SAID_AT_M**2 * turn_rad / rig.baseline_m:.1f} m nearer or farther: calibrate the "
         "cameras again"
     )
@@ -170,6 +170,6 @@ def _in_words(before: Fit, turn_deg: TurnDeg) -> str:
     assert before.judged is not None
     pitch, _, roll = turn_deg
     return (
-        f"stereo calibration: partners lie {before.judged.rows_turn.effect_px:.2f} px beside their row, as the right "
-        f"camera has turned by {pitch:+.3f} deg up or down and {roll:+.3f} deg about its line of sight since"
+        f"stereo calibration: matched points lie {before.judged.rows_turn.effect_px:.2f} px off their row, as the "
+        f"right camera has pitched by {pitch:+.3f} deg and rolled by {roll:+.3f} deg since"
     )

@@ -28,7 +28,7 @@ FEWEST_EXPECTED = 12
 """Least number of expected partners: with this expectation, a quarter or less is found by chance once in 400 times
 (Poisson)."""
 
-_AXES = ("up or down (pitch)", "sideways (yaw)", "about its line of sight (roll)")
+_AXES = ("in pitch", "in yaw", "in roll")
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,9 @@ def _rows(parallax: Parallax) -> list[Finding]:
     return [
         Finding(
             grade,
-            f"after rectification partners lie {parallax.systematic_px:.2f} px beside their row, beyond noise; allowed "
-            f"is {WARN_PX:g} px, and {FAIL_PX:g} px make disparities wrong: {stale}; {explained(parallax.turn)}",
+            f"after rectification matched points lie {parallax.systematic_px:.2f} px off their row, beyond noise; "
+            f"allowed is {WARN_PX:g} px, and {FAIL_PX:g} px make disparities wrong: {stale}; "
+            f"{explained(parallax.turn)}",
         )
     ]
 
@@ -142,13 +143,13 @@ def _rows(parallax: Parallax) -> list[Finding]:
 def explained(turn: Turn) -> str:
     """Return which error of the calibration explains the parallax, in words."""
     if turn.left_over_px > WARN_PX:
-        return "no turn of a camera explains it: focal lengths, lens distortion or the image's crop do not fit"
+        return "no rotation of a camera explains it: focal lengths, lens distortion or the image's crop do not fit"
     parts = [
         f"{np.degrees(angle):+.2f} deg {axis}"
         for angle, sigma, axis in zip(turn.angles_rad, turn.sigma_rad, _AXES, strict=True)
         if abs(angle) > 2 * sigma
     ]
-    return f"the right camera has turned by {', '.join(parts)}" if parts else "a shift of the right camera explains it"
+    return f"the right camera has rotated by {', '.join(parts)}" if parts else "a shift of the right camera explains it"
 
 
 def _columns(parallax: Parallax, focal_px: float) -> list[Finding]:
@@ -161,7 +162,7 @@ def _columns(parallax: Parallax, focal_px: float) -> list[Finding]:
         found.append(
             Finding(
                 graded(off_px),
-                f"the right camera has turned sideways by {angle:+.2f} +- {sigma:.2f} deg, so disparities are off by "
+                f"the right camera has yawed by {angle:+.2f} +- {sigma:.2f} deg, so disparities are off by "
                 f"{focal_px * abs(turn.angles_rad[1]):.1f} px; allowed is {WARN_PX:g} px",
             )
         )

@@ -47,8 +47,8 @@ def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
     well = f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1)"
     if second.station != best.station and not set(best.tracks) & set(second.tracks):
         return (
-            f"{well}, each by another vehicle, but not both by one place of the sensor: a clock may be off, and what "
-            "either alone would tell with it; record a drive with a turn"
+            f"{well}, each with another vehicle, but no single pose of the sensor fits both: a clock may be off, and "
+            "with it the result by either alone; record a drive with a turn"
         )
     name = "name the sender's station, or " if len(scene.senders) > 1 else ""
     return f"{well}: {name}record a drive with a turn or less traffic"
@@ -83,8 +83,8 @@ def folding(vehicles: Mapping[int, VehicleTrack]) -> str:
     """Return words on vehicles that articulate in bends, where their messages cannot be used."""
     counts = {station: np.count_nonzero(vehicle.folded) for station, vehicle in sorted(vehicles.items())}
     return "".join(
-        f"; station {station}'s, {vehicles[station].length_m:.1f} m long, folds in bends, at {count} of "
-        f"{len(vehicles[station].stamps_s)} messages, where it is no outline: drive straight"
+        f"; station {station}'s, {vehicles[station].length_m:.1f} m long, articulates in bends, at {count} of "
+        f"{len(vehicles[station].stamps_s)} messages, where it is no rigid outline: drive straight"
         for station, count in counts.items()
         if count
     )
@@ -104,8 +104,8 @@ def lingering(scene: Scene) -> str:
         share = near.max() / len(xy)
         if share >= COVERED_SHARE:
             found.append(
-                f"; station {station}'s, {sender.length_m:.1f} m long, covers one place {share:.0%} of the time, "
-                "and so may pass for what stands there: drive on by more than its length"
+                f"; station {station}'s, {sender.length_m:.1f} m long, occupies one place {share:.0%} of the "
+                "time, and so may be taken for background: drive on by more than its length"
             )
     return "".join(found)
 
@@ -121,7 +121,7 @@ def towing(scene: Scene) -> str:
         return ""
     return (
         f"; what was seen longest, in {len(longest.usable)} frames, is {np.median(lengths_m[:, 0]):.1f} m long, and no "
-        f"sender tells more than {told_m:.1f} m: if it tows something, drive without that"
+        f"sender reports more than {told_m:.1f} m: if it tows something, drive without that"
     )
 
 
@@ -134,5 +134,5 @@ def nothing_found(tracks: Sequence[Track], settings: MatchSettings) -> str:
     return (
         f"no vehicle was found: {len(tracks)} moving objects, the longest seen in {longest} frames, the farthest "
         f"moving {widest:.1f} m (left out: {left_out}); needed is one that is seen in {settings.min_frames} frames "
-        f"while its CAMs tell its position, and moves {settings.min_path_m:.1f} m"
+        f"while its CAMs report its position, and moves {settings.min_path_m:.1f} m"
     )

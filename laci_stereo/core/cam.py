@@ -311,12 +311,11 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     if (np.diff(stamps_s) > MAX_GAP_S).all():
         raise CamError(
             f"the {len(log)} messages of station {log.station_id[0]} are {np.diff(stamps_s).min():.2f} s apart or "
-            f"more; needed are two within {MAX_GAP_S} s, as nothing tells where it was over longer gaps"
+            f"more; needed are two within {MAX_GAP_S} s, as positions are not interpolated over longer gaps"
         )
     yaw = _body_yaw(log, world, xy_reference)
     if not np.isfinite(log.heading_deg).any():
-        no_heading = "the messages tell no heading: taken for the way in which positions move, as if it drove forwards"
-        remarks += (no_heading,)
+        remarks += ("the messages report no heading: taken as that of the motion, as if the vehicle drove forwards",)
     altitude_m, of_altitude = _altitudes(log.altitude_m)
     remarks += of_altitude
     xy = xy_reference - rotate_xy(yaw, np.tile([x, y], (len(log), 1)))
@@ -391,8 +390,8 @@ def _fitting(
         ]
         raise CamError(
             f"the messages of station {station} contradict one another: {np.count_nonzero(fits)} of "
-            f"{len(fits)} positions follow from the one before by speed and heading, needed is half; the speed told is "
-            f"{told:.1f} m/s, the positions move at {moved:.1f} m/s (medians)"
+            f"{len(fits)} positions follow from the one before by speed and heading, needed is half; the reported "
+            f"speed is {told:.1f} m/s, the positions move at {moved:.1f} m/s (medians)"
             f"{'; likely: ' if likely else ''}{', or '.join(likely)}"
         )
     reversing = check_forwards(onwards_mps(stamps_s, xy, yaw)[fits], station)
@@ -442,8 +441,8 @@ def _with_steps(
     if step_m == 0.0:
         return told_m, ()
     words = (
-        f"the positions of station {log.station_id[0]} jump aside by {step_m:.2f} m, {at_s:.1f} s into the recording: "
-        "those before or those after it are wrong by as much"
+        f"the positions of station {log.station_id[0]} jump sideways by {step_m:.2f} m, {at_s:.1f} s into the "
+        "recording: those before or those after it are wrong by as much"
     )
     return float(np.hypot(np.nan_to_num(told_m), step_m / np.sqrt(2.0))), (words,)
 
@@ -470,7 +469,7 @@ def _check_folding(track: VehicleTrack, station: int) -> str:
     folds, count = track.folded, f"{np.count_nonzero(track.folded)} of {len(track.folded)} messages"
     what = (
         f"the vehicle of station {station} is {track.length_m:.1f} m long, more than a rigid one that is "
-        f"{track.width_m:.1f} m wide may be ({longest_rigid(track.width_m):g} m), so it folds in bends"
+        f"{track.width_m:.1f} m wide may be ({longest_rigid(track.width_m):g} m), so it articulates in bends"
     )
     if (folds[1:] | folds[:-1]).all():
         raise TrackError(f"{what}, which it does at {count}: drive straight")

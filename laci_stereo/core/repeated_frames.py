@@ -32,7 +32,7 @@ def repeats_of(track: Track, vehicle: VehicleTrack, time_offset_s: float) -> tup
         return ()
     told = (
         f"in {np.count_nonzero(drives)} of {len(track.sightings)} frames the vehicle is seen exactly as in the frame "
-        "before, although it drives on: old frames stand under new times; needed is each frame once, under its own"
+        "before, although it drives on: old frames have new times; needed is each frame once, with its own time"
     )
     return (told,)
 

@@ -48,8 +48,7 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> A
     who, whose = (f"station {stations}", "its") if len(seen) == 1 else (f"stations {stations}", "their")
     return Alternative(
         other,
-        f"were the clocks {abs(other.time_offset_s):.2f} s apart, {who} would be seen where {whose} messages say: "
-        "--clock unknown",
+        f"with the clocks {abs(other.time_offset_s):.2f} s apart, {who} would match {whose} messages: --clock unknown",
     )
 
 

@@ -87,9 +87,8 @@ def optics_off(case: Case) -> Alternative | None:
     way = "longer" if exact.by > 1.0 else "shorter"
     return Alternative(
         exact.choice,
-        f"were the stereo camera's {exact.what} {100.0 * abs(exact.by - 1.0):.0f} % {way} than its calibration says, "
-        f"station {exact.choice.station} would be seen where its messages say: is that the calibration of these "
-        "images?",
+        f"if the stereo camera's {exact.what} were {100.0 * abs(exact.by - 1.0):.0f} % {way} than its calibration has "
+        f"it, station {exact.choice.station} would match its messages: is that the calibration of these images?",
         log_searched,
     )
 
@@ -110,9 +109,9 @@ def disparities_off(case: Case) -> Alternative | None:
     typical_m = _typical_m(moving)
     return Alternative(
         exact.choice,
-        f"were all disparities off, so that what was measured {typical_m:.0f} m away is {exact.by * typical_m:.1f} m "
-        f"away, station {exact.choice.station} would be seen where its messages say: has one of the cameras turned "
-        "sideways since they were calibrated?",
+        f"if all disparities were off by one amount, so that what was measured {typical_m:.0f} m away is "
+        f"{exact.by * typical_m:.1f} m away, station {exact.choice.station} would match its messages: has one of the "
+        "cameras yawed since they were calibrated?",
         float(np.log(len(ladder))),
         _nearer_per_m(moving, exact.by),
     )

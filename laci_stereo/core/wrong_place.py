@@ -32,8 +32,8 @@ def place_off(case: Case) -> Alternative | None:
             continue
         if log_odds_between(choice, as_told) > case.settings.least_log_odds + log_searched:
             words = (
-                f"were the messages' positions those of another place on the vehicle, station {choice.station} would "
-                f"be seen where they say: --cam-reference {option}"
+                f"if the messages' positions were of another point on the vehicle, station {choice.station} would "
+                f"match its messages: --cam-reference {option}"
             )
             found.append(Alternative(choice, words, log_searched))
     return max(found, key=lambda each: each.log_odds, default=None)

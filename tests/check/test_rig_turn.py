@@ -68,7 +68,7 @@ def test_a_turn_is_found_and_taken_back(recorded: Recorded, name: str, turn_deg:
     assert after.shown.rows_turn.effect_px < LEAST_PX
     said, unsaid = (found.doubts, found.notes) if turn_deg == LARGE else (found.notes, found.doubts)
     assert [len(said), len(unsaid)] == [1, 0]
-    assert ("a turn sideways by as much, which only the drive tells," in said[0]) == (turn_deg == LARGE)
+    assert ("a yaw of the same size, which only the drive can show," in said[0]) == (turn_deg == LARGE)
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -80,7 +80,7 @@ def test_what_no_turn_explains_is_a_doubt(recorded: Recorded) -> None:
     rig = RIGS["five"]
     longer = replace(rig, right=replace(rig.right, K=rig.right.K * [[1.03, 1.0, 1.0], [1.0, 1.03, 1.0], [1.0] * 3]))
     doubts = find_turn(longer, recorded("five")).doubts
-    assert any("no turn of a camera explains it" in doubt for doubt in doubts), doubts
+    assert any("no rotation of a camera explains it" in doubt for doubt in doubts), doubts
 
 
 @pytest.mark.parametrize("name", ["askew", "fisheye"])
@@ -130,8 +130,8 @@ def test_a_stale_calibration_gives_what_the_right_one_does(tmp_path: Path, mirro
     assert np.sqrt((off_m**2).mean()) < 3.0 * other.quality.track_xy_sigma_m
     assert other.quality.track_xy_sigma_m < 2.0 * one.quality.track_xy_sigma_m
     assert other.quality.verdict == "warn"
-    assert any("the right camera has turned by +0.0" in reason for reason in other.quality.reasons)
-    assert any("by the drive the right camera has turned by +0.0" in note for note in provenance.notes)
+    assert any("the right camera has pitched by +0.0" in reason for reason in other.quality.reasons)
+    assert any("by the drive, the right camera has yawed by +0.0" in note for note in provenance.notes)
     kept = replace(PROVENANCE, config=provenance.config)
     (tmp_path / "calibration.json").write_text(to_text(to_document(calibration(), kept)))
     found_deg = read_calibration(tmp_path).turn_deg
@@ -148,5 +148,5 @@ def test_what_only_the_drive_tells_of_a_turn_is_printed_once(tmp_path: Path) -> 
     stereo = write(tmp_path / "stale.yaml", stale(rig, (0.05, 0.03, 0.02)))
     ran = run([*map(str, ("calibrate", left, right, cam, "--stereo", stereo, "--out", tmp_path / "out"))], tmp_path)
     notes = [line for line in ran.err.splitlines() if line.startswith("note: ")]
-    assert any("by the drive the right camera has turned" in note for note in notes)
+    assert any("by the drive, the right camera has yawed" in note for note in notes)
     assert len(set(notes)) == len(notes)

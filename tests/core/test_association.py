@@ -217,7 +217,7 @@ def test_frames_at_which_the_sender_was_silent_do_not_count() -> None:
     early = told.stamps_s < 2.0
     brief = VehicleTrack(told.stamps_s[early], 0, told.xy[early], told.yaw_rad[early], 4.4, 1.8)
     assert choose_track([seen()], {42: brief}).explained <= 21
-    with pytest.raises(TrackError, match="while its CAMs tell its position"):
+    with pytest.raises(TrackError, match="while its CAMs report its position"):
         choose_track([seen(stamps=STAMPS[30:])], {42: brief})
 
 

@@ -202,7 +202,7 @@ def test_headings_that_were_never_sent_are_those_of_the_motion(drive: Drive) -> 
     known, found = track_of(log), track_of(replace(log, heading_deg=np.full(len(log), np.nan)))
     assert known.remarks == ()
     (remark,) = found.remarks
-    assert remark.startswith("the messages tell no heading")
+    assert remark.startswith("the messages report no heading")
     sent = found.xy + rotate_xy(found.yaw_rad, np.tile(found.reference, (len(log), 1)))
     moved = np.diff(sent, axis=0)
     off = wrap(np.arctan2(moved[:, 1], moved[:, 0]) - (found.yaw_rad[1:] + found.yaw_rad[:-1]) / 2.0)

@@ -124,7 +124,7 @@ def test_messages_that_contradict_one_another(change: str, told: float) -> None:
     log = log_of(TURN)
     wrong = log.speed_mps * told if change == "speed_mps" else (log.heading_deg + 90.0) % 360.0
     with pytest.raises(
-        CamError, match=r"station 42 contradict one another: .* needed is half; the speed told is .* m/s"
+        CamError, match=r"station 42 contradict one another: .* needed is half; the reported speed is .* m/s"
     ):
         track_of(replace(log, **{change: wrong}))
 

@@ -70,7 +70,7 @@ def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: f
     found = track(sent(drive, step_m))
     (doubt,) = found.doubts
     told = re.fullmatch(
-        "the positions of station 42 jump aside by (.*) m, (.*) s into the recording: those before or those after it "
+        "the positions of station 42 jump sideways by (.*) m, (.*) s into the recording: those before or those after it "
         "are wrong by as much",
         doubt,
     )
@@ -84,7 +84,7 @@ def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: f
 @pytest.mark.parametrize("drive", [STRAIGHT, LEFT_TURN, RIGHT_TURN, CURVE])
 def test_of_two_parts_of_a_log_that_are_as_long_neither_is_surely_right(drive: Drive, step_m: float) -> None:
     found = track(sent(drive, step_m))
-    assert "jump aside" in found.doubts[-1]
+    assert "jump sideways" in found.doubts[-1]
     assert found.position_sigma_m == pytest.approx(step_m / np.sqrt(2.0), rel=0.4)
 
 

@@ -88,7 +88,7 @@ def test_where_it_is_straight_it_calibrates(caplog: pytest.LogCaptureFixture) ->
     with caplog.at_level(logging.WARNING):
         found = calibrate(made.recording, made.messages, crs=ULM.crs)
     assert "16.5 m long" in caplog.text
-    assert "folds in bends" in caplog.text
+    assert "articulates in bends" in caplog.text
     bends = np.abs(fold(THEN_BENDS, made.recording.times_s)) > 1.5 * STRAIGHT_RAD
     assert found.quality.frames_used <= np.count_nonzero(~bends)
     xy, _ = made.vehicle.drive.at(found.track.stamps_s)
@@ -102,12 +102,12 @@ def test_where_it_is_straight_it_calibrates(caplog: pytest.LogCaptureFixture) ->
 
 def test_who_bends_all_the_time_is_told_so() -> None:
     made = articulated(ROUND)
-    with pytest.raises(TrackError, match=r"16\.5 m long.*folds in bends, which it does at .*: drive straight"):
+    with pytest.raises(TrackError, match=r"16\.5 m long.*articulates in bends, which it does at .*: drive straight"):
         calibrate(made.recording, made.messages, crs=ULM.crs)
 
 
 @pytest.mark.slow
 def test_who_bends_while_in_view_is_told_so() -> None:
     made = articulated(BENDS_IN_VIEW)
-    with pytest.raises(TrackError, match=r"station 42's, 16\.5 m long, folds in bends, at \d+ of"):
+    with pytest.raises(TrackError, match=r"station 42's, 16\.5 m long, articulates in bends, at \d+ of"):
         calibrate(made.recording, made.messages, crs=ULM.crs)

@@ -114,7 +114,7 @@ def test_a_lorry_that_shunts_within_its_own_length() -> None:
     to_and_fro = Drive((24.0, -3.0), 90.0, speeds=((0.0, 2.0), (2.7, 2.0), (2.8, -2.0), (5.5, -2.0), (5.6, 2.0)))
     made = scene(LEFT_TURN, lidar())
     lorry = car(to_and_fro.turned(np.radians(35.0)), 8.5, 2.4)
-    with pytest.raises(TrackError, match=r"8\.5 m long, covers one place (9\d|100)% of the time, .* its length$"):
+    with pytest.raises(TrackError, match=r"8\.5 m long, occupies one place (9\d|100)% of the time, .* its length$"):
         calibrate(replace(made.recording, movers=(lorry,)), cam_log(ULM, lorry, 6.0))
 
 
@@ -214,7 +214,7 @@ def test_headings_that_were_not_told() -> None:
     found = calibrate(TURNING.recording, replace(log, heading_deg=np.full(len(log), np.nan)))
     covered(TURNING, found)
     (remark,) = found.remarks
-    assert remark.startswith("the messages tell no heading")
+    assert remark.startswith("the messages report no heading")
 
 
 def test_positions_that_are_a_metre_off_make_a_result_that_may_be() -> None:

@@ -114,13 +114,13 @@ def test_the_sensors_clock_is_told_by_a_second_sender_that_turns(late_s: float) 
     assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) > 1.0
     assert found.quality.verdict == "warn"
     (told,) = re.findall(
-        r"were the clocks (\d\.\d\d) s apart, stations 43 and 42 would be seen where their messages say: --clock ",
+        r"with the clocks (\d\.\d\d) s apart, stations 43 and 42 would match their messages: --clock ",
         "\n".join(found.quality.reasons),
     )
     assert float(told) == pytest.approx(abs(late_s), abs=0.05)
     right = calibrate(recording, together(logs), UNKNOWN)
     assert np.linalg.norm(right.T_utm_sensor[:2, 3] - truth) < 0.05
-    assert not any("were the clocks" in each for each in right.quality.reasons)
+    assert not any("with the clocks" in each for each in right.quality.reasons)
 
 
 def test_of_a_clock_that_is_set_nothing_is_said() -> None:
@@ -132,14 +132,14 @@ def test_of_a_clock_that_is_set_nothing_is_said() -> None:
 
 def test_senders_of_which_none_is_likelier_are_refused_with_the_clock_that_suits_both() -> None:
     recording, logs, _ = meeting(0.2, turning(-3.0))
-    with pytest.raises(MatchError, match=r"fit equally well .*; were the clocks 0\.1\d s apart, stations 43 and 42 "):
+    with pytest.raises(MatchError, match=r"fit equally well .*; with the clocks 0\.1\d s apart, stations 43 and 42 "):
         calibrate(recording, together(logs))
 
 
 def test_a_refusal_names_the_clock_by_which_the_one_sender_is_seen() -> None:
     made = scene(LEFT_TURN, lidar(32, 160), frames_hz=5.0)
     late = replace(made.messages, stamps_ns=made.messages.stamps_ns + 1_200_000_000)
-    with pytest.raises(MatchError, match=r"no moving object fits .*; were the clocks 1\.[12]\d s apart, station 42 "):
+    with pytest.raises(MatchError, match=r"no moving object fits .*; with the clocks 1\.[12]\d s apart, station 42 "):
         calibrate(made.recording, late)
 
 

@@ -43,7 +43,7 @@ def exactly(*_: object) -> Resemblance:
 @pytest.mark.parametrize("late_s", [-0.8, -0.3, 0.2, 0.8])
 def test_what_all_senders_are_late_by_is_told(late_s: float) -> None:
     told = re.fullmatch(
-        r"were the clocks (\d\.\d\d) s apart, stations (42 and 43|43 and 42) would be seen where their messages say: "
+        r"with the clocks (\d\.\d\d) s apart, stations (42 and 43|43 and 42) would match their messages: "
         r"--clock unknown",
         said(sent(turns=late_s, straight=late_s)),
     )
@@ -72,7 +72,7 @@ def test_one_sender_that_turns_tells_it_where_nothing_fits_otherwise() -> None:
     found = clocks_apart(Case(tracks, late, SYNCHRONISED), None, exactly)
     assert found is not None
     assert re.match(
-        r"were the clocks 1\.[12]\d s apart, station 42 would be seen where its messages say: ", found.words
+        r"with the clocks 1\.[12]\d s apart, station 42 would match its messages: ", found.words
     )
     # By boxes alone it may be by chance, and by clocks that are set there is nothing to be said.
     assert clocks_apart(Case(tracks, late, SYNCHRONISED), None, no_likeness) is None

@@ -20,8 +20,8 @@ from tests.core.tracks import seen, sighting, vehicle
 from tests.simulated import LEFT_TURN, Recording, scene, stereo
 
 TOLD = re.compile(
-    r"were the stereo camera's (focal length|baseline) (\d+) % (longer|shorter) than its calibration says, station 42 "
-    r"would be seen where its messages say: is that the calibration of these images\?"
+    r"if the stereo camera's (focal length|baseline) were (\d+) % (longer|shorter) than its calibration has it, "
+    r"station 42 would match its messages: is that the calibration of these images\?"
 )
 
 
@@ -59,7 +59,7 @@ def test_an_offset_of_all_disparities_is_told(per_m: float) -> None:
     measured = nearer_track(by_a_matcher(seen()), -per_m)
     told = disparities_off(Case([measured], {42: vehicle()}, MatchSettings()))
     assert told is not None
-    assert "station 42 would be seen where its messages say: has one of the cameras turned sideways" in told.words
+    assert "station 42 would match its messages: has one of the cameras yawed" in told.words
     typical_m = float(np.median(np.linalg.norm(measured.centres, axis=1)))
     assert told.nearer_per_m * typical_m == pytest.approx(per_m * typical_m, abs=STEP * (1.0 + abs(per_m) * typical_m))
 

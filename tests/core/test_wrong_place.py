@@ -58,7 +58,7 @@ def words(
 )
 def test_the_place_is_told(true: ReferencePoint, said: ReferencePoint, option: str) -> None:
     assert words({42: taken_for(true, said)}) == (
-        "were the messages' positions those of another place on the vehicle, station 42 would be seen where they say: "
+        "if the messages' positions were of another point on the vehicle, station 42 would match its messages: "
         f"--cam-reference {option}"
     )
     assert parse_reference(option) == true
