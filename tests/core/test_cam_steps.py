@@ -70,8 +70,8 @@ def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: f
     found = track(sent(drive, step_m))
     (doubt,) = found.doubts
     told = re.fullmatch(
-        "the positions of station 42 jump sideways by (.*) m, (.*) s into the recording: those before or those after it "
-        "are wrong by as much",
+        "the positions of station 42 jump sideways by (.*) m, (.*) s into the recording: those before or those after "
+        "it are wrong by as much",
         doubt,
     )
     assert told is not None
