@@ -5,10 +5,10 @@ usage: python -m tools.bench_check [--sensor stereo_05] [--scenes 100] [--first 
 
 For a camera, one image of each scene without moving objects is rendered (the median of a recording is free of them, and
 of most of its noise); for a LiDAR, the scans that the check reads are simulated, traffic included. The check is run on
-calibrations whose errors are as large as they claim (see `CLAIMED`), on ones that are shifted by 30 cm in each of eight
-directions, and on ones that are rotated by 0.5 deg either way about the sensor. Errors are right ones that fail and
-wrong ones that pass; where the lines are inconclusive is counted separately. With --out the pictures of all errors are
-kept. ``--share`` scales the image: 0.5 renders four times as fast, with half the resolution.
+calibrations with errors drawn from their covariance (right, see `CLAIMED`), on ones shifted by 30 cm in each of eight
+directions, and on ones rotated by 0.5 deg either way about the sensor (both wrong). The errors counted are right ones
+that fail and wrong ones that pass; checks with inconclusive lines are counted separately. With --out the pictures of
+all errors are kept. ``--share`` scales the image: 0.5 renders four times as fast, with half the resolution.
 """
 
 from __future__ import annotations
@@ -50,10 +50,11 @@ from tools.scenes.scene import SENSORS, Recorded, Scene, SceneError, SensorKind,
 from tools.scenes.world import Edge, Line
 
 CLAIMED = np.radians([0.02, 0.02, 0.06, 0.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.0, 0.04, 0.04, 0.005])
-"""One sigma of tilt, yaw and position: what the demonstration's results claim."""
+"""Standard deviations of the rotation vector (tilt, tilt, yaw) and the position (x, y, z): those of the demonstration's
+results."""
 
 RIGHT = 8
-"""Number of right calibrations that are drawn for each scene."""
+"""Number of right calibrations drawn at random for each scene."""
 
 SHIFT_M, TURN_DEG = 0.30, 0.5
 
@@ -103,7 +104,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Shown(Place):
-    """Such a scene seen by a camera."""
+    """A scene without moving objects, seen by a camera."""
 
     image: Raster
     lens: Lens
@@ -121,7 +122,7 @@ class Shown(Place):
 
 @dataclass(frozen=True)
 class Scanned(Place):
-    """Such a scene seen by a LiDAR."""
+    """The scene of a LiDAR, with the scans that the check reads."""
 
     scans: ScanSequence
 
@@ -173,7 +174,7 @@ def show(scene: Scene, camera: StereoCamera, share: float) -> tuple[Raster, Lens
     """Render the static bodies, once."""
     lens = scaled(camera.rig.left, share)
     look = random_look(np.random.default_rng(scene.seed))
-    # Light of four images: the median of fifteen has even less noise.
+    # Exposure of four images: the median of fifteen images has even less noise.
     sensor: Sensor = replace(look.sensor, colour=False, bits=8, full_well_e=4 * look.sensor.full_well_e)
     renderer = Renderer([body for body in scene.bodies if body.static], Eye(lens, scene.T_world_sensor), look.light)
     scale = exposure_scale(renderer.background, sensor)
@@ -206,7 +207,7 @@ def moved(shown: Place, error: FloatArray) -> FloatArray:
 
 
 def errors_of(shown: Place, seed: int) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the calibrations to be checked: name and transform."""
+    """Yield the calibrations to be checked: kind of error and transform, shape (4, 4)."""
     rng = np.random.default_rng(seed)
     for _ in range(RIGHT):
         yield "right", moved(shown, CLAIMED * rng.normal(size=6))

@@ -1,4 +1,4 @@
-"""Print the errors of the ground fit on random scenes, the errors that it claims, and its duration.
+"""Print the true and the claimed errors of the ground fit on random scenes, and its duration.
 
 Run from the repository's root: ``python -m tools.bench_ground --scenes 200``.
 """
@@ -20,7 +20,7 @@ from tests.scenes import GroundScene, ground_scene, rough_road, wavy_road, with_
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one scene: errors are infinite where no plane was found."""
+    """The outcome of one scene; errors are infinite where no plane was found."""
 
     tilt_deg: float
     height_m: float

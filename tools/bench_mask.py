@@ -99,7 +99,7 @@ def right(boxes: Boxes, _glance: Glance) -> Boxes:
 
 
 def shifted(boxes: Boxes, glance: Glance) -> Boxes:
-    """Shift all boxes, in one direction for a whole scene."""
+    """Shift all boxes, in the same direction throughout a scene."""
     return boxes + np.tile(glance.shift, 2)
 
 
@@ -198,7 +198,7 @@ class TrueSegmenter:
 
 
 class MatchedOnce:
-    """A stereo recording whose frames are matched already (implements `PointCloudSource`): short ones fit into memory.
+    """A short stereo recording whose frames are matched once and kept in memory (implements `PointCloudSource`).
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def _box(mover: Mover, time_s: float, scene: Scene, plane: Rectification) -> Flo
     T_rectified_body = invert(scene.T_world_sensor @ plane.T_sensor_rectified) @ mover.pose(time_s)
     corners = mover.mesh.vertices[mover.mesh.triangles]
     along = np.linspace(0.0, 1.0, EDGE_STEPS, endpoint=False)[:, None, None, None]
-    # Of edges that pass beside the camera and behind it, the part in front of it is visible.
+    # Sampled edges: of an edge that extends behind the camera, only the part in front of it is visible.
     points = transform(T_rectified_body, (corners + along * (np.roll(corners, 1, axis=1) - corners)).reshape(-1, 3))
     points = points[points[:, 2] > NEAREST_M]
     if not len(points):
@@ -362,7 +362,7 @@ class Row:
 
 
 def run(seed: int, sensor: str, factors: dict[str, object], paint: bool, images: Path | None) -> list[Row]:
-    """Observe a scene once, and calibrate it with each mask; rendered images are kept in ``images`` if it is given."""
+    """Observe a scene once, and calibrate it with each mask; keep rendered images in ``images`` unless it is None."""
     kind = {name: name for name in SENSORS}[sensor]  # type: ignore[index]
     try:
         scene = draw_scene(seed, kind, **{**(CLOSE if paint else FACTORS), **factors})
@@ -394,7 +394,8 @@ def painted(scene: Scene, folder: Path) -> StereoRecording:
 def small_and_calm(scene: Scene) -> Scene:
     """Return a scene with smaller images of the same field of view, in which trees and hedges do not sway.
 
-    They sway permanently and by a hundredth, which is taken for noise, but is most of what would have to be rendered.
+    They sway permanently by at most a hundredth of their height, which the tool takes for noise, but rendering this
+    motion would be most of the work.
     """
     camera = scene.sensor
     assert isinstance(camera, StereoCamera), scene.sensor_kind
@@ -416,7 +417,7 @@ def _cast(scene: Scene, recording: StereoRecording, stamp_ns: int, u: IntArray, 
 
 @dataclass(frozen=True)
 class Truth:
-    """What the detectors know: boxes of the vehicles by stamp, what pixels show, and image pixels per such pixel."""
+    """Ground truth for the detectors: boxes by stamp, the body shown by each pixel, and the pixels' stride."""
 
     boxes: dict[int, Boxes]
     shown: Shown

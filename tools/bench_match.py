@@ -24,7 +24,7 @@ FAR_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one scene: NaN where it was refused."""
+    """The outcome of one scene; errors are NaN where it was refused."""
 
     seed: int
     right: bool

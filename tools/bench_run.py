@@ -63,7 +63,7 @@ def whole_disparities(recording: Path) -> int:
 
 
 def repeated(recording: Path, pairs: int, folder: Path) -> Path:
-    """Create a recording of ``pairs`` pairs by repeating a shorter one with links, one second apart."""
+    """Create a recording of ``pairs`` pairs with links that repeat a shorter one, with pauses of one second."""
     names = sorted((recording / "left").iterdir())
     stamps = [int(name.stem) for name in names]
     period_ns = stamps[-1] - stamps[0] + 1_000_000_000

@@ -7,8 +7,8 @@ usage: python -m tools.bench_scenes [--sensors lidar_8,lidar_32,stereo_05,detect
 Prints a table, one row for each sensor and method. A run is *accepted* when it is calibrated with another verdict than
 "fail"; all others are *refused*. A scene is *good* when the sender is in view in at least 40 frames, two of its sides
 are seen, and meanwhile it turns by at least 30 deg or changes its speed by at least 10 %. Errors, and whether they are
-within what is claimed, are those of the accepted runs; "within 3 sigma" is of the position along the track, the last
-column of yaw and tilt.
+covered by the claimed covariance, are those of the accepted runs; "within 3 sigma" refers to the position along the
+track, the last column to yaw and tilt.
 
 "detections" are a detector's boxes of the moving objects around a lidar_32: with errors of 10 cm and 2 deg, every fifth
 missing, without track numbers. With --rendered N the first N seeds of each stereo camera are images, rendered at 5 Hz

@@ -1,1 +1,1 @@
-"""Where the objects of a long recording drive on the map, whatever the sensor."""
+"""Monitoring of long recordings from any sensor: object positions and traffic counts on the map."""

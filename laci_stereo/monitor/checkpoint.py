@@ -1,4 +1,4 @@
-"""``state.json``: how far a monitor has come, so that it goes on from there after whatever ended it."""
+"""``state.json``: a monitor's checkpoint, from which it resumes after it was ended or killed."""
 
 from __future__ import annotations
 
@@ -29,28 +29,30 @@ SCHEMA = "laci-monitor-state/1"
 
 @dataclass
 class State:
-    """All that a monitor goes on from.
+    """The state from which a monitor resumes.
 
     Attributes
     ----------
     identity : mapping of str to str
-        What it was made of: calibration, map, recording and settings, by name.
+        Identity of the calibration, the map, the recording and the settings (hashes or values), by name.
     frames : int
-        Frames that are done.
+        Number of frames processed.
     stamps_sha256 : str
-        Of their times.
+        Hash of their times, see `sha256_of`.
     epoch_ns : int
-        Time of the first frame.
+        Time of the first frame, Unix, nanoseconds.
     last_ns : int
-        Time of the last one that is done.
+        Time of the last frame processed, Unix, nanoseconds.
     table_bytes : int
         Length of ``objects.csv``.
     objects : int
-        Passages that are in it.
+        Number of passages in that table.
     unusable : int
-        Frames that could not be read.
+        Number of processed frames that could not be read.
     linker : Linker
+        Tracks in progress.
     tally : Tally
+        Counts so far.
     """
 
     identity: Mapping[str, str]
@@ -66,12 +68,12 @@ class State:
 
 
 def sha256_of(stamps_ns: IntArray) -> str:
-    """Return the hash of some frames' times."""
+    """Return the SHA-256 of frames' times, as little-endian 64-bit integers."""
     return hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype="<i8").tobytes()).hexdigest()
 
 
 def write_state(path: Path, state: State) -> None:
-    """Write a checkpoint as a whole, or leave the one before.
+    """Write a checkpoint atomically: on failure, the previous one is kept.
 
     Raises
     ------
@@ -94,7 +96,7 @@ def read_state(path: Path, settings: TrackSettings) -> State:
     Raises
     ------
     OutputError
-        If it is none.
+        If the file is not a checkpoint, or one of another schema.
     """
     try:
         document = json.loads(path.read_bytes())
@@ -108,12 +110,12 @@ def read_state(path: Path, settings: TrackSettings) -> State:
 
 
 def check_same(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -> None:
-    """Refuse a checkpoint of something else.
+    """Check that the identity found in a checkpoint is the identity asked for.
 
     Raises
     ------
     OutputError
-        Naming what differs.
+        If they differ, with the name of the first difference.
     """
     for name in sorted({*found, *asked}):
         if found.get(name) == asked.get(name):
@@ -197,7 +199,7 @@ def _of_sighting(one: Sighting) -> list[float]:
 
 
 def _sighting(values: list[float]) -> Sighting:
-    """Return what the linking needs of a sighting."""
+    """Return a sighting with the fields that the linking needs; the others are empty."""
     stamp_s, frame_s, x, y, count = values
     nothing, middle = np.zeros(0), np.array([x, y])
     box = Box(middle, 0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What a monitor asks of a sensor: frames that may become more, and the scene at rest as some of them show it."""
+"""The interface between a sensor and the monitor: a growing sequence of frames, and the static scene that they show."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import IntArray
 
 STILL_S = 1.0
-"""A file whose size has not changed for so long is written: writers flush far more often."""
+"""A file whose size has not changed for this long is complete: writers flush far more often."""
 
 
 class Scene(Protocol):
-    """What a sensor has learnt of its scene at rest."""
+    """The static scene as learnt from some frames of a sensor."""
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield whole frames, in which little moves."""
+        """Yield point clouds of whole frames in which little moves."""
 
     def section(self, frames: range) -> Iterator[PointCloud]:
-        """Yield some frames of the recording, of any time, in order; empty ones for those that cannot be read."""
+        """Yield the point clouds of any frames of the recording, in order; empty ones for unreadable frames."""
 
     @property
     def unusable(self) -> int:
-        """How many frames of the latest section could not be read, once it was read to its end."""
+        """Number of frames of the latest section that could not be read, once the section was read to its end."""
 
 
 class Frames(Protocol):
@@ -36,38 +36,38 @@ class Frames(Protocol):
 
     @property
     def uri(self) -> str:
-        """Where they are."""
+        """Location of the recording."""
 
     @property
     def stamps_ns(self) -> IntArray:
-        """Times of those that are known to be whole, ascending, shape (n,), Unix, nanoseconds."""
+        """Times of the frames known to be complete, ascending, shape (n,), Unix, nanoseconds."""
 
     @property
     def identity(self) -> dict[str, str]:
-        """What tells this recording and the way in which it is read from another, by name."""
+        """Properties that identify this recording and how it is read (hashes or values), by name."""
 
     def refresh(self, whole: int) -> None:
-        """Look for more; so many of the first are known to be whole."""
+        """Look for new frames; the first ``whole`` frames are known to be complete."""
 
     def learn(self, frames: range) -> Scene:
-        """Learn the scene at rest."""
+        """Learn the static scene from a range of frames."""
 
 
 class Arrivals:
-    """Tells which files of a growing folder are whole: those whose sizes have been still."""
+    """Detects which files of a growing folder are complete: those whose sizes have not changed for `STILL_S`."""
 
     def __init__(self) -> None:
         self._sizes: dict[Path, tuple[int, float]] = {}
 
     def whole(self, frames: Sequence[Sequence[Path]], now_s: float) -> int:
-        """Return how many of the first frames are whole.
+        """Return the number of leading frames that are complete.
 
         Parameters
         ----------
         frames : sequence of sequence of Path
-            The files of each frame that was not known to be whole before.
+            The files of each frame that was not yet known to be complete.
         now_s : float
-            Of a clock that does not jump.
+            Time of a monotonic clock, seconds.
         """
         still = [False not in [self._still(file, now_s) for file in files] for files in frames]
         count = still.index(False) if False in still else len(still)

@@ -1,4 +1,4 @@
-"""The lines of a map that traffic is held against: lanes' centre lines, or boundaries where there are no lanes."""
+"""The lines of a map with which traffic is compared: lanes' centre lines, or boundaries where there are no lanes."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from laci_stereo.io.lanelets import Lane
 NO_BOUNDARIES = frozenset(
     {"stop_line", "virtual", "traffic_sign", "traffic_light", "pedestrian_marking", "zebra_marking", "symbol"}
 )
-"""Kinds of lines that do not run along a lane."""
+"""Kinds of lines that are no boundaries along a lane."""
 
 
 @dataclass(frozen=True)
 class Located:
-    """Where positions are beside a line.
+    """Positions relative to a line.
 
     Attributes
     ----------
     place_m : ndarray, shape (n,)
-        Along the line.
+        Distance along the line.
     offset_m : ndarray, shape (n,)
-        To its left.
+        Offset to the left of the line.
     yaw_rad : ndarray, shape (n,)
-        Of the line there.
+        Direction of the line there, world.
     inside : ndarray of bool, shape (n,)
-        Whether that is within the strip.
+        Whether the position is within the strip.
     """
 
     place_m: FloatArray
@@ -49,13 +49,13 @@ class Strip:
     ----------
     id : str
     xy : ndarray, shape (n, 2)
-        World; in the direction of travel where it is a lane's.
+        Points of the line, world; a lane's are in the direction of travel.
     low_m, high_m : ndarray, shape (n,)
-        From where to where it reaches, metres to the left of the line.
+        The strip's right and left edge at these points, metres to the left of the line.
     is_lane : bool
         Whether the line is a lane's centre line.
     one_way : bool
-        Whether traffic drives along it only.
+        Whether traffic may drive only in the line's direction.
     """
 
     id: str
@@ -70,7 +70,7 @@ class Strip:
         return along_line(self.xy)
 
     def locate(self, xy: FloatArray) -> Located:
-        """Find the nearest places on the line to positions, shape (n, 2), world."""
+        """Return where positions, shape (n, 2), world, are relative to the nearest points of the line."""
         start, step = self.xy[:-1], np.diff(self.xy, axis=0)
         squared = np.maximum((step**2).sum(axis=1), 1e-12)
         from_start = xy[:, None] - start
@@ -89,12 +89,12 @@ class Strip:
 
 
 def strips_of(lane_map: LaneMap, lanes: Sequence[Lane], boundary_reach_m: float) -> tuple[Strip, ...]:
-    """Return the strips of a map: its lanes, or either side of each boundary where it has none.
+    """Return the strips of a map: its lanes, or if it has none, a strip on either side of each boundary.
 
     Raises
     ------
     MapError
-        If there are neither.
+        If the map has neither lanes nor boundaries.
     """
     if lanes:
         return tuple(_of_lane(lane) for lane in lanes)

@@ -1,4 +1,4 @@
-"""Linking sightings into tracks as they come: the core's filter and assignment, in flat memory."""
+"""Linking of sightings into tracks frame by frame, with the core's filter and assignment, in constant memory."""
 
 from __future__ import annotations
 
@@ -15,51 +15,58 @@ from laci_stereo.core.sighting import NOTHING_LOW, Sighting, dense
 from laci_stereo.core.tracking import FILTERED, STRAY, Moving, assign, backwards, blind_s, strain
 
 REMEMBERED = 5
-"""Sightings at the end of a track whose sizes the assignment looks at."""
+"""Number of sightings at the end of a track whose sizes the assignment considers."""
 
 STANDS_M = 0.1
-"""What has moved by less since its outline was kept, or by less than its noise, stands: that outline will do."""
+"""An object that has moved by less than this, or by less than its noise, since its outline was last kept is stationary;
+that outline is used further."""
 
 BODY_M = (3.0, 1.8)
-"""Parts of a car are so near to each other along its way and across it: cars behind each other are farther apart even
-where they queue, 4 m and a gap of 1 m, and those beside each other by the width of a lane, 2.75 m and more."""
+"""Largest distances between parts of one car, along and across its path. Cars behind each other are farther apart even
+in a queue, by 4 m and a gap of 1 m, and cars beside each other by the width of a lane, 2.75 m and more."""
 
 COMMON_FRAMES = 5
+"""Least number of frames in which two tracks are both seen for them to be compared."""
+
 NEARBY = 3
-"""So many frames before and after one tell which way it goes there."""
+"""The direction of travel in a frame is taken from this many common frames before it to as many after it."""
 
 NEARLY_ALL = 0.9
-"""Of the frames in which both are seen, at least as many."""
+"""Least fraction of the common frames in which parts of one body are within `BODY_M` of each other."""
 
 UNIT_M = 1e-3
-"""Outlines are kept in millimetres, far below any sensor's noise, in whole numbers that a file holds exactly."""
+"""Unit of kept outlines: whole millimetres, which a file holds exactly and which are far below any sensor's noise."""
 
 REACH = np.iinfo(np.int16).max
+"""Largest coordinate of an outline, in `UNIT_M`."""
+
 TOP_SHARE = 0.95
-"""Of the points' heights: the highest of some hundred is noise."""
+"""An object's height is this quantile of its points' heights: the highest of some hundred points is noise."""
 
 Outline: TypeAlias = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What is kept of a sighting.
+    """The part of a sighting that is kept for its passage.
 
     Attributes
     ----------
     frame : int
+        Frame number.
     stamp_s : float
+        Seconds since the recording's first stamp.
     middle : ndarray, shape (2,)
         Level frame.
     whole : bool
-        Whether its outline can be trusted.
+        Whether the outline can be trusted.
     outline : ndarray of int16, shape (n, 2)
-        Some of its points on the ground plan, relative to the middle, in `UNIT_M`; none where it is not whole, or where
-        the object stands as it did when its outline was last kept.
+        Some of the points on the ground plan, relative to the middle, in `UNIT_M`; empty where the outline is not
+        whole, or where the object has been stationary since its outline was last kept.
     top_m : float
-        Height of its highest points; 0 without an outline.
+        Height of the highest points; 0 without an outline.
     sigma_m : float
-        Typical noise of its points along the line of sight.
+        Typical noise of the points along the line of sight.
     """
 
     frame: int
@@ -73,15 +80,16 @@ class Kept:
 
 @dataclass
 class Live:
-    """A track that grows.
+    """A growing track.
 
     Attributes
     ----------
     moving : Moving
-        Its last sightings and its filter.
+        The filter, with the last `REMEMBERED` sightings.
     head : list of Sighting
-        Its first sightings, without points.
+        The first `FILTERED` sightings, without points.
     kept : list of Kept
+        The kept part of every sighting.
     """
 
     moving: Moving
@@ -90,12 +98,12 @@ class Live:
 
     @property
     def first_s(self) -> float:
-        """When it was first seen."""
+        """Time of the first sighting, seconds since the recording's first stamp."""
         return self.head[0].stamp_s
 
     @property
     def last_s(self) -> float:
-        """When it was last seen."""
+        """Time of the last sighting, seconds since the recording's first stamp."""
         return self.moving.last.stamp_s
 
 
@@ -106,11 +114,11 @@ class Linker:
     Attributes
     ----------
     active : list of Live
-        In sight, or lost for a moment.
+        Tracks in sight, or out of sight for a moment.
     lost : list of Live
-        Out of sight for longer; what begins now may turn out to be their continuation.
+        Tracks out of sight for longer; a track that begins now may turn out to continue one of them.
     before_s : float or None
-        The last frame with sightings.
+        Time of the last frame with sightings.
     """
 
     active: list[Live] = field(default_factory=list)
@@ -120,13 +128,14 @@ class Linker:
     def add(
         self, frame: int, now_s: float, sightings: Sequence[Sighting], settings: Settings, longest_s: float
     ) -> list[Live]:
-        """Take a frame's sightings up, and return the tracks that are over.
+        """Add a frame's sightings, and return the tracks that have ended.
 
         Parameters
         ----------
         frame : int
+            Frame number.
         now_s : float
-            Of the frame.
+            Time of the frame, seconds since the recording's first stamp.
         sightings : sequence of Sighting
         settings : Settings
         longest_s : float
@@ -149,7 +158,10 @@ class Linker:
         return self._alone(over)
 
     def _retire(self, now_s: float, patience_s: float, settings: TrackSettings) -> None:
-        """Set the tracks aside that are out of sight for longer than one can tell who appears."""
+        """Move tracks not seen for longer than ``patience_s`` to `lost`.
+
+        After this time, a prediction no longer determines which of the sightings continues a track.
+        """
         out = [live for live in self.active if now_s - live.last_s > patience_s]
         self.active = [live for live in self.active if now_s - live.last_s <= patience_s]
         for live in out:
@@ -175,10 +187,11 @@ class Linker:
                     self._join(live, settings.track)
 
     def _join(self, live: Live, settings: TrackSettings) -> None:
-        """Put a track behind one that was lost before, where the velocities agree with the way in between.
+        """Append a track to an earlier, lost one, where the displacement in the gap agrees with both velocities.
 
-        Where a body fell apart for a frame, its next track begins with a piece of it while the last one goes on: what
-        was seen at once with that is not its continuation, but what follows may be.
+        Where the points of a body were split for a frame, its next track begins with a fragment while the previous
+        track goes on. The sighting simultaneous with the previous track's last ones is not its continuation, but what
+        follows may be, so the first sighting may be dropped as an outlier.
         """
         strains = {}
         for stray in range(min(2, len(live.head))):
@@ -194,7 +207,7 @@ class Linker:
             live.head, live.kept = (before.head + live.head[stray:])[:FILTERED], before.kept + live.kept[stray:]
 
     def _over(self, now_s: float, settings: TrackSettings) -> list[Live]:
-        """Return the lost tracks that nothing can continue any more."""
+        """Remove and return the lost tracks that no track can continue any more."""
         undecided_s = [live.first_s for live in self.active if len(live.head) < FILTERED]
         since_s = min([now_s, *undecided_s]) - settings.max_lost_s
         over = [live for live in self.lost if live.last_s < since_s]
@@ -202,7 +215,7 @@ class Linker:
         return sorted(over, key=lambda live: live.last_s)
 
     def _alone(self, over: list[Live]) -> list[Live]:
-        """Return the tracks that are objects of their own; parts of a body go to the track of another part of it.
+        """Return the tracks that are separate objects, and merge each part of a body into the track of another part.
 
         The beams of a sparse scanner may leave a gap between a car's side and its roof.
         """
@@ -219,7 +232,7 @@ class Linker:
 
 
 def _one_body(one: Sequence[Kept], other: Sequence[Kept]) -> bool:
-    """Tell whether two tracks move together within a car's body."""
+    """Return whether two tracks move together within the extent of a car's body."""
     if one[-1].frame < other[0].frame or other[-1].frame < one[0].frame:
         return False
     there = {kept.frame: kept.middle for kept in other}
@@ -236,7 +249,7 @@ def _one_body(one: Sequence[Kept], other: Sequence[Kept]) -> bool:
 
 
 def _merged(one: Sequence[Kept], other: Sequence[Kept]) -> list[Kept]:
-    """Put the parts of one body together, frame by frame."""
+    """Merge two parts of one body, frame by frame."""
     merged = {kept.frame: kept for kept in other}
     for kept in one:
         part = merged.get(kept.frame)
@@ -252,7 +265,7 @@ def _together(one: Kept, other: Kept) -> Kept:
 
 
 def _bare(sighting: Sighting) -> Sighting:
-    """Return a sighting without its points."""
+    """Return a copy of a sighting without its points."""
     nothing = np.zeros(0)
     return replace(
         sighting,
@@ -270,7 +283,7 @@ def _kept(frame: int, sighting: Sighting, live: Live | None, settings: Settings)
         nothing = np.zeros((0, 2), dtype=np.int16)
         return Kept(frame, sighting.stamp_s, sighting.middle, whole, nothing, 0.0, sighting.sigma_m)
     points = sighting.points.copy()
-    if sighting.late_s is not None and live is not None:  # to where they were at the stamp
+    if sighting.late_s is not None and live is not None:  # motion compensation to the sighting's stamp
         points[:, :2] -= sighting.late_s[:, None] * live.moving.state[1]
     points = points[dense(points[:, :2], settings.vehicle)]
     beside = np.rint((points[:, :2] - sighting.middle) / UNIT_M).clip(-REACH, REACH)

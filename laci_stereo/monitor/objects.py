@@ -1,4 +1,4 @@
-"""``objects.csv``: every object in every frame, a passage at a time; and the same as ASAM OpenLABEL 1.0."""
+"""``objects.csv``: every object in every frame, ordered by passage; and its conversion to ASAM OpenLABEL 1.0."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ COLUMNS = (
     "utm_north",
     "lane",
 )
-"""Seconds (Unix), metres and radians; x, y and yaw in the world frame; yaw and the position of the box's centre."""
+"""Columns of ``objects.csv``: seconds (Unix), metres, radians and metres per second. x and y are the box's centre, yaw
+the direction of its front, in the world frame; lane is the strip along which the passage drove most, or empty."""
 
 NS_PER_S = 1_000_000_000
 
@@ -42,7 +43,7 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True)
 class Row:
-    """A line of ``objects.csv``."""
+    """A line of ``objects.csv``, as far as OpenLABEL needs it; units as in `COLUMNS`."""
 
     object: int
     frame: int
@@ -61,7 +62,7 @@ def header() -> bytes:
 
 
 def rows_of(passage: Passage, number: int, lane: str, epoch_ns: int, world: World) -> bytes:
-    """Return a passage as lines of ``objects.csv``."""
+    """Return a passage as lines of ``objects.csv``, with its number and lane; ``epoch_ns`` is the time of frame 0."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     size = [f"{value:.2f}" for value in (passage.length_m, passage.width_m, passage.height_m)]
@@ -83,7 +84,7 @@ def read_rows(path: Path) -> Iterator[Row]:
     Raises
     ------
     OutputError
-        If it is not as it was written.
+        If a line is malformed.
     """
     with path.open(newline="", encoding="utf-8") as stream:
         for line in csv.DictReader(stream):
@@ -99,14 +100,20 @@ def read_rows(path: Path) -> Iterator[Row]:
 
 
 def by_frame(rows: Iterable[Row], longest_frames: int) -> Iterator[tuple[int, list[Row]]]:
-    """Bring passages that follow one another by their ends into the order of frames, in flat memory.
+    """Sort the rows of passages, which come in the order of their ends, by frame, in constant memory.
 
     Parameters
     ----------
     rows : iterable of Row
         One passage after the other, each in the order of frames.
     longest_frames : int
-        So many after the last frame of a passage at most comes another one that begins before it.
+        Greatest number of frames by which a passage can reach back behind the latest end of those before it.
+
+    Yields
+    ------
+    frame : int
+    rows : list of Row
+        The objects in this frame.
     """
     waiting: list[tuple[int, int, Row]] = []
     ended = 0
@@ -132,14 +139,14 @@ def by_frame(rows: Iterable[Row], longest_frames: int) -> Iterator[tuple[int, li
 
 @dataclass(frozen=True)
 class Labelled:
-    """What an OpenLABEL file says beside its objects.
+    """Metadata of an OpenLABEL file.
 
     Attributes
     ----------
     name, kind : str
-        Of the sensor.
+        Name and kind of the sensor.
     uri : str
-        Of its recording.
+        Location of its recording.
     world : World
     """
 
@@ -150,17 +157,19 @@ class Labelled:
 
     @property
     def stream(self) -> str:
-        """Name of the sensor's stream."""
+        """Name of the sensor's stream: the sensor's name, or its kind where it has none."""
         return self.name or self.kind
 
 
 def write_openlabel(stream: TextIO, table: Path, longest_frames: int, labelled: Labelled) -> None:
-    """Write ``objects.csv`` as OpenLABEL, a frame at a time.
+    """Convert ``objects.csv`` to OpenLABEL, a frame at a time.
 
     Parameters
     ----------
     stream : TextIO
+        Where the OpenLABEL is written.
     table : Path
+        The ``objects.csv``.
     longest_frames : int
         See `by_frame`.
     labelled : Labelled
@@ -198,7 +207,7 @@ def write_openlabel(stream: TextIO, table: Path, longest_frames: int, labelled: 
 
 
 def _members(stream: TextIO, members: Iterable[tuple[int, Content]]) -> Iterator[tuple[int, Content]]:
-    """Write what is around the members of an object, while who consumes this writes their values."""
+    """Write a JSON object's braces, commas and names, and yield each member, whose value the caller writes."""
     stream.write("{")
     for number, (name, content) in enumerate(members):
         stream.write(f'{"," if number else ""}\n"{name}": ')
@@ -211,7 +220,7 @@ def _json(document: object) -> str:
 
 
 def _spans(frames: Iterable[int]) -> list[list[int]]:
-    """Return the runs of consecutive frames, each as its first and last."""
+    """Return the runs of consecutive frames, each as its first and last frame."""
     spans: list[list[int]] = []
     for frame in frames:
         if spans and frame == spans[-1][1] + 1:

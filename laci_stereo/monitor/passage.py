@@ -1,8 +1,8 @@
-"""From a track to a passage: which way an object drove, how large it is, and where its centre was.
+"""From a track to a passage: the heading, the size and the centre of an object that drives through the view.
 
-The middle of what is visible is not the centre: a sensor sees one or two sides. So a passage's length and width are
-taken from the frames that show them, and in every frame the rectangle of that size is laid against the sides that the
-sensor sees.
+The median of the visible points is not the centre: a sensor sees one or two sides. So a passage's length and width are
+estimated from the frames that show them, and in every frame a rectangle of that size is aligned with the sides that
+face the sensor.
 """
 
 from __future__ import annotations
@@ -19,55 +19,63 @@ from laci_stereo.monitor.linking import UNIT_M, Kept
 from laci_stereo.monitor.settings import MonitorSettings
 
 SLOW_M = 0.5
-"""Over less way within the window its direction is that of before: middles scatter by some centimetres."""
+"""An object that moves by less within `WINDOW_S` keeps its previous heading: its middles scatter by some
+centimetres."""
 
 CHORD_M = 1.0
-"""The way is a line through centres that are so far apart: noise is less, so that who waits gets nowhere, and in a bend
-with a radius of 10 m the line is 1 cm off."""
+"""The path is a polyline through centres at least this far apart. Their noise is smaller, so a waiting object covers no
+distance; in a bend with a radius of 10 m the polyline is 1 cm off."""
 
 ROUNDS = 2
-"""Middles tell the direction first, then the centres that follow from it."""
+"""Headings are computed from the middles in the first round, and from the resulting centres in the second."""
 
 OUTER_SHARE = 0.02
-"""Points that are left out at either end of an outline: strays that the density did not tell."""
+"""Fraction of an outline's points that may lie beyond its near side: outliers that the density filter kept."""
 
 SIDE_M = 0.2
-"""Points of one upright side are within this, see `BoxSettings.line_tolerance_m`, or two deviations of their noise."""
+"""Points of one upright side lie within this, see `BoxSettings.line_tolerance_m`, or within twice the standard
+deviation of their noise if that is larger."""
 
 OUTER_SIDES = 2.0
-"""The side is looked for within so many such widths of the outermost points."""
+"""The near side is searched within this many of these widths from the outermost points."""
 
 CAR_WIDTH_M, TRUCK_WIDTH_M = 1.8, 2.5
-"""The far side is seldom seen, so the usual widths are taken: nine of ten passenger cars are within 0.15 m of theirs,
-and lorries and buses are 2.5 to 2.55 m wide (directive 96/53/EC). Half of what one differs by shifts its centre."""
+"""The far side is seldom seen, so typical widths are assumed: nine of ten passenger cars are within 0.15 m of the
+first, and lorries and buses are 2.5 to 2.55 m wide (directive 96/53/EC). An object's centre is off by half of the
+difference between its width and the typical one."""
 
 WIDEST_CAR_M = (CAR_WIDTH_M + TRUCK_WIDTH_M) / 2
+"""Visible width from which an object is assumed to be as wide as a lorry."""
 
 NARROW_M = 1.0
-"""What shows its front or rear and is narrower is a two-wheeler, and as wide as it looks."""
+"""An object with a narrower visible front or rear is a two-wheeler, and its visible width is its width."""
 
 CAR_LENGTH_M = 3.0
-"""Nothing as long has two wheels."""
+"""Two-wheelers are shorter than this."""
 
 LENGTH_SHARE = 0.75
-"""Of the lengths in the frames that show it: beams and pixels end before a body does, seldom behind."""
+"""An object's length is this quantile of its visible lengths over the frames that show a flank: the outermost beams and
+pixels lie within the ends of a body, seldom beyond them."""
 
 FACING = float(np.sin(np.radians(20.0)))
-"""A side that is seen at a flatter angle than this is no firm hold: its points are few and blend with the next side."""
+"""Sine of 20 deg. A side seen at a flatter angle does not determine a position: its points are few and blend with
+those of the adjacent side."""
 
 
 @dataclass(frozen=True)
 class Passage:
-    """An object on its way through the view; frames in which its outline was whole, in the order of time.
+    """An object's drive through the view: the frames in which its outline was whole, in the order of time.
 
     Attributes
     ----------
     frames : ndarray of int64, shape (n,)
+        Frame numbers.
     stamps_s : ndarray, shape (n,)
+        Seconds since the recording's first stamp.
     centres : ndarray, shape (n, 2)
         World, metres.
     yaw_rad : ndarray, shape (n,)
-        Of its front.
+        Direction of the object's front, world.
     speed_mps : ndarray, shape (n,)
     length_m, width_m, height_m : float
     """
@@ -82,7 +90,7 @@ class Passage:
     height_m: float
 
     def spaced(self, step_m: float) -> tuple[FloatArray, FloatArray]:
-        """Return positions, shape (m, 2), each so far behind the last along the way, and the yaw there, shape (m,)."""
+        """Return positions along the path at intervals of ``step_m``, shape (m, 2), and the yaw there, shape (m,)."""
         corners = [0]
         for i, centre in enumerate(self.centres):
             if np.linalg.norm(centre - self.centres[corners[-1]]) >= CHORD_M:
@@ -96,21 +104,22 @@ class Passage:
 def passage_of(
     kept: Sequence[Kept], origin: FloatArray, limits: TrackSettings, settings: MonitorSettings
 ) -> Passage | None:
-    """Make a passage of a track.
+    """Turn a track into a passage.
 
     Parameters
     ----------
     kept : sequence of Kept
-        Level frame, its axes parallel to the world's.
+        The track's sightings; level frame, with axes parallel to the world's.
     origin : ndarray, shape (2,)
-        Of the level frame, in the world: the place below the sensor.
+        Origin of the level frame in the world: the point below the sensor.
     limits : TrackSettings
     settings : MonitorSettings
 
     Returns
     -------
     Passage or None
-        None for what is seen too seldom, or does not get anywhere.
+        None for an object seen in fewer than `MonitorSettings.min_frames` frames, or moving by less than
+        `MonitorSettings.min_path_m`.
     """
     outlined = [one for one in kept if len(one.outline)]
     if len(outlined) < settings.min_frames:
@@ -138,9 +147,10 @@ def passage_of(
 
 
 def _headings(stamps_s: FloatArray, xy: FloatArray, limits: TrackSettings) -> FloatArray:
-    """Return the direction of travel, shape (n,): of a path with constant acceleration about each time.
+    """Return the direction of travel, shape (n,), from a path of constant acceleration fitted around each time.
 
-    Where it hardly moves it points as it did before; a track that begins so, as it does when it moves.
+    While an object hardly moves, it keeps its previous heading; at the beginning of a track, the first heading that is
+    known.
     """
     yaw = np.full(len(xy), np.nan)
     for i, stamp_s in enumerate(stamps_s):
@@ -159,7 +169,7 @@ def _headings(stamps_s: FloatArray, xy: FloatArray, limits: TrackSettings) -> Fl
 
 
 def _speeds(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return how fast it moves, shape (n,): by the way within half a second ahead and back."""
+    """Return the speed, shape (n,): the displacement from half a second before to half a second after each time."""
     before = np.searchsorted(stamps_s, stamps_s - WINDOW_S / 2, side="left")
     after = np.searchsorted(stamps_s, stamps_s + WINDOW_S / 2, side="right") - 1
     way = np.linalg.norm(xy[after] - xy[before], axis=1)
@@ -169,21 +179,21 @@ def _speeds(stamps_s: FloatArray, xy: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Seen:
-    """An outline in the object's own axes: along its way and to the left.
+    """An outline in the object's own axes: x ahead, y to the left, from the sighting's middle.
 
     Attributes
     ----------
     middle : ndarray, shape (2,)
-        Level frame.
+        Origin of these axes, level frame.
     yaw_rad : float
     low, high : ndarray, shape (2,)
-        Its ends on both axes, from the middle.
+        Least and greatest coordinates of the points on both axes.
     sensor : ndarray, shape (2,)
         Direction to the sensor, a unit vector.
     near : ndarray, shape (2,)
-        Where the side is that faces the sensor, on both axes.
+        Coordinates of the sides that face the sensor, on both axes.
     blur_m : ndarray, shape (2,)
-        By how much noise widens what is seen, on both axes: one standard deviation at either end.
+        Widening of the outline by noise, on both axes: one standard deviation at either end.
     """
 
     middle: FloatArray
@@ -206,7 +216,10 @@ class _Seen:
         return cls(kept.middle, yaw_rad, low, high, sensor, np.array(near), 2 * kept.sigma_m * np.abs(sensor))
 
     def centre(self, length_m: float, width_m: float) -> FloatArray:
-        """Return the centre, shape (2,), level: half a body behind the side that faces the sensor."""
+        """Return the centre, shape (2,), level: half a body behind each side that faces the sensor.
+
+        On an axis whose side is seen too flatly (`FACING`), it is halfway between the ends of the outline.
+        """
         behind = self.near - np.sign(self.sensor) * np.array([length_m, width_m]) / 2
         both = (self.low + self.high) / 2
         firm = np.abs(self.sensor) > FACING
@@ -214,14 +227,14 @@ class _Seen:
 
 
 def _side(towards: FloatArray, side_m: float) -> float:
-    """Return where the side is that faces the sensor: where most points are, near the outermost of them.
+    """Return the coordinate of the side that faces the sensor: where the points are densest near the outermost ones.
 
     Parameters
     ----------
     towards : ndarray, shape (n,)
         Coordinates of the points on the axis that points to the sensor.
     side_m : float
-        Points of a side are within this.
+        Width of the band within which the points of a side lie.
     """
     ordered = np.sort(towards)
     outer = ordered[ordered >= np.quantile(ordered, 1 - OUTER_SHARE) - OUTER_SIDES * side_m]
@@ -231,9 +244,10 @@ def _side(towards: FloatArray, side_m: float) -> float:
 
 
 def _shown_m(seen: Sequence[_Seen], axis: int, share: float) -> float:
-    """Return the extent along the way (axis 0) or across it (1): a quantile over the frames that show a side across it.
+    """Return an object's length (axis 0) or width (axis 1) as far as it is visible.
 
-    Where none does, what is seen of it at most in all but a tenth of the frames.
+    It is the quantile ``share`` of the extents on this axis over the frames that show the side along it: a flank for
+    the length, the front or rear for the width. Where none does, it is the 0.9 quantile over all frames.
     """
     extents = np.array([one.high[axis] - one.low[axis] - one.blur_m[axis] for one in seen])
     shown: BoolArray = np.abs([one.sensor[1 - axis] for one in seen]) > FACING
@@ -241,7 +255,7 @@ def _shown_m(seen: Sequence[_Seen], axis: int, share: float) -> float:
 
 
 def _width_m(shown_m: float, length_m: float) -> float:
-    """Return how wide an object is, by how wide and how long it looks."""
+    """Return an object's width, classified by its visible width and its length."""
     if shown_m < NARROW_M and length_m < CAR_LENGTH_M:
         return shown_m
     return CAR_WIDTH_M if shown_m < WIDEST_CAR_M else TRUCK_WIDTH_M

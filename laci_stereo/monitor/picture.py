@@ -1,4 +1,4 @@
-"""``histogram.png``: where objects were on the map, and where across each lane."""
+"""``histogram.png``: the density of object positions on the map, and their distribution across each lane."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ MAP: Rect = (20.0, 20.0, 1030.0, 980.0)
 PROFILES: Rect = (1090.0, 20.0, 1580.0, 900.0)
 
 SHOWN = 5
-"""Lanes whose profile is drawn, those with most passages."""
+"""Number of lanes whose profile is drawn: those with most passages."""
 
 SEEN_SHARE = 0.005
-"""Of the positions so many may lie beyond either side of the map: an object far away must not shrink the rest."""
+"""Fraction of the positions that may lie beyond each side of the map: an object far away must not shrink the rest."""
 
 MARGIN_M = 5.0
 LEAST_EXTENT_M = 20.0
 BAR_SHARE = 0.3
 HALF_PROFILE_M = 2.5
-"""The profile reaches so far from the line: beyond is the next lane."""
+"""Distance to which a profile extends on either side of the line: beyond it is the next lane."""
 
 SMALL = 0.85 * TEXT
 MAP_LINE = Stroke(GREY, 1.6, halo=False)
@@ -42,11 +42,12 @@ MEAN = Stroke(VERMILLION, 2.4, halo=False)
 
 
 def draw_histogram(plan: Plan, state: State, found: Sequence[LaneFinding], lane_map: LaneMap) -> Raster:
-    """Draw the density of positions on the map, north up, and the profile across the lanes with most traffic.
+    """Draw the density of positions on the map, north up, and the profiles across the lanes with most passages.
 
     Returns
     -------
     ndarray of uint8, shape (1000, 1600, 3)
+        Blue, green, red.
     """
     canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), halo=WHITE)
     view = _view(plan, state)
@@ -66,7 +67,7 @@ def draw_histogram(plan: Plan, state: State, found: Sequence[LaneFinding], lane_
 
 
 def _view(plan: Plan, state: State) -> MapView:
-    """Choose the part of the world with nearly all positions."""
+    """Choose the part of the world that contains nearly all positions, see `SEEN_SHARE`."""
     size = (MAP[2] - MAP[0], MAP[3] - MAP[1])
     cells = np.array(list(state.tally.cells), dtype=np.float64).reshape(-1, 2)
     counts = np.array(list(state.tally.cells.values()), dtype=np.float64)
@@ -87,7 +88,7 @@ def _quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
 
 
 def _draw_density(plot: Canvas, view: MapView, state: State, cell_m: float) -> None:
-    """Colour the cells of the map by the logarithm of their counts; empty ones stay white."""
+    """Colour the cells of the map by the logarithm of their counts; empty cells stay white."""
     if not state.tally.cells:
         return
     x = (np.arange(plot.width) - view.size[0] / 2) / view.scale_px + view.centre[0]
@@ -107,7 +108,7 @@ def _most(state: State) -> int:
 
 
 def _colours(counts: FloatArray, most: int) -> Raster:
-    """Return the colour of each count: cividis, which all kinds of colour vision see alike, light for few."""
+    """Return the colour of each count on the cividis map, which is safe for colour-blind readers; light for few."""
     share = np.log(np.maximum(counts, 1.0)) / max(np.log(most), 1e-9)
     coloured: Raster = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8), cv2.COLORMAP_CIVIDIS)
     return coloured
@@ -121,7 +122,7 @@ def _draw_sensor(plot: Canvas, view: MapView, plan: Plan) -> None:
 
 
 def _draw_scale(plot: Canvas, view: MapView) -> None:
-    """Draw the scale bar in the lower left corner, and that north is up."""
+    """Draw the scale bar in the lower left corner, with the note that north is up."""
     length_m = view.bar_m(BAR_SHARE)
     unit = TEXT * plot.unit_px
     x, y = unit, plot.height - unit
@@ -133,7 +134,7 @@ def _draw_scale(plot: Canvas, view: MapView) -> None:
 
 
 def _draw_colours(plot: Canvas, state: State) -> None:
-    """Draw what the colours mean in the corner that holds least; the lower left one has the scale."""
+    """Draw the colour scale in the emptiest corner other than the lower left one, which holds the scale bar."""
     most, unit = _most(state), TEXT * plot.unit_px
     width, height = 9 * unit, 0.7 * unit
     inside = (0.2 * unit, 0.4 * unit, plot.width - 0.2 * unit, plot.height - 0.4 * unit)
@@ -152,7 +153,7 @@ def _draw_colours(plot: Canvas, state: State) -> None:
 
 
 def _draw_profiles(canvas: Canvas, found: Sequence[LaneFinding], plan: Plan) -> None:
-    """Draw one profile below the other, all with one axis."""
+    """Draw the profiles one below the other, with a common axis."""
     left, top, right, bottom = PROFILES
     if not found:
         canvas.text("no passage along a lane", ((left + right) / 2, top + 2 * TEXT), BLACK, align="centre", size=SMALL)
@@ -164,7 +165,7 @@ def _draw_profiles(canvas: Canvas, found: Sequence[LaneFinding], plan: Plan) -> 
     for tick in np.arange(-2.0, 2.1, 1.0):
         x = _across(tick)
         canvas.lines([np.array([[x, base], [x, base + 8.0]])], FRAME)
-        # Left of the line is on the left of the picture, as a driver sees it.
+        # Left of the line is left in the picture, as seen by a driver.
         canvas.text(f"{tick:+g}" if tick else "0", (x, base + 26.0), BLACK, align="centre", size=SMALL)
     of = "the lane's middle" if found[0].strip.is_lane else "the line"
     canvas.text(f"left of {of} [m]", ((left + right) / 2, base + 62.0), BLACK, align="centre", size=SMALL)
@@ -199,7 +200,7 @@ def _draw_profile(canvas: Canvas, one: LaneFinding, rect: Rect, plan: Plan) -> N
 
 
 def _edges(strip: Strip) -> tuple[float, ...]:
-    """Return where a strip ends on either side, typically."""
+    """Return the median offsets of a strip's right and left edge from its line."""
     return (float(np.median(strip.low_m)), float(np.median(strip.high_m)))
 
 

@@ -1,4 +1,4 @@
-"""What a monitor found, in figures: ``monitor.json`` and the summary in the terminal."""
+"""A monitor's findings in figures: ``monitor.json`` and the summary in the terminal."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from laci_stereo.monitor.tally import StripTally
 Document: TypeAlias = dict[str, Any]
 
 SHOWN = 5
-"""Lanes in the summary, those with most passages."""
+"""Number of lanes in the summary: those with most passages."""
 
 MOST_OFF_ROAD = 0.05
-"""A larger share of positions off the road is worth a look: at the map, its extent, and the calibration."""
+"""With a larger fraction of positions off the road, the user is asked to check the map, its extent and the
+calibration."""
 
 
 @dataclass(frozen=True)
 class LaneFinding:
-    """How traffic drives in a lane, or beside a boundary.
+    """The traffic in a lane, or beside a boundary.
 
     Attributes
     ----------
     strip : Strip
     tally : StripTally
     calibration_sigma_m : float
-        Standard deviation of the offset by what the calibration itself claims, where the lane is nearest to the middle
-        of its track.
+        Standard deviation of the offset from the line according to the calibration's own covariance, at the point of
+        the line nearest to the centre of the calibration's track.
     """
 
     strip: Strip
@@ -44,7 +45,7 @@ class LaneFinding:
 
 
 def findings(plan: Plan, placed: Placed, state: State) -> list[LaneFinding]:
-    """Return the lanes that were driven, the one with most passages first."""
+    """Return the strips in which objects drove, the one with most passages first."""
     found = [
         LaneFinding(strip, state.tally.strips[strip.id], _sigma_m(strip, placed))
         for strip in plan.strips
@@ -54,7 +55,7 @@ def findings(plan: Plan, placed: Placed, state: State) -> list[LaneFinding]:
 
 
 def _sigma_m(strip: Strip, placed: Placed) -> float:
-    """Return by how much the calibration's error moves objects across a line, one standard deviation."""
+    """Return the standard deviation of objects' positions across a line due to the calibration's covariance."""
     apart = np.linalg.norm(strip.xy - placed.centre_world[:2], axis=1)
     xy = strip.xy[int(apart.argmin())][None]
     yaw_rad = float(strip.locate(xy).yaw_rad[0])
@@ -63,13 +64,13 @@ def _sigma_m(strip: Strip, placed: Placed) -> float:
 
 
 def off_road_share(plan: Plan, state: State) -> float | None:
-    """Return the share of positions in no lane; None where the map has no lanes, or nothing was seen."""
+    """Return the fraction of positions in no lane; None where the map has no lanes, or nothing was seen."""
     has_lanes = any(strip.is_lane for strip in plan.strips)
     return state.tally.off_road / state.tally.positions if has_lanes and state.tally.positions else None
 
 
 def document_of(plan: Plan, state: State, found: Sequence[LaneFinding], recording: str) -> Document:
-    """Return what ``monitor.json`` holds."""
+    """Return the contents of ``monitor.json``."""
     tally, settings, world = state.tally, plan.settings, plan.world
     return {
         "schema": "laci-monitor/1",
@@ -113,7 +114,7 @@ def _lane(one: LaneFinding, bin_m: float) -> Document:
 
 
 def summary_of(plan: Plan, state: State, found: Sequence[LaneFinding]) -> str:
-    """Return some ten lines for people."""
+    """Return the summary for the terminal, about ten lines of text."""
     tally = state.tally
     duration_min = (state.last_ns - state.epoch_ns) / 6e10
     unusable = f", {state.unusable} of them unusable" if state.unusable else ""
@@ -135,12 +136,12 @@ def summary_of(plan: Plan, state: State, found: Sequence[LaneFinding]) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things in words."""
+    """Return a number with its noun, in the plural unless it is one."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def describe(one: LaneFinding) -> str:
-    """Say in a line how traffic drives in a lane."""
+    """Describe the traffic in a lane in one line: passages, mean offset, its standard error, and which side."""
     tally = one.tally
     passages = f"{one.strip.id}: {counted(tally.along + tally.against, 'passage')}"
     if tally.offset_m is None:

@@ -1,4 +1,9 @@
-"""The monitor: frames in, objects counted on the map, with a checkpoint after every section."""
+"""The monitor: takes frames, counts objects on the map, and writes a checkpoint after every section.
+
+A section is a run of at most `MonitorSettings.section_frames` frames. A block is a period of
+`MonitorSettings.block_s` whose frames share one static background, learnt as a rule from the block before. A section
+never extends beyond its block. The static scene is what a sensor shows of a block when nothing moves.
+"""
 
 from __future__ import annotations
 
@@ -27,23 +32,25 @@ log = logging.getLogger(__name__)
 
 STATE_FILE, TABLE_FILE = "state.json", "objects.csv"
 MAX_BAD_SHARE = 0.2
-"""A larger share of unreadable frames is an error."""
+"""Largest tolerated fraction of unreadable frames; a larger one is an error."""
 
 LEAST_SURVEY = 31
-"""Frames from which the scene at rest is learnt at best; a stretch with fewer does not tell it for the next one."""
+"""Number of frames from which the static scene is normally learnt. From a block with fewer frames, the background of
+the next block is not learnt. With fewer frames done, the fraction of unreadable ones is not checked either."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a monitor holds frames against.
+    """The calibration, the map and the settings with which a monitor evaluates frames.
 
     Attributes
     ----------
     world : World
     T_world_sensor : ndarray, shape (4, 4)
     strips : tuple of Strip
+        Strips of road along the lines of the map.
     identity : dict of str to str
-        Hashes of what that was read from.
+        Hashes of the files from which the calibration and the map were read, by name.
     core : Settings
     settings : MonitorSettings
     """
@@ -57,18 +64,18 @@ class Plan:
 
     @property
     def origin(self) -> FloatArray:
-        """The place below the sensor, world, shape (2,)."""
+        """The point on the ground below the sensor, world, shape (2,)."""
         return self.T_world_sensor[:2, 3]
 
     @property
     def T_level_sensor(self) -> FloatArray:
-        """The transform into a level frame whose axes are the world's, shape (4, 4)."""
+        """The transform into the level frame with axes parallel to the world's, shape (4, 4)."""
         return planar(0.0, -self.origin) @ self.T_world_sensor
 
 
 @dataclass(frozen=True)
 class _Learnt:
-    """The scene at rest as some frames show it."""
+    """The static scene and its background, learnt from a range of frames."""
 
     frames: range
     scene: Scene
@@ -76,19 +83,21 @@ class _Learnt:
 
 
 class Monitor:
-    """Goes through the frames of a recording, section by section.
+    """Processes the frames of a recording, section by section.
 
     Parameters
     ----------
     frames : Frames
     plan : Plan
     out : Path
-        Folder for the checkpoint and the table, which exists.
+        Existing folder for the checkpoint and the table.
 
     Attributes
     ----------
     state : State
-        As of the latest checkpoint, while no section is in work.
+        The state at the latest checkpoint, except while a section is being processed.
+    resumed : bool
+        Whether the folder held a checkpoint at the start.
     """
 
     def __init__(self, frames: Frames, plan: Plan, out: Path) -> None:
@@ -101,12 +110,12 @@ class Monitor:
         self._check_table()
 
     def refresh(self) -> None:
-        """Look for more frames.
+        """Look for new frames; when the first ones appear, record the identity and the epoch in the state.
 
         Raises
         ------
         InputError
-            If they cannot be listed.
+            If the frames cannot be listed.
         """
         self.frames.refresh(self.state.frames)
         if self.state.identity or not len(self.frames.stamps_ns):
@@ -115,12 +124,12 @@ class Monitor:
         self.state.epoch_ns = int(self.frames.stamps_ns[0])
 
     def check(self) -> None:
-        """Hold the checkpoint against what is asked for now.
+        """Check that the checkpoint belongs to this recording, calibration, map and settings.
 
         Raises
         ------
         OutputError
-            If it is of something else.
+            If it does not.
         """
         path, done, stamps = self.out / STATE_FILE, self.state.frames, self.frames.stamps_ns
         if not self.resumed:
@@ -138,12 +147,18 @@ class Monitor:
             )
 
     def step(self, *, ended: bool) -> bool:
-        """Go through the next section, and write a checkpoint; tell whether there was one.
+        """Process the next section and write a checkpoint.
 
         Parameters
         ----------
         ended : bool
-            Whether no more frames are to come; if not, sections and first stretches wait until they are complete.
+            Whether no more frames will arrive. Otherwise an incomplete section is not processed yet, nor is a section
+            whose background has to be learnt from its own, incomplete block.
+
+        Returns
+        -------
+        bool
+            Whether there was a section to process.
 
         Raises
         ------
@@ -171,7 +186,7 @@ class Monitor:
         return True
 
     def back(self) -> State:
-        """Go back to the latest checkpoint, or to the beginning where there is none."""
+        """Reset the state to the latest checkpoint, or to the beginning if there is none, and return it."""
         path = self.out / STATE_FILE
         if path.exists():
             self.state = read_state(path, self.plan.core.track)
@@ -180,21 +195,21 @@ class Monitor:
         return self.state
 
     def finish(self) -> State:
-        """Count what is still in view at the latest checkpoint, and return all counts; the checkpoint stays."""
+        """Count the objects still in view at the latest checkpoint, and return all counts; the checkpoint is kept."""
         if self.back().frames:
             self._append(self._counted(self.state.linker.rest(self.plan.core.track)))
         return self.state
 
     @property
     def longest_frames(self) -> int:
-        """How many frames a track lasts at most, with some to spare."""
+        """Upper bound of a track's length in frames: 1.2 times `MonitorSettings.longest_s` at the median interval."""
         stamps_ns = self.frames.stamps_ns
         if len(stamps_ns) < 2:
             return 1
         return int(1.2e9 * self.plan.settings.longest_s / float(np.median(np.diff(stamps_ns)))) + 1
 
     def _next(self, *, ended: bool) -> range | None:
-        """Return the frames of the next section: none of them beyond a stretch of its own background."""
+        """Return the frames of the next section, all in one block; None if the section has to wait for more frames."""
         stamps, start, size = self.frames.stamps_ns, self.state.frames, self.plan.settings.section_frames
         if start >= len(stamps):
             return None
@@ -205,7 +220,7 @@ class Monitor:
         return range(start, stop) if whole and first_seen else None
 
     def _stretch(self, frame: int) -> range:
-        """Return the known frames that share a background with a frame."""
+        """Return the known frames of a frame's block, which share one background."""
         stamps = self.frames.stamps_ns
         block_ns = round(self.plan.settings.block_s * 1e9)
         block = (int(stamps[frame]) - int(stamps[0])) // block_ns
@@ -214,7 +229,10 @@ class Monitor:
         return range(int(start), int(stop))
 
     def _survey(self, frame: int) -> range:
-        """Return the frames from which the background of a frame is learnt: of the stretch before, if it has some."""
+        """Return the frames from which a frame's background is learnt.
+
+        These are the frames of the block before, if it has at least `LEAST_SURVEY`, or else of the frame's own block.
+        """
         own = self._stretch(frame)
         if own.start == 0:
             return own
@@ -229,7 +247,7 @@ class Monitor:
         return self._learnt
 
     def _learn(self, frames: range) -> _Learnt:
-        """Learn the scene at rest from some frames, or from those before where they do not show it, as in fog."""
+        """Learn the static scene from a range of frames, or from earlier ones where these do not show it, as in fog."""
         core = self.plan.core
         try:
             scene = self.frames.learn(frames)
@@ -258,7 +276,7 @@ class Monitor:
         return lines
 
     def _append(self, lines: Iterable[bytes]) -> None:
-        """Write behind what the table has by the checkpoint; what a kill left there is cut."""
+        """Append lines at the table's length by the checkpoint; what an aborted run wrote beyond it is cut off."""
         with (self.out / TABLE_FILE).open("r+b") as table:
             table.truncate(self.state.table_bytes)
             table.seek(self.state.table_bytes)
@@ -266,11 +284,12 @@ class Monitor:
                 self.state.table_bytes += table.write(line)
 
     def _check_table(self) -> None:
-        """Make the table where there is none, and hold its length against the checkpoint.
+        """Create the table unless resuming, and check its length against the checkpoint.
 
         Raises
         ------
         OutputError
+            If the table is shorter than by the checkpoint.
         """
         path = self.out / TABLE_FILE
         if not self.resumed:

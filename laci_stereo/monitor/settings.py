@@ -1,4 +1,4 @@
-"""Every setting of the object histogram, its default, and why it has that value."""
+"""All settings of the monitor, their defaults, and the reasons for these values."""
 
 from __future__ import annotations
 
@@ -7,36 +7,38 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """How objects are followed, placed and counted.
+    """Settings for tracking, placing and counting objects.
 
     Attributes
     ----------
     block_s : float
-        The scene at rest is learnt anew from each such stretch of time, for the next one. Signals turn round within
-        120 s at most, so that a queue stands in less than half of two turns; shadows move by 1 deg in that time.
+        Duration of a block; the static scene learnt from each block serves for the next one. Traffic signals have
+        cycles of 120 s at most, so a queue is stationary for less than half of two cycles; shadows rotate by 1 deg in
+        that time.
     section_frames : int
-        After so many frames there is a checkpoint: at 10 Hz a kill costs 10 s of recording.
+        Number of frames between checkpoints: at 10 Hz, a kill costs the work on 10 s of recording.
     longest_s : float
-        A track that lasts longer is cut: what stands for longer than two blocks is background by then.
+        A track that lasts longer is cut: an object stationary for longer than two blocks is background by then.
     min_path_m : float
-        An object that covers less does not count: over less, the middle of what is visible of growth wanders too.
+        An object that moves by less is not counted: the middle of the visible part of vegetation wanders as far.
     min_frames : int
-        Frames in which an object's outline is whole.
+        Least number of frames in which the outline of a counted object is whole.
     step_m : float
-        An object counts once in so many metres of its way, wherever it drives, however long it waits: the side of a
-        cell, so that its way has no gaps.
+        Interval along an object's path at which its position is counted, regardless of its speed and of how long it
+        waits: the side of a cell, so that the path has no gaps.
     cell_m : float
-        Side of the histogram's cells: half of what a calibration that passes is wrong by at most, one sigma.
+        Side of the histogram's cells: half of the largest position standard deviation of a calibration that passes.
     profile_bin_m : float
         Width of the bins across a lane.
     min_in_lane_m : float
-        Way in a lane from which a passage counts for it: the length of a car, so that who crosses it does not.
+        Least distance travelled in a lane for a passage to count in it: the length of a car, so that an object that
+        crosses the lane does not count.
     aligned_deg : float
-        Who drives within this of a lane's line drives along it, or against it; others cross it. It is twice what a
-        change of lanes takes, 3.5 m in 3 s at 10 m/s.
+        Largest angle between an object's heading and a lane's line, either way, at which it drives along or against
+        the lane; at larger angles it crosses it. This is twice the angle of a lane change, 3.5 m in 3 s at 10 m/s.
     boundary_reach_m : float
-        In a map without lanes: the centre of a vehicle is no farther from one of its lane's boundaries than half of
-        the widest lane, 3.75 m, and half a metre out of its middle.
+        Width of the strips on either side of a boundary, in a map without lanes: the centre of a vehicle is no farther
+        from one of its lane's boundaries than half of the widest lane, 3.75 m, plus half a metre off its middle.
     """
 
     block_s: float = 240.0

@@ -1,4 +1,4 @@
-"""A stereo camera as a monitor sees it."""
+"""Stereo recordings as frames for the monitor."""
 
 from __future__ import annotations
 
@@ -28,17 +28,19 @@ log = logging.getLogger(__name__)
 
 
 class StereoFrames:
-    """The pairs of two folders (implements `Frames`).
+    """The image pairs of two folders (implements `Frames`).
 
     Parameters
     ----------
     left, right : Path
+        Folders of the left and right images.
     stereo : tuple of Path
-        The files of the stereo calibration.
+        Files of the stereo calibration.
     settings : StereoSettings
     mask : VehicleMask or None
     follow : bool
-        Whether the folders may grow: then files that are still being written wait, and so do empty folders.
+        Whether the folders may grow. If so, files that are still being written are held back, and empty folders are no
+        error.
     """
 
     kind = "stereo"
@@ -70,7 +72,7 @@ class StereoFrames:
 
     @property
     def identity(self) -> dict[str, str]:
-        """The first image, the stereo calibration and how images are matched."""
+        """Hashes of the first image and the stereo calibration, and the settings of the stereo matching, by name."""
         settings = {name: str(value) for name, value in asdict(self._settings).items() if name != "workers"}
         return {
             "first image": hashlib.sha256(self._pairs[0].left.read_bytes()).hexdigest(),
@@ -79,12 +81,12 @@ class StereoFrames:
         }
 
     def refresh(self, whole: int) -> None:
-        """List the pairs that came since.
+        """List the pairs that have arrived since the last call; see `Frames.refresh`.
 
         Raises
         ------
         ImageError
-            If the folders hold none, and are not to be followed.
+            If the folders hold no pairs and are not followed, or one of them does not exist.
         """
         if self._arrivals is None and self._pairs:
             return
@@ -104,7 +106,7 @@ class StereoFrames:
         self._pairs += new
 
     def learn(self, frames: range) -> StereoScene:
-        """Learn the look of the scene and its road."""
+        """Return the static scene of a range of pairs: how it looks, and its road."""
         recording = StereoRecording(
             self._pairs,
             self._rig,
@@ -121,26 +123,26 @@ class StereoFrames:
 
 
 class _Patient(GreyReader):
-    """A reader that leaves it to the monitor how many images may be unusable."""
+    """A reader without a limit on unusable images; the monitor has its own."""
 
     def check(self, attempted: int) -> None:
-        """Accept any number."""
+        """Accept any number of unusable images."""
 
 
 @dataclass
 class StereoScene:
-    """The scene at rest as a stretch of a stereo recording shows it (implements `Scene`)."""
+    """The static scene, learnt from a range of a stereo recording's pairs (implements `Scene`)."""
 
     recording: StereoRecording
     unusable: int = 0
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield whole frames, those in which least moves."""
+        """Yield point clouds of whole frames, those in which least moves."""
         return self.recording.survey()
 
     def section(self, frames: range) -> Iterator[PointCloud]:
-        """Yield what differs from this scene in some pairs."""
-        self.recording.whole_region()  # the copy shares what is learnt by now
+        """Yield point clouds of the parts of the pairs that differ from this scene."""
+        self.recording.whole_region()  # the copy below shares what has been learnt by now
         part = copy.copy(self.recording)
         part.pairs = self.recording.pairs[frames.start : frames.stop]
         part.reader = _Patient(part.rig)

@@ -1,4 +1,7 @@
-"""What is counted of passages: where on the map, where across each lane, and which way. It does not grow with time."""
+"""Counts of passages: by position on the map, by offset across each lane, and by direction.
+
+Their size does not grow with the duration of the recording.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +20,18 @@ from laci_stereo.monitor.settings import MonitorSettings
 
 @dataclass
 class StripTally:
-    """What drove in a strip.
+    """Counts of the passages in a strip.
 
     Attributes
     ----------
     along, against : int
-        Passages by their direction; where both are right, only the first counts.
+        Number of passages along and against the line's direction; where traffic may drive both ways, all count as
+        along.
     offset_sum_m, offset_square_m2 : float
-        Over the passages along: of each one's median offset to the left of the line, and of its square.
+        Sums over the passages along the line: of each passage's median offset to the left of the line, and of the
+        square of this median.
     profile : Counter of int
-        Positions by the bin across the strip.
+        Number of positions of the passages along the line in each bin across the strip.
     """
 
     along: int = 0
@@ -37,12 +42,12 @@ class StripTally:
 
     @property
     def offset_m(self) -> float | None:
-        """The mean of the passages' offsets; None without one."""
+        """Mean offset of the passages to the left of the line; None without a passage."""
         return self.offset_sum_m / self.along if self.along else None
 
     @property
     def error_m(self) -> float | None:
-        """The standard error of that mean, from how the passages differ; None for less than two."""
+        """Standard error of the mean offset, from the sample variance; None for fewer than two passages."""
         if self.along < 2 or self.offset_m is None:
             return None
         variance = (self.offset_square_m2 - self.along * self.offset_m**2) / (self.along - 1)
@@ -51,17 +56,18 @@ class StripTally:
 
 @dataclass
 class Tally:
-    """All that is counted.
+    """All counts.
 
     Attributes
     ----------
     passages, strays : int
-        Objects, and those of them that drove along no strip.
+        Number of passages, and of those that drove along no strip.
     positions, off_road : int
-        One in each step of their way; and those in no lane.
+        Number of positions, one per `MonitorSettings.step_m` of each passage's path, and of those in no strip.
     cells : Counter of tuple of int
-        Positions by the cell of the map.
+        Number of positions in each cell of the map, by its column (east) and row (north).
     strips : dict of str to StripTally
+        Counts of each strip in which objects drove, by its id.
     """
 
     passages: int = 0
@@ -72,7 +78,7 @@ class Tally:
     strips: dict[str, StripTally] = field(default_factory=dict)
 
     def count(self, passage: Passage, strips: Sequence[Strip], settings: MonitorSettings) -> str:
-        """Count a passage, and return the strip that it drove along most, or nothing."""
+        """Count a passage, and return the id of the strip that it followed most, or an empty string."""
         xy, yaw_rad = passage.spaced(settings.step_m)
         located = [strip.locate(xy) for strip in strips]
         in_any = np.logical_or.reduce([np.zeros(len(xy), dtype=bool), *(place.inside for place in located)])
@@ -104,10 +110,10 @@ class Tally:
 def _driven(
     located: Sequence[Located], strips: Sequence[Strip], yaw_rad: FloatArray, settings: MonitorSettings
 ) -> list[tuple[int, BoolArray]]:
-    """Return the strips that a passage drove along, and with which of its positions, the most of them first.
+    """Return the strips that a passage followed, best fit first: each one's index, and which positions count for it.
 
-    Each position counts for one strip: where strips lie upon one another, as in a crossing, for the one that the
-    passage follows longer and nearer to its line.
+    Each position counts for one strip. Where strips overlap, as in a crossing, this is the one that the passage follows
+    for longer and closer to its line.
     """
     fits = []
     for place, strip in zip(located, strips, strict=True):

@@ -1,1 +1,1 @@
-"""Pictures and words in which a person sees whether a calibration is right."""
+"""Pictures, text and the HTML page with which a person checks a calibration."""

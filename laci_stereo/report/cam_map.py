@@ -1,4 +1,4 @@
-"""A log of messages as a small map, north up."""
+"""A small map, north up, of the positions in a CAM log."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ BAR_SHARE = 0.25
 
 
 def draw_log(recording: CamRecording) -> Raster:
-    """Draw the messages' positions, in a colour for each of the stations with most messages.
+    """Draw the messages' positions, with one colour for each of the stations with most messages and grey for the rest.
 
     Parameters
     ----------
     recording : CamRecording
-        At least one message with a position.
+        With at least one message that has a position.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def draw_log(recording: CamRecording) -> Raster:
 
 
 def _metres(log: CamLog) -> FloatArray:
-    """Return metres east and north of the middle position, shape (n, 2): good to look at over some kilometres."""
+    """Return metres east and north of the median position, shape (n, 2): accurate enough for a picture of some km."""
     longitude = np.degrees(np.unwrap(np.radians(log.longitude_deg)))
     latitude_deg, longitude_deg = np.median(log.latitude_deg), np.median(longitude)
     east = (longitude - longitude_deg) * np.cos(np.radians(latitude_deg))
@@ -70,5 +70,5 @@ def _view(xy: FloatArray) -> MapView:
 
 
 def _pieces(stamps_s: FloatArray, xy: FloatArray) -> Iterator[FloatArray]:
-    """Yield the parts of a track without gaps."""
+    """Yield the pieces of a track between gaps longer than `MAX_GAP_S`."""
     yield from np.split(xy, np.flatnonzero(np.diff(stamps_s) > MAX_GAP_S) + 1)

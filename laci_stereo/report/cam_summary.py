@@ -1,4 +1,4 @@
-"""A log of messages in words: what was understood, before anything is calibrated with it."""
+"""A CAM log in words: how it was interpreted, before any calibration with it."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.io.stamps import iso_text
 
 MOST_STATIONS = 5
-"""A car park sends hundreds; whoever drove through the scene is among those with most messages."""
+"""Number of stations described. Vehicles in a car park may send too, as hundreds of stations; those that drove through
+the scene are among the stations with most messages."""
 
 MOST_CHECKED = 6000
-"""Messages of ten minutes: nobody is in view for longer, and what is wrong with all of a log is wrong with these."""
+"""Number of messages checked per station: those of ten minutes at 10 Hz. No vehicle is in view for longer, and an error
+of the whole log shows in these."""
 
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What a log holds, in words.
+    """The contents of a log in words.
 
     Attributes
     ----------
     text : str
-        The whole, its stations with most messages, and each interpretation in a line.
+        The log as a whole, its stations with most messages, and a line for each interpretation made in reading it.
     of_use : bool
-        A calibration could use one of these stations.
+        Whether a calibration could use at least one of its stations.
     """
 
     text: str
@@ -38,7 +40,7 @@ class LogSummary:
 
 
 def summarise_log(recording: CamRecording, name: str) -> LogSummary:
-    """Put into words what a log holds."""
+    """Describe the contents of a log; ``name`` is what the text calls it."""
     lines, of_use = [*_whole(recording, name)], False
     stations = recording.log.stations()
     for station in stations[:MOST_STATIONS]:
@@ -78,9 +80,9 @@ def _station(log: CamLog) -> Iterator[str]:
 
 
 def _found(log: CamLog) -> tuple[bool, list[str]]:
-    """Return whether a calibration could use one station's messages, and what it would say of them.
+    """Return whether a calibration could use one station's messages, and the remarks that it would make on them.
 
-    Of those that were not checked nothing is known, so that they are of use.
+    Nothing is known of messages that are not checked (`MOST_CHECKED`), so they count as usable.
     """
     part = f" (of the first {MOST_CHECKED} messages)" if len(log) > MOST_CHECKED else ""
     log = log[np.arange(min(len(log), MOST_CHECKED))]
@@ -132,6 +134,6 @@ def _range(values: FloatArray, unit: str, digits: int) -> str:
 
 
 def _sizes(length_m: FloatArray, width_m: FloatArray) -> str:
-    """Return the median of what is known of two sizes."""
+    """Return the medians of the known values of two sizes, as text."""
     known = [values[np.isfinite(values)] for values in (length_m, width_m)]
     return " x ".join(f"{np.median(values):.2f} m" if len(values) else "unknown" for values in known)

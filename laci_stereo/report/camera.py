@@ -1,4 +1,4 @@
-"""From the world into the raw image: points and lines as the lens shows them."""
+"""Projection of points and lines from the world into the raw image, with the lens' distortion."""
 
 from __future__ import annotations
 
@@ -14,28 +14,30 @@ from laci_stereo.io.stereo_calibration import Lens
 from laci_stereo.report.lines import clip_slab, runs, subdivide
 
 NEAR_M = 0.1
-"""Depth of the plane at which lines are clipped; what is nearer would be inside of the housing."""
+"""Depth of the near clipping plane; anything nearer would be inside the camera's housing."""
 
 FAR_M = 300.0
-"""Depth beyond which nothing is drawn: a metre is a few pixels there."""
+"""Depth of the far clipping plane, beyond which nothing is drawn: there, a metre is a few pixels."""
 
 STEP_M = 0.5
-"""Length of the pieces into which lines are cut, so that distortion bends them."""
+"""Length of the pieces into which lines are cut, so that they follow the distortion."""
 
 FOLD_DIRECTIONS = 72
 FOLD_STEP_DEG = 0.25
 WIDEST_DEG = 89.0
-"""How finely the lens is searched for the angle at which its distortion folds back."""
+"""The search for the angle at which a lens' distortion folds back: number of directions in the image, step of the
+angle from the optical axis, and its limit."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A lens and where it is.
+    """A lens and its pose.
 
     Attributes
     ----------
     lens : Lens
     T_camera_world : ndarray, shape (4, 4)
+        From the world to the raw camera's frame (x right, y down, z forward).
     """
 
     lens: Lens
@@ -47,7 +49,7 @@ class Camera:
         Returns
         -------
         ndarray, shape (n, 2)
-            Pixels, which may lie outside of the image; NaN behind the camera and where the lens' model has no meaning.
+            Pixels, which may lie outside the image; NaN behind the camera and where the lens model is not valid.
         """
         return self._project(transform(self.T_camera_world, points_world))
 
@@ -57,7 +59,7 @@ class Camera:
         Returns
         -------
         list of ndarray, shape (k, 2)
-            The pieces that are in the image, or near it, in pixels; at least two points each.
+            The pieces in or near the image, in pixels, with at least two points each.
         """
         return [
             piece
@@ -67,7 +69,7 @@ class Camera:
 
     def _project(self, points: FloatArray) -> FloatArray:
         pixels = np.full((len(points), 2), np.nan)
-        # The clip at the near plane leaves points that are on it but for rounding.
+        # Clipping at the near plane leaves points on it, which rounding may put before it.
         ahead = points[:, 2] > (1 - 1e-6) * NEAR_M
         rays = points[ahead, :2] / points[ahead, 2:]
         angle = np.arctan2(rays[:, 1], rays[:, 0])
@@ -77,10 +79,11 @@ class Camera:
 
     @cached_property
     def _fold(self) -> tuple[FloatArray, FloatArray]:
-        """Directions in the image, shape (d,), and how far out the lens' model holds in each of them.
+        """Directions in the image, shape (d,), and the largest ``tan(angle from the axis)`` with a valid model in each.
 
-        Outwards, a point in the image must move outwards too. Where the polynomial folds back, it is beyond what it was
-        fitted to, and would throw things from far aside into the image.
+        As a ray moves away from the optical axis, its point in the image must move outwards too. Where the distortion
+        polynomial folds back, it is outside the range to which it was fitted, and would project objects from far aside
+        into the image.
         """
         directions = np.linspace(-np.pi, np.pi, FOLD_DIRECTIONS, endpoint=False)
         radii = np.tan(np.radians(np.arange(FOLD_STEP_DEG, WIDEST_DEG, FOLD_STEP_DEG)))
@@ -90,15 +93,15 @@ class Camera:
         seen = ((_distort(self.lens, rays) - centre) / focal).reshape(len(directions), len(radii), 2)
         moved_out = np.diff((seen * outwards[:, None]).sum(axis=2), axis=1, prepend=0.0) > 0.0
         steps = np.where(moved_out.all(axis=1), len(radii), moved_out.argmin(axis=1))
-        # Before the first step that goes back there may be none that goes out.
+        # The very first step may already go back: then the model is valid nowhere in this direction.
         return directions, np.append(0.0, radii)[steps]
 
     def _pieces(self, pixels: FloatArray) -> Iterator[FloatArray]:
-        """Cut a line, shape (n, 2), into what is in the image, with a margin as wide as the image is."""
+        """Yield the pieces of a line, shape (n, 2), within the image and a margin as wide as the image around it."""
         size = np.array(self.lens.size)
         with np.errstate(invalid="ignore"):
             near: BoolArray = np.all((pixels > -size) & (pixels < 2 * size), axis=1)
-        # The neighbours too, or a coarse step that crosses the border would be lost.
+        # Keep the adjacent points too, so that a long segment that crosses the border is not lost.
         near[:-1] |= near[1:].copy()
         near[1:] |= near[:-1].copy()
         kept: BoolArray = near & np.isfinite(pixels).all(axis=1)

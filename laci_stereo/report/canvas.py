@@ -1,4 +1,4 @@
-"""Drawing with halos and real type, in sizes that follow the picture's."""
+"""Drawing with halos and outline fonts, in sizes that scale with the picture."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ UNITS = 960.0
 """Geometric mean of a picture's sides in units: one unit is a pixel of a picture of 1280 x 720."""
 
 TEXT = 22.0
-"""Height of type in units: 5 pt where a picture of 1280 x 720 fills a column of 88 mm."""
+"""Font size in units: 5 pt where a picture of 1280 x 720 fills a column of 88 mm."""
 
 TEXT_WEIGHT, BOLD_WEIGHT = 450, 650
 CAPITAL = 0.7
-"""Height of a capital letter, in heights of type."""
+"""Height of a capital letter, as a fraction of the font size."""
 
 LINE_HEIGHT = 1.45
+"""Distance between lines of text, as a multiple of the font size."""
+
 HALO = 1.1
 """Width of a halo on either side of a line, units."""
 
@@ -50,21 +52,23 @@ class Entry:
 
 
 class Canvas:
-    """A picture that is drawn on.
+    """A picture to draw on.
 
-    Coordinates are pixels, (0, 0) in the middle of the upper left one; sizes are units.
+    Coordinates are in pixels, with (0, 0) in the middle of the upper left pixel; sizes are in units, see `UNITS`.
 
     Parameters
     ----------
     image : ndarray
         Grey or blue-green-red, 8 or 16 bit. It is copied.
     halo : tuple of int
-        Colour of the rim around lines and type: against what is behind them.
+        Colour of the rim around lines and text that sets them off from the background.
 
     Attributes
     ----------
     image : ndarray of uint8, shape (h, w, 3)
+        Blue, green, red.
     unit_px : float
+        Pixels per unit.
     """
 
     def __init__(self, image: Raster, halo: Colour) -> None:
@@ -74,20 +78,20 @@ class Canvas:
 
     @property
     def width(self) -> int:
-        """Pixels."""
+        """Width of the picture, pixels."""
         return int(self.image.shape[1])
 
     @property
     def height(self) -> int:
-        """Pixels."""
+        """Height of the picture, pixels."""
         return int(self.image.shape[0])
 
     def lines(self, pieces: Sequence[FloatArray], stroke: Stroke, closed: bool = False) -> None:
-        """Draw lines, shape (n, 2) each, all halos below all lines."""
+        """Draw polylines, shape (n, 2) each, with all halos below all lines."""
         self.layers([(pieces, stroke)], closed)
 
     def layers(self, layers: Sequence[tuple[Sequence[FloatArray], Stroke]], closed: bool = False) -> None:
-        """Draw groups of lines, shape (n, 2) each, the last one on top, but all halos below all lines."""
+        """Draw groups of polylines, shape (n, 2) each: the last group on top, but all halos below all lines."""
         fixed = [self._in_dashes(pieces, stroke) for pieces, stroke in layers]
         for pieces, (_, stroke) in zip(fixed, layers, strict=True):
             if stroke.halo:
@@ -97,7 +101,7 @@ class Canvas:
             cv2.polylines(self.image, pieces, closed, stroke.colour, self._px(stroke.width), cv2.LINE_AA, SUBPIXEL_BITS)
 
     def dots(self, pixels: FloatArray, colour: Colour, radius: float) -> None:
-        """Draw filled circles around points, shape (n, 2), all halos below all circles."""
+        """Draw filled circles around points, shape (n, 2), with all halos below all circles."""
         core = radius * self.unit_px
         for shade, radius_px in ((self.halo, core + max(HALO * self.unit_px, 1.0)), (colour, core)):
             fixed_radius = int(radius_px * 2**SUBPIXEL_BITS)
@@ -129,17 +133,18 @@ class Canvas:
         size: float = TEXT,
         bold: bool = False,
     ) -> None:
-        """Write a line of type whose capitals are centred at a height.
+        """Write a line of text.
 
         Parameters
         ----------
         text : str
         at : tuple of float
-            The left end, middle or right end of the line, by ``align``, at half the height of a capital.
+            Pixel at half the height of a capital letter and, by ``align``, at the left end, the middle or the right end
+            of the line.
         colour : tuple of int
         align : {"left", "centre", "right"}
         size : float
-            Height of type, units.
+            Font size, units.
         bold : bool
         """
         size_px, weight = self._px(size), BOLD_WEIGHT if bold else TEXT_WEIGHT
@@ -151,17 +156,17 @@ class Canvas:
         cv2.putText(self.image, text, (x, y), colour, _FONT, size_px, weight)
 
     def text_width(self, text: str, size: float = TEXT, bold: bool = False) -> float:
-        """Return the width of a line of type, pixels."""
+        """Return the width of a line of text, pixels."""
         weight = BOLD_WEIGHT if bold else TEXT_WEIGHT
         return float(cv2.getTextSize((0, 0), text, (0, 0), _FONT, self._px(size), weight)[2])
 
     def fitting(self, text: str, width_px: float, size: float = TEXT) -> float:
-        """Return the height of type, at most ``size``, at which a line is at most so wide."""
+        """Return the font size, at most ``size``, at which a line of text is at most ``width_px`` wide."""
         share = min(1.0, width_px / max(self.text_width(text, size), 1.0))
         return max(int(self._px(size) * share), 1) / self.unit_px if share < 1.0 else size
 
     def legend(self, entries: Sequence[Entry], at: tuple[float, float], colour: Colour) -> None:
-        """Draw a legend whose upper left corner is there; its type is of this colour."""
+        """Draw a legend with its upper left corner at a pixel; ``colour`` is that of the text."""
         step = LINE_HEIGHT * TEXT * self.unit_px
         for row, entry in enumerate(entries):
             middle = at[1] + (row + 0.5) * step
@@ -175,21 +180,21 @@ class Canvas:
         return width, len(entries) * LINE_HEIGHT * TEXT * self.unit_px
 
     def shade(self, rect: Rect, share: float) -> None:
-        """Bring a rectangle nearer to the colour of the halo by this share, so that type on it is legible."""
+        """Blend a rectangle with the halo's colour, which gets the weight ``share``, so that text on it is legible."""
         left, top, right, bottom = (max(round(edge), 0) for edge in rect)
         part = self.image[top:bottom, left:right]
         part[:] = cv2.addWeighted(part, 1 - share, np.full_like(part, self.halo), share, 0.0)
 
     @contextmanager
     def faint(self, share: float) -> Iterator[None]:
-        """Let what is drawn inside cover only this share of what is behind it."""
+        """Draw everything inside this context with the opacity ``share``."""
         before = self.image.copy()
         yield
         cv2.addWeighted(self.image, share, before, 1 - share, 0.0, dst=self.image)
 
     @contextmanager
     def within(self, rect: Rect) -> Iterator[Canvas]:
-        """Hand out a canvas for a part of this one, with its own coordinates, beyond which nothing is drawn."""
+        """Yield a canvas for a part of this one, with its own coordinates, to which drawing is clipped."""
         left, top, right, bottom = (round(edge) for edge in rect)
         part = Canvas(self.image[top:bottom, left:right], self.halo)
         part.unit_px = self.unit_px
@@ -225,7 +230,7 @@ class Canvas:
 
 
 def as_bgr8(image: Raster) -> npt.NDArray[np.uint8]:
-    """Return a copy of a picture in blue-green-red, 8 bit; 16 bit are stretched to the brightest pixel."""
+    """Return a copy of a picture in blue-green-red, 8 bit; 16-bit values are scaled so that the largest becomes 255."""
     stretch = 1.0 if image.dtype == np.uint8 else 255.0 / max(int(image.max()), 1)
     grey_or_colour = np.asarray(cv2.convertScaleAbs(image, alpha=stretch), dtype=np.uint8)
     if image.ndim == 3 and image.shape[2] == 3:
@@ -234,21 +239,21 @@ def as_bgr8(image: Raster) -> npt.NDArray[np.uint8]:
 
 
 def emptiest_corner(size: tuple[float, float], inside: Rect, occupied: Sequence[FloatArray]) -> tuple[float, float]:
-    """Find the corner in which a panel hides least.
+    """Find the corner in which a panel hides the fewest points.
 
     Parameters
     ----------
     size : tuple of float
-        Width and height of the panel.
+        Width and height of the panel, pixels.
     inside : tuple of float
-        The rectangle in whose corners it may lie.
+        The rectangle in whose corners it may be placed.
     occupied : sequence of ndarray, shape (n, 2)
-        What it should not hide, the most important first; a later one decides where those before are even.
+        Groups of points that it should not hide, the most important first; later groups decide ties.
 
     Returns
     -------
     tuple of float
-        Its left and upper edge.
+        Left and upper edge of the panel.
     """
     left, top, right, bottom = inside
     corners = [(x, y) for y in (top, bottom - size[1]) for x in (left, right - size[0])]
@@ -261,12 +266,12 @@ def emptiest_corner(size: tuple[float, float], inside: Rect, occupied: Sequence[
 
 
 def touches(rect: Rect, line: FloatArray) -> bool:
-    """Tell whether a rectangle meets the upright rectangle around a line, shape (n, 2)."""
+    """Return whether a rectangle overlaps the axis-aligned bounding box of a line, shape (n, 2)."""
     low, high = line.min(axis=0), line.max(axis=0)
     return bool(rect[0] <= high[0] and rect[2] >= low[0] and rect[1] <= high[1] and rect[3] >= low[1])
 
 
 def _fixed(pixels: FloatArray) -> npt.NDArray[np.int32]:
-    """Turn pixels, shape (n, 2), into OpenCV's fixed point."""
+    """Convert pixels, shape (n, 2), to OpenCV's fixed-point coordinates with `SUBPIXEL_BITS`."""
     fixed: npt.NDArray[np.int32] = np.rint(pixels * 2**SUBPIXEL_BITS).astype(np.int32)
     return fixed

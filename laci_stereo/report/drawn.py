@@ -1,4 +1,4 @@
-"""What of a calibration the pictures show, in the world frame."""
+"""The parts of a calibration that pictures show, in the world frame."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from laci_stereo.core.sighting import Sighting
 from laci_stereo.report.lines import runs
 
 SAME_STAMP_S = 1e-4
-"""A frame's stamp in seconds has come through floating-point numbers; no two frames are so near to each other."""
+"""Tolerance for equal stamps, as stamps in seconds have rounding errors; no two frames are this close in time."""
 
 TRACK_STEP_S = 0.1
-"""At 50 km/h this is the length of a car's bonnet; between messages the track is a curve."""
+"""Step at which the messages' track, a curve between messages, is sampled: at 50 km/h the length of a car's bonnet."""
 
 
 def drives_of(calibration: Calibration) -> Iterator[Calibration]:
-    """Yield the calibration with each of its drives as its only one, and its vehicle as the estimate has it."""
+    """Yield the calibration with each of its drives as the only one, and the vehicle as estimated (`Passage.body`)."""
     for passage in calibration.passages:
         yield replace(
             calibration,
@@ -36,7 +36,7 @@ def drives_of(calibration: Calibration) -> Iterator[Calibration]:
 
 
 def stations_of(calibration: Calibration) -> str:
-    """Name the senders."""
+    """Return the stations whose drives were used, in words."""
     numbers = [str(each.station_id) for each in calibration.passages]
     return f"station{'s' if len(numbers) > 1 else ''} {', '.join(dict.fromkeys(numbers))}"
 
@@ -47,7 +47,7 @@ def T_world_level(calibration: Calibration) -> FloatArray:
 
 
 def on_ground(xy: FloatArray) -> FloatArray:
-    """Lift points of the ground plan, shape (n, 2), into space, shape (n, 3)."""
+    """Return points of the ground plan, shape (n, 2), as points with z = 0, shape (n, 3)."""
     return np.column_stack([xy, np.zeros(len(xy))])
 
 
@@ -57,17 +57,17 @@ def plan_in_world(calibration: Calibration, xy_level: FloatArray) -> FloatArray:
 
 
 def background_corners(calibration: Calibration) -> list[FloatArray]:
-    """Return the corners of the background's boxes, world, shape (4, 2) each."""
+    """Return the corners of the static background's boxes, world, shape (4, 2) each."""
     return [plan_in_world(calibration, static.box.corners()) for static in calibration.background.boxes]
 
 
 def sensor_track(calibration: Calibration) -> FloatArray:
-    """Return the centres of the boxes that the sensor saw and that were used, world, shape (n, 2)."""
+    """Return the centres of the sensor's boxes in the frames used, of all drives, world, shape (n, 2)."""
     return plan_in_world(calibration, np.concatenate([drive.track.centres for drive in calibration.passages]))
 
 
 def sender_track(calibration: Calibration) -> list[FloatArray]:
-    """Return where the vehicles drove as their messages tell: pieces without a gap, world, shape (n, 2) each."""
+    """Return the vehicles' tracks according to their messages: pieces without gaps, world, shape (n, 2) each."""
     pieces: list[FloatArray] = []
     for vehicle in (drive.vehicle for drive in drives_of(calibration)):
         first_s, last_s = vehicle.stamps_s[[0, -1]]
@@ -77,18 +77,18 @@ def sender_track(calibration: Calibration) -> list[FloatArray]:
 
 
 def sender_box(calibration: Calibration, stamp_s: float) -> Box | None:
-    """Return the vehicle as its messages tell it, on the ground plan of the world, with yaw to its front.
+    """Return the vehicle's box according to its messages, on the ground plan of the world, with yaw to its front.
 
     Parameters
     ----------
     calibration : Calibration
     stamp_s : float
-        Of the sensor.
+        Time on the sensor's clock, seconds since the recording's first stamp.
 
     Returns
     -------
     Box or None
-        None where the messages do not tell.
+        None where the messages do not determine the position.
     """
     vehicle = calibration.vehicle
     xy, yaw_rad, known = vehicle.at(np.array([stamp_s + calibration.time_offset_s]))
@@ -96,14 +96,14 @@ def sender_box(calibration: Calibration, stamp_s: float) -> Box | None:
 
 
 def sighting_at(calibration: Calibration, stamp_s: float) -> Sighting | None:
-    """Return what the sensor saw of the vehicle in the frame of that stamp, if it did."""
+    """Return the sighting of the vehicle with this stamp; None if there is none."""
     sightings = calibration.track.sightings
     nearest = min(sightings, key=lambda sighting: abs(sighting.stamp_s - stamp_s), default=None)
     return nearest if nearest is not None and abs(nearest.stamp_s - stamp_s) < SAME_STAMP_S else None
 
 
 def known_stamps(calibration: Calibration) -> FloatArray:
-    """Return the stamps of the sightings that can be compared with the messages, shape (n,)."""
+    """Return the stamps of the sightings for which the messages determine a position, shape (n,)."""
     stamps_s = calibration.track.stamps_s
     _, _, known = calibration.vehicle.at(stamps_s + calibration.time_offset_s)
     kept: FloatArray = stamps_s[known]

@@ -1,4 +1,4 @@
-"""Cutting lines: into short pieces, at planes, and into dashes."""
+"""Splitting of polylines: into short pieces, at clipping planes, and into dashes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from laci_stereo.core.frames import BoolArray, FloatArray, along_line
 
 MAX_STEPS = 2000
-"""Pieces of one straight line at most, so that one of many kilometres costs no more."""
+"""Largest number of pieces of one segment, which bounds the cost of segments of many kilometres."""
 
 
 def subdivide(line: FloatArray, step: float) -> FloatArray:
-    """Cut a line, shape (n, d), into pieces of at most ``step``, or `MAX_STEPS` per segment; its points stay."""
+    """Subdivide a line, shape (n, d), into pieces of at most ``step``, or `MAX_STEPS` per segment; keep its points."""
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     steps = np.clip(np.ceil(lengths / step), 1, MAX_STEPS).astype(int)
     place = np.concatenate([i + np.arange(n) / n for i, n in enumerate(steps)] + [[len(steps)]])
@@ -25,7 +25,7 @@ def clip(line: FloatArray, inside: FloatArray) -> list[FloatArray]:
     ----------
     line : ndarray, shape (n, d)
     inside : ndarray, shape (n,)
-        The function at its points.
+        Values of the function at the line's points.
     """
     crossing = np.flatnonzero((inside[:-1] < 0) != (inside[1:] < 0))
     share = inside[crossing] / (inside[crossing] - inside[crossing + 1])
@@ -35,25 +35,25 @@ def clip(line: FloatArray, inside: FloatArray) -> list[FloatArray]:
 
 
 def clip_slab(line: FloatArray, axis: int, low: float, high: float) -> list[FloatArray]:
-    """Return the pieces of a line, shape (n, d), whose coordinate on this axis is from low to high."""
+    """Return the pieces of a line, shape (n, d), whose coordinate on ``axis`` is between ``low`` and ``high``."""
     above = clip(line, line[:, axis] - low)
     return [piece for part in above for piece in clip(part, high - part[:, axis])]
 
 
 def runs(kept: BoolArray) -> list[slice]:
-    """Return the runs of at least two True."""
+    """Return the runs of at least two consecutive True values, as slices."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(np.int8)))
     return [slice(start, stop) for start, stop in edges.reshape(-1, 2) if stop - start > 1]
 
 
 def dashes(line: FloatArray, on: float, off: float) -> list[FloatArray]:
-    """Cut a line, shape (n, d), into dashes along its length."""
+    """Return the dashes, of length ``on`` with gaps of ``off`` between them, of a line, shape (n, d)."""
     along = along_line(line)
     if along[-1] == 0.0:
         return []
     starts = np.arange(0.0, along[-1], on + off)
     stops = np.minimum(starts + on, along[-1])
-    # All at once: a picture has thousands of dashes.
+    # All dashes at once: a picture has thousands of them.
     dash = np.searchsorted(starts, along, side="right") - 1
     inner = (along > starts[dash]) & (along < stops[dash])
     every = np.arange(len(starts))
@@ -63,5 +63,5 @@ def dashes(line: FloatArray, on: float, off: float) -> list[FloatArray]:
 
 
 def _at(line: FloatArray, places: FloatArray, along: FloatArray) -> FloatArray:
-    """Return the points of a line, shape (n, d), at places, shape (m,), of its parameter, shape (n,)."""
+    """Return the points of a line, shape (n, d), at the values ``places``, shape (m,), of its parameter ``along``."""
     return np.stack([np.interp(places, along, axis) for axis in line.T], axis=1)

@@ -1,4 +1,4 @@
-"""Which part of the world a map shows, and where it is in the picture."""
+"""The view of a map picture: which part of the world it shows, and the mapping from world to pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from laci_stereo.report.lines import clip_slab
 from laci_stereo.report.style import BLACK, Stroke
 
 NEAR_BACKGROUND_M = 12.0
-"""Background that is nearer than this to the track or the sensor widens the picture; what is farther does not."""
+"""Background boxes within this distance of the tracks and the sensor extend the view; those farther away do not."""
 
 MARGIN_SHARE = 0.08
 LEAST_EXTENT_M = 20.0
@@ -24,16 +24,16 @@ NICE = np.array([1.0, 2.0, 5.0])
 
 @dataclass(frozen=True)
 class MapView:
-    """A part of the world, north up, and where it is in a picture.
+    """A part of the world, north up, and its mapping to a picture.
 
     Attributes
     ----------
     centre : ndarray, shape (2,)
-        World, metres.
+        Centre of the view, world, metres.
     scale_px : float
         Pixels per metre.
     size : tuple of float
-        Width and height, pixels.
+        Width and height of the picture, pixels.
     """
 
     centre: FloatArray
@@ -41,12 +41,12 @@ class MapView:
     size: tuple[float, float]
 
     def pixels(self, xy: FloatArray) -> FloatArray:
-        """Map points of the world, shape (..., 2), to pixels from the upper left corner."""
+        """Map points of the world, shape (..., 2), to pixels relative to the upper left corner."""
         moved: FloatArray = (xy - self.centre) * [self.scale_px, -self.scale_px] + np.array(self.size) / 2
         return moved
 
     def line(self, xy: FloatArray) -> list[FloatArray]:
-        """Return the pieces of a line, shape (n, 2), world, that are in view, in pixels."""
+        """Return the pieces in view of a line, shape (n, 2), world, in pixels."""
         return [
             self.pixels(piece)
             for part in clip_slab(xy, 0, *self.extent_m(0))
@@ -59,14 +59,14 @@ class MapView:
         return float(self.centre[axis] - half), float(self.centre[axis] + half)
 
     def bar_m(self, share: float) -> float:
-        """Return 1, 2 or 5 times a power of ten, the most metres that cover no more than a share of the width."""
+        """Return the greatest 1, 2 or 5 times a power of ten, in metres, that covers at most ``share`` of the width."""
         most = share * self.size[0] / self.scale_px
         steps = NICE * 10.0 ** np.floor(np.log10(most))
         return float(steps[steps <= most].max())
 
 
 def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
-    """Choose the part of the world with the sensor, the vehicles where they were seen, and what stands near to them."""
+    """Choose a part of the world with the sensor, the vehicles' tracks while they were seen, and nearby background."""
     drives = list(drives_of(calibration))
     sent = [_seen_sender(drive) for drive in drives]
     shown = np.concatenate([sensor_track(calibration), *sent, calibration.T_world_sensor[None, :2, 3]])
@@ -80,7 +80,7 @@ def map_view(calibration: Calibration, size: tuple[float, float]) -> MapView:
 
 
 def draw_bar(canvas: Canvas, view: MapView, at: tuple[float, float], share: float, words: str = "") -> None:
-    """Draw a scale bar, its left end there, of at most a share of the map's width."""
+    """Draw a scale bar with its left end at a pixel, over at most the fraction ``share`` of the map's width."""
     length_m, (x, y) = view.bar_m(share), at
     end, height = x + length_m * view.scale_px, 0.3 * TEXT * canvas.unit_px
     bracket = np.array([[x, y - height], [x, y], [end, y], [end, y - height]])
@@ -96,12 +96,12 @@ def nice_step(span: float, count: int) -> float:
 
 
 def _near(corners: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-    """Tell whether all of a background box, shape (4, 2), is near the upright rectangle from low to high."""
+    """Return whether all corners of a box, shape (4, 2), are near the axis-aligned rectangle from low to high."""
     return bool((corners > low - NEAR_BACKGROUND_M).all() and (corners < high + NEAR_BACKGROUND_M).all())
 
 
 def _seen_sender(calibration: Calibration) -> FloatArray:
-    """Return the track of the messages while the vehicle was seen, world, shape (n, 2)."""
+    """Return the messages' positions at the times at which the vehicle was seen, world, shape (n, 2)."""
     xy, _, known = calibration.vehicle.at(calibration.track.stamps_s + calibration.time_offset_s)
     seen: FloatArray = xy[known]
     return seen

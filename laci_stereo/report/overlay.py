@@ -1,4 +1,4 @@
-"""The proof by eye: what the calibration says, drawn into the image that the camera took."""
+"""Overlays for visual verification: map, tracks and boxes, drawn into the camera's image by the calibration."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW,
 
 GRID_SHARE = 0.55
 LANE_WIDTH, SENDER_WIDTH, SENSOR_WIDTH, DOT_RADIUS = 2.6, 4.6, 2.2, 3.2
-"""Units. The sensor's box is thinner than the sender's, which is below it: so both show where they agree."""
+"""Line widths and radii in units of the canvas. The sensor's box has thinner lines than the sender's, which is drawn
+below it, so that both are visible where they agree."""
 
 PANEL_SHARE = 0.62
-"""How far a panel behind type darkens the image."""
+"""Opacity of the panels behind text."""
 
 MARGIN = 14.0
-"""Between a panel, its contents and the picture's border, units."""
+"""Distance between a panel, its contents and the picture's border, units."""
 
 MOMENTS = (0.1, 0.5, 0.9)
-"""Of the time in which the vehicle is seen: early, in the middle, late."""
+"""Times of the overlays, as fractions of the time in which the vehicle is seen: early, in the middle, late."""
 
 GRID = Stroke(WHITE, 1.0)
 SENDER = Stroke(VERMILLION, SENDER_WIDTH)
@@ -42,19 +43,19 @@ LANE = Stroke(YELLOW, LANE_WIDTH)
 
 
 def overlay_stamps(calibration: Calibration, moments: Sequence[float] = MOMENTS) -> list[float]:
-    """Choose the frames to draw: spread over the time in which the vehicle was seen and used.
+    """Choose the frames to draw, spread over the time in which the vehicle was seen and used.
 
     Parameters
     ----------
     calibration : Calibration
     moments : sequence of float
-        Where in that time, from 0 to 1.
+        Fractions of that time, from 0 to 1.
 
     Returns
     -------
     list of float
-        Stamps of sightings, ascending, each once; in none of them is the vehicle only in the image or only in the
-        messages.
+        Stamps of sightings, ascending, each once. In all of them both the sensor and the messages determine the
+        vehicle's position.
     """
     stamps_s = known_stamps(calibration)
     if len(stamps_s) == 0:
@@ -69,22 +70,23 @@ def draw_overlay(
 ) -> Raster:
     """Draw the map, the vehicle and its tracks into an image.
 
-    Where the calibration is right, the map's lines lie on those of the road, and both boxes around the vehicle.
+    With a correct calibration, the map's lines coincide with those of the road, and both boxes enclose the vehicle.
 
     Parameters
     ----------
     image : ndarray
-        Of the left camera, raw; it stays as it is.
+        Raw image of the left camera; it is not changed.
     lens : Lens
-        Of that camera.
+        Lens of that camera.
     calibration : Calibration
     stamp_s : float
-        Of the image, seconds since the recording's first stamp.
-    lane_map : LaneMap
+        Stamp of the image, seconds since the recording's first stamp.
+    lane_map : LaneMap or None
 
     Returns
     -------
     ndarray of uint8, shape (h, w, 3)
+        Blue, green, red.
     """
     canvas = Canvas(image, halo=NIGHT)
     camera = Camera(lens, invert(calibration.T_world_sensor))
@@ -100,7 +102,7 @@ def draw_overlay(
 
 
 def _draw_lanes(canvas: Canvas, camera: Camera, lane_map: LaneMap | None) -> list[FloatArray]:
-    """Draw the map; return its pixels."""
+    """Draw the map's lines, and return them in pixels."""
     drawn: list[FloatArray] = []
     for line, stroke in lane_strokes(lane_map, LANE.colour, LANE.width):
         pieces = camera.project_line(on_ground(line.xy))
@@ -110,7 +112,7 @@ def _draw_lanes(canvas: Canvas, camera: Camera, lane_map: LaneMap | None) -> lis
 
 
 def _draw_grid(canvas: Canvas, camera: Camera, calibration: Calibration) -> None:
-    """Draw squares on the ground, counted from the point under the sensor."""
+    """Draw a grid on the ground, with its origin at the point below the sensor."""
     with canvas.faint(GRID_SHARE):
         canvas.lines([piece for line in ground_grid(calibration) for piece in camera.project_line(line)], GRID)
 
@@ -118,7 +120,7 @@ def _draw_grid(canvas: Canvas, camera: Camera, calibration: Calibration) -> None
 def _label_grid(
     canvas: Canvas, camera: Camera, calibration: Calibration, bottom: float, avoid: Sequence[FloatArray]
 ) -> None:
-    """Write how far ahead the grid's lines are, except where there is no room or the vehicle is."""
+    """Label the grid's lines with their distance ahead, except where there is no room or where the vehicle is."""
     places = camera.project(grid_places(calibration))
     room = LINE_HEIGHT * TEXT * canvas.unit_px
     for distance, (x, y) in zip(GRID_AHEAD, places, strict=True):
@@ -127,11 +129,11 @@ def _label_grid(
         rect = (left, y - room / 2, right, y + room / 2)
         if _within(rect, (0.0, room, canvas.width, bottom)) and not any(touches(rect, taken) for taken in avoid):
             canvas.text(text, (left, y), WHITE)
-            bottom = rect[1]  # the next one is farther away, so higher up
+            bottom = rect[1]  # the next label is farther away, so it is higher in the image
 
 
 def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> list[FloatArray]:
-    """Draw where the vehicles drove, by their messages and by the sensor; return the pixels."""
+    """Draw the vehicles' tracks by their messages and by the sensor, and return them in pixels."""
     sent = [piece for track in sender_track(calibration) for piece in camera.project_line(on_ground(track))]
     canvas.lines(sent, SENDER)
     seen = camera.project(on_ground(sensor_track(calibration)))
@@ -141,7 +143,7 @@ def _draw_tracks(canvas: Canvas, camera: Camera, calibration: Calibration) -> li
 
 
 def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_s: float) -> list[FloatArray]:
-    """Draw the vehicles at that time, by their messages and by the sensor; return the pixels."""
+    """Draw the vehicles' boxes at a time by their messages and by the sensor, and return their edges in pixels."""
     edges = vehicle_edges(calibration, stamp_s)
     sent_px, seen_px = ([piece for edge in each for piece in camera.project_line(edge)] for each in edges)
     canvas.layers([(sent_px, SENDER), (seen_px, SENSOR)])
@@ -177,5 +179,5 @@ def _draw_caption(canvas: Canvas, top: float, calibration: Calibration, stamp_s:
 
 
 def _within(rect: Rect, frame: Rect) -> bool:
-    """Tell whether a rectangle lies in a frame; one with NaN does not."""
+    """Return whether a rectangle lies within a frame; a rectangle with NaN does not."""
     return rect[0] >= frame[0] and rect[1] >= frame[1] and rect[2] <= frame[2] and rect[3] <= frame[3]

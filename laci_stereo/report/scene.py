@@ -1,4 +1,4 @@
-"""What of a calibration stands in space, as lines in the world: for everything that is drawn into an image."""
+"""Three-dimensional lines in the world that are drawn into images: ground grid, vehicles' boxes, background boxes."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from laci_stereo.report.drawn import (
 GRID_M = 10.0
 GRID_AHEAD = np.arange(0.0, 61.0, GRID_M)
 GRID_ASIDE_M = 40.0
-"""The grid ends where its squares become flat lines."""
+"""Spacing of the ground grid's lines, their distances ahead of the sensor, and the grid's extent to either side. The
+grid ends where its squares look like flat lines."""
 
 NOMINAL_HEIGHT_M = 1.5
-"""Messages do not tell a vehicle's height; this is a passenger car's."""
+"""Height assumed for a vehicle without points, that of a passenger car: messages do not contain it."""
 
 HIGHEST_SHARE = 0.98
-"""Of a sighting's points, this share is below the box's roof: single points that hover over it are mismatches."""
+"""The roof of a sighting's box is this quantile of its points' heights: single points above it are mismatches."""
 
 HEADING_M = 2.0
-"""How far the line that tells front from rear sticks out ahead of the box."""
+"""Length ahead of the box of the line that marks its front."""
 
 BOX_EDGES = [(i, (i + 1) % 4) for i in range(4)] + [(i + 4, (i + 1) % 4 + 4) for i in range(4)]
 BOX_EDGES += [(i, i + 4) for i in range(4)]
 
 
 def ground_grid(calibration: Calibration) -> list[FloatArray]:
-    """Return the lines of squares on the ground, counted from the point under the sensor; world, shape (2, 3) each."""
+    """Return the lines of a grid on the ground from the point below the sensor ahead, world, shape (2, 3) each."""
     aside = np.arange(-GRID_ASIDE_M, GRID_ASIDE_M + GRID_M / 2, GRID_M)
     ends = [((x, aside[0], 0.0), (x, aside[-1], 0.0)) for x in GRID_AHEAD]
     ends += [((GRID_AHEAD[0], y, 0.0), (GRID_AHEAD[-1], y, 0.0)) for y in aside]
@@ -45,20 +46,20 @@ def ground_grid(calibration: Calibration) -> list[FloatArray]:
 
 
 def grid_places(calibration: Calibration) -> FloatArray:
-    """Return the points straight ahead of the sensor at the distances `GRID_AHEAD`, world, shape (n, 3)."""
+    """Return the points on the ground straight ahead of the sensor at `GRID_AHEAD`, world, shape (n, 3)."""
     axis = on_ground(np.column_stack([GRID_AHEAD, np.zeros(len(GRID_AHEAD))]))
     return transform(T_world_level(calibration), axis)
 
 
 def vehicle_edges(calibration: Calibration, stamp_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the edges of the vehicles' boxes at a time of the sensor, world, shape (2, 3) each.
+    """Return the edges of the vehicles' boxes at a time of the sensor's clock, world, shape (2, 3) each.
 
     Returns
     -------
     sent : list of ndarray
-        By the messages, with a line that points ahead; none where they do not tell.
+        Boxes by the messages, each with a line that points ahead; empty where the messages do not determine a position.
     seen : list of ndarray
-        By the sensor; none where it saw none.
+        Boxes by the sensor; empty where it has no sighting with that stamp.
     """
     sent_edges: list[FloatArray] = []
     seen_edges: list[FloatArray] = []
@@ -81,13 +82,13 @@ def background_edges(calibration: Calibration) -> list[FloatArray]:
 
 
 def box_edges(corners: FloatArray, height_m: float) -> list[FloatArray]:
-    """Return the twelve edges, shape (2, 3) each, of a box over four corners, shape (4, 2)."""
+    """Return the twelve edges, shape (2, 3) each, of an upright box on four corners on the ground, shape (4, 2)."""
     points = np.concatenate([on_ground(corners), on_ground(corners) + np.array([0.0, 0.0, height_m])])
     return [points[list(edge)] for edge in BOX_EDGES]
 
 
 def seen_height(seen: Sighting) -> float:
-    """Return how high a vehicle is above the ground, metres."""
+    """Return the height of a vehicle's roof above the ground, metres."""
     return float(np.quantile(seen.points[:, 2], HIGHEST_SHARE)) if len(seen.points) else NOMINAL_HEIGHT_M
 
 

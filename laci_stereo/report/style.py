@@ -1,4 +1,4 @@
-"""Colours and lines that the pictures share."""
+"""Colours and line styles common to all pictures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from laci_stereo.io.lane_map import LaneLine, LaneMap
 Colour: TypeAlias = tuple[int, int, int]
 """Blue, green, red."""
 
-# Okabe and Ito's palette: told apart by all kinds of colour vision, and in order of lightness on a grey print.
+# Palette of Okabe and Ito: distinguishable with all kinds of colour vision, and ordered by lightness in a grey print.
 BLACK: Colour = (0, 0, 0)
 BLUE: Colour = (178, 114, 0)
 VERMILLION: Colour = (0, 94, 213)
@@ -31,16 +31,16 @@ VIRTUAL_DASH = (3.0, 5.0)
 
 @dataclass(frozen=True)
 class Stroke:
-    """How a line is drawn; lengths are in units of the canvas (`Canvas.unit_px`).
+    """Style of a line; lengths are in units of the canvas (`Canvas.unit_px`).
 
     Attributes
     ----------
     colour : tuple of int
     width : float
     dash : tuple of float or None
-        Length of a dash and of the gap behind it; None is a solid line.
+        Length of a dash and of the gap after it; None for a solid line.
     halo : bool
-        Whether it has a rim against what is behind it.
+        Whether a rim sets the line off from the background.
     """
 
     colour: Colour
@@ -50,17 +50,17 @@ class Stroke:
 
 
 def lane_strokes(lane_map: LaneMap | None, colour: Colour, width: float) -> list[tuple[LaneLine, Stroke]]:
-    """Give every line of a map its stroke, in the order in which they are drawn.
+    """Return every line of a map with its stroke, in drawing order.
 
-    Lines look as they do on the road. Virtual ones are on no road, so thin and dotted, and below the others, on which
-    they often lie.
+    Lines look as they do on the road. Virtual lines, which are not painted on the road, are thin and dotted, and drawn
+    below the others, with which they often coincide.
 
     Parameters
     ----------
     lane_map : LaneMap or None
     colour : tuple of int
     width : float
-        Of an ordinary line.
+        Width of an ordinary line.
     """
     lines = lane_map.lines if lane_map is not None else ()
     strokes = [(line, _lane_stroke(line, colour, width)) for line in lines]
@@ -68,7 +68,7 @@ def lane_strokes(lane_map: LaneMap | None, colour: Colour, width: float) -> list
 
 
 def look_of(line: LaneLine) -> Literal["virtual", "dashed", "thick", "thin"]:
-    """Return how a line is drawn where its look is a class of a style sheet."""
+    """Return the style-sheet class with which a line is drawn."""
     if line.kind == VIRTUAL:
         return "virtual"
     if line.subtype == "dashed":

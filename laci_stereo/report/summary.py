@@ -1,4 +1,4 @@
-"""Ten lines that a person understands."""
+"""The summary of a calibration in the terminal: about ten lines of text."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ LEFT_OUT = {
 
 
 def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
-    """Say where the sensor stands and looks, from what, and how sure that is.
+    """Describe the sensor's pose, the data that it was estimated from, its uncertainty and the verdict.
 
     Parameters
     ----------
     calibration : Calibration
     sensor : str
-        Its name and frame, in words.
+        Name and frame of the sensor, in words.
     inputs : str
-        What was read, in words.
+        Description of the input files.
     """
     world, quality = calibration.world, calibration.quality
     position = calibration.T_world_sensor[:3, 3]
@@ -79,7 +79,7 @@ def _fit(calibration: Calibration) -> str:
 
 
 def others_of(calibration: Calibration) -> str:
-    """Say which other drives it was estimated from."""
+    """Return the number and the stations of the other drives that the result was estimated from, in words."""
     if not calibration.others:
         return ""
     stations = ", ".join(str(station) for station in sorted({other.station_id for other in calibration.others}))

@@ -1,4 +1,4 @@
-"""The map of a calibration: where the sensor stands and looks, and both tracks of the vehicle."""
+"""``topdown.png``: a map with the sensor's position and viewing direction, and the vehicle's track by either source."""
 
 from __future__ import annotations
 
@@ -39,22 +39,25 @@ from laci_stereo.report.style import (
 
 SIZE = (1600, 1200)
 PLOT: Rect = (105.0, 60.0, 1105.0, 1050.0)
-"""Where the map is; on its right is the legend, below it the caption."""
+"""The map's rectangle; to its right is the legend, below it the caption."""
 
 SIDE_LEFT, SIDE_RIGHT = 1145.0, 1580.0
 
 MARKS = 10
-"""About so many moments are marked on the tracks."""
+"""Largest number of intervals between the times that are marked on the tracks."""
 
 TICKS = 7
+"""Largest number of intervals between the ticks of an axis."""
+
 BAR_SHARE = 0.25
-"""The scale bar is at most this share of the map's width."""
+"""Largest length of the scale bar, as a fraction of the map's width."""
 
 ARROW_SHARE = 0.12
-"""Length of the viewing direction, of the map's width."""
+"""Length of the arrow in the viewing direction, as a fraction of the map's width."""
 
 DOT_RADIUS, SENSOR_MARK_RADIUS, SENDER_MARK_RADIUS, SENSOR_RADIUS = 2.4, 3.6, 5.4, 9.0
-"""Units. The sender's mark is larger, for it is below the sensor's: so both show where they agree."""
+"""Radii in units of the canvas. The sender's mark is larger than the sensor's, which is drawn above it, so that both
+are visible where they agree."""
 
 SMALL = 0.9 * TEXT
 
@@ -70,16 +73,17 @@ TIE = Stroke(BLACK, 1.2, halo=False)
 
 
 def draw_topdown(calibration: Calibration, lane_map: LaneMap | None = None) -> Raster:
-    """Draw a map, north up.
+    """Draw the map of a calibration, north up.
 
     Parameters
     ----------
     calibration : Calibration
-    lane_map : LaneMap
+    lane_map : LaneMap or None
 
     Returns
     -------
     ndarray of uint8, shape (1200, 1600, 3)
+        Blue, green, red.
     """
     canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), halo=WHITE)
     view = map_view(calibration, (PLOT[2] - PLOT[0], PLOT[3] - PLOT[1]))
@@ -94,15 +98,16 @@ def draw_topdown(calibration: Calibration, lane_map: LaneMap | None = None) -> R
 
 @dataclass(frozen=True)
 class Mark:
-    """The vehicle at one time, world.
+    """The vehicle at one time, in the world frame.
 
     Attributes
     ----------
     stamp_s : float
+        Stamp of the sighting.
     sent, seen : ndarray, shape (2,)
-        Its centre by the messages and by the sensor.
+        Centre of the vehicle by the messages, and of the sensor's box.
     corners : ndarray, shape (4, 2)
-        Of the sensor's box.
+        Corners of the sensor's box.
     left : ndarray, shape (2,)
         Unit vector to the vehicle's left.
     """
@@ -115,7 +120,7 @@ class Mark:
 
 
 def marks_of(calibration: Calibration) -> list[Mark]:
-    """Choose sightings near to whole seconds, or to more of them in a long drive."""
+    """Return marks for the sightings nearest to whole seconds, or to multiples of more seconds in a long drive."""
     known_s = known_stamps(calibration)
     if len(known_s) == 0:
         return []
@@ -141,7 +146,7 @@ def _draw_grid(canvas: Canvas, view: MapView) -> None:
 
 
 def _line_at(view: MapView, axis: int, tick: float) -> FloatArray:
-    """Return the line across the map, shape (2, 2), pixels, at a coordinate."""
+    """Return the ends of the grid line across the map at a coordinate of an axis, pixels, shape (2, 2)."""
     ends = np.array([[0.0, 0.0], view.size])
     ends[:, axis] = view.pixels(np.full(2, tick))[axis]
     return ends
@@ -151,11 +156,11 @@ def _ticks(view: MapView, axis: int) -> FloatArray:
     low, high = view.extent_m(axis)
     step = nice_step(high - low, TICKS)
     ticks: FloatArray = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
-    return ticks + 0.0  # no minus zero
+    return ticks + 0.0  # turns -0.0 into 0.0
 
 
 def _draw_map(canvas: Canvas, view: MapView, calibration: Calibration, lane_map: LaneMap | None) -> list[Entry]:
-    """Draw all that has a place in the world; return its legend."""
+    """Draw everything with a position in the world, and return the legend's entries."""
     entries = []
     background = background_corners(calibration)
     for corners in background:
@@ -200,7 +205,7 @@ def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> li
 
 
 def _draw_mark(canvas: Canvas, view: MapView, mark: Mark) -> None:
-    """Mark one time on both tracks, tie the marks together, and write the time beside the box."""
+    """Mark one time on both tracks, connect the two marks, and write the time beside the box."""
     ends = view.pixels(np.stack([mark.sent, mark.seen]))
     canvas.lines([ends], TIE)
     canvas.dots(ends[:1], SENDER.colour, SENDER_MARK_RADIUS)
@@ -211,9 +216,10 @@ def _draw_mark(canvas: Canvas, view: MapView, mark: Mark) -> None:
 
 
 def position_covariance(calibration: Calibration, xy_world: FloatArray, z_m: float = 0.0) -> FloatArray:
-    """Return the covariance, shape (2, 2), world, of where the calibration puts something at that height.
+    """Return the covariance, shape (2, 2), world, of the position to which the calibration maps an object.
 
-    A turn about the track's centre moves it by its distance from there.
+    The object is at ``xy_world``, at the height ``z_m``. An error of the rotation about the track's centre displaces it
+    in proportion to its distance from there.
     """
     dx, dy = xy_world - calibration.centre_world[:2]
     dz = z_m - calibration.centre_world[2]
@@ -225,7 +231,7 @@ def position_covariance(calibration: Calibration, xy_world: FloatArray, z_m: flo
 def position_ellipse(
     calibration: Calibration, xy_world: FloatArray, z_m: float = 0.0, sigmas: float = 1.0
 ) -> FloatArray:
-    """Return the ellipse of so many sigma around where something is put, world, shape (n, 2)."""
+    """Return the error ellipse of an object's position at a number of standard deviations, world, shape (n, 2)."""
     variances, directions = np.linalg.eigh(position_covariance(calibration, xy_world, z_m))
     around = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     circle = np.column_stack([np.cos(around), np.sin(around)])
@@ -234,7 +240,7 @@ def position_ellipse(
 
 
 def _draw_sensor(canvas: Canvas, view: MapView, calibration: Calibration) -> None:
-    """Draw where the sensor stands and looks, and name it on the side to which it does not look."""
+    """Draw the sensor's position and viewing direction, with a label on the side away from that direction."""
     foot = view.pixels(calibration.T_world_sensor[:2, 3])
     looks = (calibration.T_world_sensor[:3, :3] @ np.array(calibration.axes.forward))[:2] * [1.0, -1.0]
     looks /= max(float(np.linalg.norm(looks)), 1e-12)
@@ -256,7 +262,7 @@ def _draw_arrow(canvas: Canvas, start: FloatArray, tip: FloatArray, colour: Colo
 
 
 def _draw_axes(canvas: Canvas, view: MapView) -> None:
-    """Draw the frame of the map, and the ticks of both axes, metres."""
+    """Draw the border of the map, and the ticks of both axes in metres."""
     left, top, right, bottom = PLOT
     canvas.lines([np.array([[left, top], [right, top], [right, bottom], [left, bottom]])], FRAME, closed=True)
     length = 0.35 * TEXT * canvas.unit_px
@@ -274,7 +280,7 @@ def _draw_axes(canvas: Canvas, view: MapView) -> None:
 
 
 def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries: list[Entry]) -> None:
-    """Draw north, the scale and the legend beside the map, and what the calibration says in numbers."""
+    """Draw the north arrow, the scale bar, the legend and the calibration's figures beside the map."""
     top, line = PLOT[1], LINE_HEIGHT * TEXT * canvas.unit_px
     x = SIDE_LEFT + line
     _draw_arrow(canvas, np.array([x, top + 2.6 * line]), np.array([x, top + 0.9 * line]), BLACK)
@@ -290,8 +296,8 @@ def _draw_side(canvas: Canvas, view: MapView, calibration: Calibration, entries:
 
 
 def facts(calibration: Calibration) -> list[str]:
-    """Say in words where the sensor stands, and how sure that is."""
-    # Not of T_utm_sensor, which is rigid, and true to the grid's scale at the track only.
+    """Return the sensor's pose, its uncertainty and the verdict in words, one line each."""
+    # Not from T_utm_sensor, which is rigid and so true to the grid's scale only at the track.
     east, north = calibration.world.to_utm(calibration.T_world_sensor[None, :2, 3])[0]
     angles, quality = calibration.viewing_angles, calibration.quality
     return [

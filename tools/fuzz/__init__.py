@@ -1,1 +1,1 @@
-"""Inputs that were damaged on purpose, for every reader."""
+"""Fuzzing: deliberately damaged inputs for every reader."""

@@ -1,4 +1,4 @@
-"""Damage to files, as disks, networks, editors and attackers cause it."""
+"""Mutations of files that imitate damage by disks, networks, editors and attackers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Files: TypeAlias = Mapping[str, bytes]
 _Change: TypeAlias = Callable[[bytes], bytes]
 
 MOST_BYTES = 1 << 20
-"""Largest size of an input; larger ones only take longer."""
+"""Largest size of an input; larger inputs would only take longer."""
 
 _NUMBERS = (
     *(b"0", b"-1", b"-0.0", b"nan", b"inf", b"1e400", b"1e308", b"1e-320", b"2147483648", b"4294967295"),
@@ -49,13 +49,13 @@ _SENTENCE = re.compile(rb"\$([^*\r\n]*)\*[0-9A-F]{2}")
 
 
 def mutated(files: Files, others: Sequence[bytes], rng: random.Random) -> dict[str, bytes]:
-    """Return a reader's files, one of them with one to four damages.
+    """Return a reader's files, one of them with one to four mutations.
 
     Parameters
     ----------
     files : Files
     others : sequence of bytes
-        Contents of other files, to splice.
+        Contents of other files, parts of which are spliced in.
     rng : random.Random
     """
     found = dict(files)
@@ -65,7 +65,7 @@ def mutated(files: Files, others: Sequence[bytes], rng: random.Random) -> dict[s
 
 
 def _damaged(data: bytes, other: bytes, rng: random.Random) -> bytes:
-    """Damage the contents of a container three times in four: otherwise its checksums prevent reading any further."""
+    """Damage a file; of a container, in three cases of four its contents, as wrong checksums would end the reading."""
     rebuild = next((build for magic, build in _CONTAINERS if data.startswith(magic)), None)
     if rebuild is not None and rng.random() < 0.75:
         return rebuild(data, lambda inner: _damaged(inner, other, rng), rng)
@@ -184,7 +184,7 @@ def _in_zip(data: bytes, change: _Change, rng: random.Random) -> bytes:
 
 
 def _in_png(data: bytes, change: _Change, _rng: random.Random) -> bytes:
-    """Damage header and pixels, and correct the checksums."""
+    """Damage a PNG's header and compressed pixels, and correct the checksums."""
     at, parts = 8, [data[:8]]
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)

@@ -22,7 +22,7 @@ if sys.platform == "linux":
     import resource
 
 Readers: TypeAlias = Mapping[str, Callable[[Path], object]]
-"""Functions that read the files in a folder, by name; they belong to modules, as they are sent to another process."""
+"""Functions that read the files in a folder, by name; module-level ones, as they are pickled for another process."""
 
 LONGEST_MESSAGE = 1000
 GUARD = 4
@@ -76,11 +76,11 @@ class Outcome:
     Attributes
     ----------
     accepted : bool
-        It was read, not refused.
+        Whether the input was read, not refused.
     finding : str
-        Description of what must not happen; empty if there is nothing.
+        Description of the misbehaviour, such as a crash or a warning; empty if there is none.
     where : str
-        The line of the sources that it comes from.
+        File and line of the sources that the finding comes from.
     memory_bytes : int
         Memory that reading took, in addition to the process's earlier use.
     """
@@ -92,7 +92,7 @@ class Outcome:
 
 
 def damaged(seed: Seed, number: int) -> dict[str, bytes]:
-    """Return the input with a number, made from a seed; it is always the same."""
+    """Return the damaged input with a number, made from a seed; the same number always gives the same input."""
     return mutated(seed.files, seed.others, random.Random(f"{seed.name} {number}"))
 
 
@@ -108,7 +108,7 @@ def serve(
     pipe: Connection, folder: Path, readers: Readers, wholes: Sequence[tuple[str, Files]], limits: Limits
 ) -> None:
     """Read the inputs that arrive through a pipe, in a folder, and answer with the outcome of each."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries in C write there whatever they like
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # C libraries write their own messages to stderr
     # The undamaged seeds come first: what libraries need once is not charged to an input.
     pipe.send([_attempt(readers[reader], folder, files, Limits(1 << 40)) for reader, files in wholes])
     _guard_memory(GUARD * limits.memory_bytes)

@@ -1,4 +1,4 @@
-"""The report page: one file that shows a calibration, what it rests on and how far it can be trusted."""
+"""The report page: one HTML file that shows a calibration, the data that it is based on, and its uncertainty."""
 
 from laci_stereo.report.page.page import Made, write_page
 from laci_stereo.report.page.photo import MOMENTS, Photograph, Photographs

@@ -1,4 +1,4 @@
-"""Charts as what a template draws: where ticks and marks are, in units of the chart."""
+"""Charts for the templates: positions of ticks and marks, in units of the chart's SVG view box."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ LEFT, TOP, RIGHT, BOTTOM = 64.0, 30.0, 706.0, 250.0
 X_TICKS, Y_TICKS = 7, 6
 MARK = 4.0
 ROOM = 0.06
-"""Between the outermost marks and the frame, of the chart."""
+"""Margin between the outermost marks and the frame, as a fraction of the values' range."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A number beside an axis, and where it is."""
+    """A number beside an axis, and its position in units of the chart."""
 
     at: float
     text: str
@@ -28,16 +28,18 @@ class Tick:
 
 @dataclass(frozen=True)
 class Series:
-    """Marks of one kind.
+    """A data series.
 
     Attributes
     ----------
     look : str
-        A class of the style sheet: colour; the mark's shape differs too.
+        Class of the style sheet, which sets the colour; the series also differ in the shape of their marks.
     label : str
+        Label in the legend.
     x, y : ndarray, shape (n,)
+        Positions of the marks, in the data's units.
     low, high : ndarray, shape (n,), or None
-        The ends of bars through the marks.
+        Ends of vertical bars through the marks.
     """
 
     look: str
@@ -50,7 +52,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A series in units of the chart: marks and bars, and a mark for the legend."""
+    """A series as SVG path data in units of the chart: marks, bars, and a sample mark for the legend."""
 
     look: str
     label: str
@@ -61,14 +63,14 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart with marks.
+    """A scatter chart.
 
     Attributes
     ----------
     title, x_title, y_title : str
     x_ticks, y_ticks : tuple of Tick
     zero : float or None
-        Height of the line of zero.
+        y coordinate of the zero line, in units of the chart.
     series : tuple of Drawn
     """
 
@@ -85,7 +87,7 @@ class Chart:
 
 
 def chart(title: str, x_title: str, y_title: str, series: list[Series]) -> Chart:
-    """Lay out a chart whose axes hold all marks and bars, and the line of zero."""
+    """Lay out a chart whose axes include all marks, all bars and the zero line."""
     x = np.concatenate([each.x for each in series])
     edges = [edge for each in series for edge in (each.y, each.low, each.high) if edge is not None]
     y = np.append(np.concatenate(edges), 0.0)
@@ -113,7 +115,7 @@ def _drawn(series: Series, number: int, x_range: tuple[float, float], y_range: t
 
 
 def mark(number: int, x: float, y: float) -> str:
-    """Return a mark's path: a circle, a triangle or a square, by the series' number."""
+    """Return the SVG path data of a mark: a circle, a triangle or a square, depending on the series' number."""
     if number % 3 == 0:
         turn = f"a{MARK} {MARK} 0 1 0"
         return f"M{x - MARK:.1f} {y:.1f}{turn} {2 * MARK} 0{turn} {-2 * MARK} 0Z"
@@ -141,7 +143,7 @@ def _ticks(span: tuple[float, float], count: int, ends: tuple[float, float]) -> 
 
 @dataclass(frozen=True)
 class OutlineChart:
-    """The vehicle from above, with its points; metres, x ahead and y to the left."""
+    """The vehicle and its points from above; metres, x ahead and y to the left."""
 
     length_m: float
     width_m: float
@@ -149,7 +151,17 @@ class OutlineChart:
 
 
 def outline_chart(size: tuple[float, float], xy_vehicle: FloatArray, surface: FloatArray) -> OutlineChart:
-    """Draw points around a vehicle: those that are taken for its outline, and the others."""
+    """Draw the points around a vehicle: those attributed to its outline, and the others.
+
+    Parameters
+    ----------
+    size : tuple of float
+        Length and width of the vehicle, metres.
+    xy_vehicle : ndarray, shape (n, 2)
+        Points in the vehicle's frame, metres.
+    surface : ndarray, shape (n,)
+        Probability that the point belongs to the outline.
+    """
     near = (np.abs(xy_vehicle) < 0.75 * np.array(size) + 0.5).all(axis=1)
     taken = near & (surface >= 0.5)
     parts = (

@@ -1,4 +1,4 @@
-"""A page that shows by how much results of one sensor differ."""
+"""The page that compares several results of one sensor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from laci_stereo.report.page.page import policy_for, template, text_of
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity: how far apart, and one sigma of that; NaN where it is not known."""
+    """A quantity's difference between two results, and the difference's standard deviation, NaN where unknown."""
 
     name: str
     value: float
@@ -21,13 +21,13 @@ class Row:
 
     @property
     def sigmas(self) -> float | None:
-        """How many sigma apart; None where that is not known."""
+        """The difference in standard deviations; None where the standard deviation is unknown."""
         return None if math.isnan(self.sigma) else self.value / self.sigma
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two results, and whether they agree, in words."""
+    """Two results, their differences and whether they agree."""
 
     first: str
     second: str
@@ -37,18 +37,18 @@ class Pair:
 
 
 def write_compare_page(pairs: Sequence[Pair], shared: str) -> str:
-    """Write the page.
+    """Return the page.
 
     Parameters
     ----------
     pairs : sequence of Pair
     shared : str
-        What the sigmas leave out.
+        Errors common to all results, which the standard deviations do not include, in words.
 
     Returns
     -------
     str
-        HTML that asks for nothing outside of itself.
+        HTML that loads no external resources.
     """
     style = text_of("page.css")
     return template("page.compare.j2").render(pairs=pairs, shared=shared, style=style, policy=policy_for(style, ""))

@@ -1,4 +1,4 @@
-"""What the page says in words and numbers, each with a few words that explain it."""
+"""The page's statements and figures, each with a short explanation."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from laci_stereo.report.page.residuals import SIDES, Laid
 from laci_stereo.report.summary import LEFT_OUT, others_of
 
 DIGITS = 9
-"""Of a transform's numbers: a nanometre, and less than a micrometre at a kilometre."""
+"""Decimal places of a transform's elements: a nanometre in a translation; in a rotation, less than a micrometre at a
+distance of a kilometre."""
 
 NOTABLE = 2.0
-"""Sigma, beyond which one in twenty corrections is by chance."""
+"""Standard deviations beyond which a correction is called notable: one in twenty exceeds them by chance."""
 
 FEWEST = 5
-"""Points of a side of which a median is told."""
+"""Least number of points of a side for which their median is shown."""
 
 
 @dataclass(frozen=True)
 class Fact:
-    """A quantity, its value, and what it means to someone who knows no frames."""
+    """A quantity, its value, and its meaning for readers who do not know the coordinate frames."""
 
     name: str
     value: str
@@ -45,7 +46,7 @@ class Matrix:
     name : str
     meaning : str
     text : str
-        JSON.
+        The 4x4 matrix as JSON.
     """
 
     name: str
@@ -55,7 +56,7 @@ class Matrix:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to think of the result, and what to do."""
+    """The verdict: its word, a sentence on whether the result can be used, the reasons, and what to do next."""
 
     word: str
     sentence: str
@@ -64,7 +65,16 @@ class Verdict:
 
 
 def verdict_of(calibration: Calibration, has_image: bool, contradicted: bool) -> Verdict:
-    """Say in one sentence whether the result can be used, and what to do next; a map may contradict it."""
+    """Return whether the result can be used, in one sentence, and what to do next.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    has_image : bool
+        Whether the page shows a camera image.
+    contradicted : bool
+        Whether the lane check failed, so that the map contradicts the result.
+    """
     quality = calibration.quality
     known = (
         f"objects on the vehicle's way are placed on the map to ±{quality.track_xy_sigma_m:.2f} m and the viewing "
@@ -132,7 +142,7 @@ def _json(T: FloatArray) -> str:
 
 
 def place_facts(calibration: Calibration) -> tuple[Fact, ...]:
-    """Say where the sensor stands and looks."""
+    """Return the sensor's position, height and viewing direction."""
     world, quality = calibration.world, calibration.quality
     xy = calibration.T_world_sensor[None, :2, 3]
     east, north = world.to_utm(xy)[0]
@@ -164,7 +174,7 @@ def place_facts(calibration: Calibration) -> tuple[Fact, ...]:
 
 
 def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
-    """Say how sure it is, and from how much."""
+    """Return the result's uncertainty, its residual, and the amount of data that it is based on."""
     quality, vehicle = calibration.quality, calibration.vehicle
     seen = f"{quality.frames_used} of {quality.frames_seen}"
     size = f"{vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m"
@@ -201,7 +211,7 @@ def _residual_of(calibration: Calibration) -> str:
 
 
 def clock_facts(calibration: Calibration) -> tuple[Fact, ...]:
-    """Say what is known of the clocks."""
+    """Return the clock offset between sensor and messages, and its prior."""
     if calibration.method == "paper":
         return (Fact("Clock offset", "taken as zero", "the paper's method does not estimate it"),)
     offset, sigma, prior = calibration.time_offset_s, calibration.time_sigma_s, calibration.clock_sigma_s
@@ -221,13 +231,16 @@ def clock_facts(calibration: Calibration) -> tuple[Fact, ...]:
 
 @dataclass(frozen=True)
 class Corrected:
-    """What of the messages was corrected, in words.
+    """An estimated correction to the messages, in words.
 
     Attributes
     ----------
     what, value, expected : str
+        The quantity, its correction, and the prior of the correction.
     sigmas : float
+        The correction in standard deviations.
     judgement : str
+        "as expected", "notable" or "contradiction".
     """
 
     what: str
@@ -247,7 +260,7 @@ _WORDS = {
 
 
 def corrected(corrections: Sequence[Correction]) -> tuple[Corrected, ...]:
-    """Put corrections into words, and hold them against what was expected; the clocks' are told by `clock_facts`."""
+    """Describe corrections and compare them with their priors; the clock offset is left to `clock_facts`."""
     return tuple(_corrected(correction) for correction in corrections if correction.what != "clock")
 
 
@@ -261,7 +274,7 @@ def _corrected(correction: Correction) -> Corrected:
 
 @dataclass(frozen=True)
 class Side:
-    """How the points lie about one side of the vehicle, centimetres."""
+    """Distances of the points from one side of the vehicle: their median and half of their interquartile range."""
 
     name: str
     points: int
@@ -270,7 +283,7 @@ class Side:
 
 
 def sides(laid: Laid) -> tuple[Side, ...]:
-    """Return how the points that are taken for the outline lie about each side that was seen."""
+    """Return the distances from each side that was seen, of the points attributed to the outline."""
     found = []
     for number, name in enumerate(SIDES):
         distances = 100.0 * laid.distance_m[(laid.face == number) & (laid.surface >= 0.5)]
@@ -283,7 +296,7 @@ def sides(laid: Laid) -> tuple[Side, ...]:
 
 @dataclass(frozen=True)
 class Compared:
-    """A quantity by this result and by the paper's method."""
+    """A quantity by this result and by the paper's method, and their difference."""
 
     name: str
     here: str
@@ -292,7 +305,7 @@ class Compared:
 
 
 def beside_paper(calibration: Calibration) -> tuple[Compared, ...]:
-    """Hold the paper's method against the result; empty where it has no answer."""
+    """Compare the paper's method with the result; empty where that method has no result."""
     paper, differs = calibration.paper, calibration.paper_differs
     if paper is None or differs is None:
         return ()
@@ -310,7 +323,7 @@ def beside_paper(calibration: Calibration) -> tuple[Compared, ...]:
 
 @dataclass(frozen=True)
 class DriveFacts:
-    """One drive of several."""
+    """Figures of one of several drives."""
 
     name: str
     station: int
@@ -321,7 +334,7 @@ class DriveFacts:
 
 
 def drives(calibration: Calibration) -> tuple[DriveFacts, ...]:
-    """Return the drives that the result was estimated from."""
+    """Return the figures of all drives from which the result was estimated."""
     found = []
     for number, passage in enumerate(calibration.passages, start=1):
         began = datetime.fromtimestamp(passage.span_ns[0] // 1_000_000_000, tz=timezone.utc)
@@ -340,7 +353,7 @@ def drives(calibration: Calibration) -> tuple[DriveFacts, ...]:
 
 
 def left_out(calibration: Calibration) -> tuple[str, ...]:
-    """Say which frames of the vehicle were not used, and why."""
+    """Return how many frames that show the vehicle were not used, by reason, in words."""
     return tuple(f"{count} frames {LEFT_OUT[reason]}" for reason, count in sorted(calibration.quality.left_out.items()))
 
 

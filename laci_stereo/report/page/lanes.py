@@ -1,4 +1,4 @@
-"""What the lane check says, for the page."""
+"""The result of the lane check, for the page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from laci_stereo.report.page.facts import Fact
 
 @dataclass(frozen=True)
 class LineFacts:
-    """One line of the map, in words."""
+    """The check of one line of the map, in words."""
 
     id: str
     kind: str
@@ -31,7 +31,7 @@ class LaneFacts:
     Attributes
     ----------
     look : str
-        The class that the style sheet knows: pass, fail, or warn.
+        Class of the style sheet: "pass", "fail" or "warn".
     sentence : str
     reasons : tuple of str
     facts : tuple of Fact
@@ -53,7 +53,7 @@ _SENTENCES = {
 
 
 def lane_facts(check: Document | None) -> LaneFacts | None:
-    """Put a check into words; None where there is none."""
+    """Describe a lane check in words; None where there was none."""
     if check is None:
         return None
     return LaneFacts(

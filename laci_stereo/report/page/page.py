@@ -1,4 +1,4 @@
-"""One HTML file that opens offline and explains itself."""
+"""``report.html``: one self-contained, self-explanatory HTML file that opens offline."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ from laci_stereo.report.page.residuals import Laid, centres_apart, fit_drive, me
 from laci_stereo.report.page.shapes import thinned
 
 MOST_FRAMES = 600
-"""Marks of a chart that can still be told apart."""
+"""Largest number of marks of a chart that can still be distinguished."""
 
 
 @dataclass(frozen=True)
 class Made:
-    """How a result came about, for the page.
+    """How a result was made, for the page.
 
     Attributes
     ----------
     provenance : Provenance
     read : str
-        What was read, in words.
+        Description of the input files.
     skipped : tuple of str
-        What was left out, one line each.
+        Inputs that were left out, one line each.
     lane_map : LaneMap or None
     photographs : Photographs or None
-        Of sensors that take some.
+        Camera images; None for sensors without images.
     command : str or None
-        The command line; None from Python.
+        The command line; None if called from Python.
     check : ndarray or None
-        The picture to the lane check, where there is one.
+        The picture of the lane check, where there is one.
     """
 
     provenance: Provenance
@@ -64,15 +64,20 @@ class Made:
 
 @dataclass(frozen=True)
 class DrivePage:
-    """What is shown of one drive.
+    """The charts and tables of one drive.
 
     Attributes
     ----------
     name : str
+        Empty if the drive is the only one.
     over_time : Chart or None
+        Residuals over time.
     around : OutlineChart or None
+        Points around the vehicle from above.
     sides : tuple of facts.Side
+        Residuals of each side of the vehicle.
     corrections : tuple of facts.Corrected
+        Estimated corrections to the messages.
     """
 
     name: str
@@ -83,19 +88,19 @@ class DrivePage:
 
 
 def write_page(calibration: Calibration, document: Document, made: Made) -> str:
-    """Write the report page.
+    """Return the report page.
 
     Parameters
     ----------
     calibration : Calibration
     document : dict
-        The same as `to_document` writes it.
+        The calibration as written by `to_document`.
     made : Made
 
     Returns
     -------
     str
-        HTML that asks for nothing outside of itself.
+        HTML that loads no external resources.
     """
     provenance = made.provenance
     photo = None if made.photographs is None else draw_over(made.photographs, calibration, made.lane_map)
@@ -176,7 +181,7 @@ def _centres_chart(passage: Passage) -> Chart | None:
 
 
 def policy_for(style: str, script: str) -> str:
-    """Return a content security policy that lets this style and this script in, images inside of the page, and no more.
+    """Return a content security policy that allows only this style, this script and images embedded in the page.
 
     See Content Security Policy Level 3 (W3C), section 2.3.1, for the hashes.
     """
@@ -190,19 +195,19 @@ def policy_for(style: str, script: str) -> str:
 
 @cache
 def text_of(name: str) -> str:
-    """Return what is in one of our files."""
+    """Return the text of a file of this package."""
     return files("laci_stereo.report.page").joinpath(name).read_text(encoding="utf-8")
 
 
 @cache
 def template(name: str) -> Template:
-    """Return one of our templates."""
-    # Everything from outside is escaped; only our own style and script are marked as safe in the template.
+    """Return a template of this package."""
+    # All external text is escaped; only this package's style and script are marked as safe in the template.
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["data"] = _data
     return environment.from_string(text_of(name))
 
 
 def _data(values: Sequence[object]) -> str:
-    """Write values as JSON, to be escaped into an attribute."""
+    """Return values as compact JSON, which the template escapes into an attribute."""
     return json.dumps(values, ensure_ascii=False, separators=(",", ":"))

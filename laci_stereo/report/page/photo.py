@@ -1,4 +1,4 @@
-"""What the calibration says, as lines over images that the camera took."""
+"""Camera images with lines drawn over them by the calibration: map, grid, tracks and boxes."""
 
 from __future__ import annotations
 
@@ -22,25 +22,31 @@ from laci_stereo.report.scene import GRID_AHEAD, background_edges, grid_places, 
 from laci_stereo.report.style import lane_strokes, look_of
 
 MOMENTS = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)
-"""Of the time in which the vehicle is seen."""
+"""Times of the images, as fractions of the time in which the vehicle is seen."""
 
 WIDEST_PX = 1600
 MOST_BYTES = 600_000
-"""Of an image; in text they become a third more, and six of them fill less than 5 MB of the page's 8."""
+"""Largest size of a JPEG image. Base 64 makes it a third larger, and six images take less than 5 MB of the page's 8."""
 
 QUALITIES = (82, 70, 55, 40)
 
 MOST_DOTS = 1500
 
 BORDER = 0.03
-"""Share of the image in which a label would be cut."""
+"""Width of the image's border in which a label would be cut off, as a fraction of the image's size."""
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """An image of the left camera, raw, and when it was taken: seconds since the recording's first stamp.
+    """A raw image of the left camera.
 
-    ``mask`` is what the vehicle mask did in it, where there is one.
+    Attributes
+    ----------
+    stamp_s : float
+        When it was taken, seconds since the recording's first stamp.
+    image : ndarray
+    mask : GlimpseRays or None
+        Result of the vehicle mask in this image, where there is a mask.
     """
 
     stamp_s: float
@@ -50,7 +56,7 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Photographs:
-    """Some images, and the lens through which they were taken."""
+    """Images of one camera, and its lens."""
 
     lens: Lens
     shots: tuple[Photograph, ...]
@@ -58,13 +64,13 @@ class Photographs:
 
 @dataclass(frozen=True)
 class Shot:
-    """An image and what is drawn over it alone.
+    """An image with the layers drawn over this image only.
 
     Attributes
     ----------
     stamp_s : float
     jpeg : str
-        In base 64.
+        The image as JPEG in base 64.
     layers : tuple of Layer
     """
 
@@ -75,16 +81,16 @@ class Shot:
 
 @dataclass(frozen=True)
 class Overlay:
-    """Images of one camera, and what is drawn over all of them.
+    """Images of one camera, with the layers drawn over all of them.
 
     Attributes
     ----------
     width, height : int
-        Pixels of the raw image, in which all paths are.
+        Size of the raw image, in whose pixels all paths are given.
     shots : tuple of Shot
     layers : tuple of Layer
     labels : tuple of Label
-        How far ahead the grid's lines are.
+        Distances ahead of the grid's lines.
     """
 
     width: int
@@ -97,7 +103,7 @@ class Overlay:
 def draw_over(photographs: Photographs, calibration: Calibration, lane_map: LaneMap | None) -> Overlay:
     """Project the map, a grid, the tracks and the boxes into the images.
 
-    Where the calibration is right, the map's lines lie on those of the road, and both boxes around the vehicle.
+    With a correct calibration, the map's lines coincide with those of the road, and both boxes enclose the vehicle.
     """
     camera = Camera(photographs.lens, invert(calibration.T_world_sensor))
     width, height = photographs.lens.size
@@ -145,7 +151,7 @@ def _shot(shot: Photograph, camera: Camera, calibration: Calibration) -> Shot:
 
 
 def _mask(camera: Camera, mask: GlimpseRays) -> tuple[Layer, ...]:
-    """Draw what the vehicle mask did."""
+    """Draw the vehicle mask's outlines, the points that it kept, and those that it dropped."""
     closed = [np.concatenate([outline, outline[:1]]) for outline in mask.outlines]
     kept, dropped = (_dots(camera, rays) for rays in (mask.kept, mask.dropped))
     return (
@@ -183,7 +189,7 @@ def _grid_labels(camera: Camera, calibration: Calibration) -> tuple[Label, ...]:
 
 
 def jpeg(image: Raster) -> str:
-    """Return a picture as JPEG in base 64, small enough that a page can hold several."""
+    """Return a picture as JPEG in base 64; the JPEG has at most `MOST_BYTES`, so that a page can hold several."""
     small = as_bgr8(image)
     share = min(1.0, WIDEST_PX / small.shape[1])
     while True:
@@ -195,4 +201,4 @@ def jpeg(image: Raster) -> str:
             content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
             if len(content) <= MOST_BYTES:
                 return b64encode(content).decode("ascii")
-        share = 0.7  # noise: nothing is lost that anyone could have seen
+        share = 0.7  # only noise compresses so badly: no visible detail is lost

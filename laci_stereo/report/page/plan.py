@@ -1,4 +1,4 @@
-"""The map of a calibration, to be moved and magnified: metres of the world, north up."""
+"""The page's map of a calibration, which can be panned and zoomed: metres of the world, north up."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from laci_stereo.report.topdown import marks_of, position_ellipse
 
 SIZE = (960.0, 640.0)
 BEYOND = 3.0
-"""So many times as wide as the first view is what is drawn, for those who move on."""
+"""Size of the area drawn, in multiples of the initial view, for panning and zooming out."""
 
 MOST_DOTS = 6000
 MOST_MOMENTS = 1500
-"""Of all drives together; more would only lie upon one another."""
+"""Largest numbers of points of the vehicles and of their sightings, of all drives together; more would only overlap."""
 
 ARROW_SHARE = 0.1
 LABEL_PX = 16.0
 BAR_SHARE = 0.2
 BAR_AT = (20.0, 14.0)
-"""Left end, and above the lower border."""
+"""Position of the scale bar: left end, and height above the lower border, pixels."""
 
 TICKS = 8
 DIGITS = 3
@@ -43,7 +43,7 @@ DIGITS = 3
 
 @dataclass(frozen=True)
 class Moment:
-    """A place on the map of which something can be said: base view's pixels, and words."""
+    """A position on the map, in pixels of the initial view, with the text that is shown for it."""
 
     x: float
     y: float
@@ -57,13 +57,13 @@ class Plan:
     Attributes
     ----------
     view : MapView
-        What is shown at first.
+        The initial view.
     layers : tuple of Layer
-        Metres of the world, y to the north.
+        Paths in metres of the world, y to the north.
     labels : tuple of Label
-        Pixels of the first view.
+        Labels at pixels of the initial view.
     moments : tuple of Moment
-        The vehicle where the sensor saw it, in the order of time.
+        The vehicle where the sensor saw it, drive by drive in the order of time.
     """
 
     view: MapView
@@ -73,36 +73,36 @@ class Plan:
 
     @property
     def matrix(self) -> str:
-        """The transform from the world to the first view, as SVG writes it."""
+        """The transform from the world to the initial view, as an SVG transform."""
         scale = self.view.scale_px
         x, y = self.view.pixels(np.zeros(2)).tolist()
         return f"matrix({scale:.6f} 0 0 {-scale:.6f} {x:.4f} {y:.4f})"
 
     @property
     def moments_data(self) -> list[tuple[float, float, str]]:
-        """The moments as the page's script takes them."""
+        """The moments in the form that the page's script reads: x, y and text."""
         return [(round(moment.x, 3), round(moment.y, 3), moment.text) for moment in self.moments]
 
     @property
     def bar_m(self) -> float:
-        """Length of the scale bar: at most a fifth of the picture."""
+        """Length of the scale bar, metres: at most the fraction `BAR_SHARE` of the picture's width."""
         return self.view.bar_m(BAR_SHARE)
 
     @property
     def bar_path(self) -> str:
-        """The scale bar before the script moves it."""
+        """SVG path data of the scale bar in the initial view, before the script changes it."""
         x, y = BAR_AT[0], self.view.size[1] - BAR_AT[1]
         end = x + self.bar_m * self.view.scale_px
         return lines([np.array([[x, y - 6], [x, y], [end, y], [end, y - 6]])])
 
     @property
     def bar_text_x(self) -> float:
-        """Where its number stands."""
+        """Horizontal position of the scale bar's number, pixels."""
         return round(BAR_AT[0] + self.bar_m * self.view.scale_px / 2, 1)
 
 
 def draw_plan(calibration: Calibration, lane_map: LaneMap | None) -> Plan:
-    """Draw lanes, background, points, tracks and how far all of it can be trusted."""
+    """Draw lanes, background, the vehicles' points, boxes and tracks, error ellipses and the sensor."""
     drives = list(drives_of(calibration))
     view = map_view(calibration, SIZE)
     grid_m = nice_step(SIZE[0] / view.scale_px, TICKS)
@@ -135,7 +135,7 @@ def _grid(view: MapView, step_m: float) -> list[FloatArray]:
 
 
 def _shown(view: MapView) -> tuple[FloatArray, FloatArray]:
-    """Return the lower left and upper right corner of what is drawn, shape (2,) each, world."""
+    """Return the lower left and the upper right corner of the area drawn, shape (2,) each, world."""
     half = BEYOND * np.array(view.size) / view.scale_px / 2
     return view.centre - half, view.centre + half
 
@@ -157,7 +157,7 @@ def _lanes(view: MapView, lane_map: LaneMap | None) -> Iterator[Part]:
 
 
 def _points(drives: list[Calibration]) -> FloatArray:
-    """Return some of the points of the vehicles, world, shape (n, 2)."""
+    """Return at most `MOST_DOTS` points of the vehicles, world, shape (n, 2)."""
     found = [
         transform(T_world_level(drive), sighting.points)[:, :2] for drive in drives for sighting in drive.track.usable
     ]

@@ -1,4 +1,4 @@
-"""How well each drive fits: its points laid on the vehicle's outline, and what of its messages had to be corrected."""
+"""Residuals of each drive: its points relative to the vehicle's outline, and the corrections to its messages."""
 
 from __future__ import annotations
 
@@ -16,34 +16,36 @@ from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import JointSettings
 
 MOST_ROWS = 5_000
-"""Points that are laid on the outline, or up to twice as many: more would say the same, later."""
+"""Number of points to which a drive is thinned, up to a factor of two: more would take longer and show the same."""
 
 NEAR_M = 0.3
-"""The transform is known, so what is left to find moves the outline by less than this."""
+"""Largest softening of the mixture that is needed: with the transform known, the remaining parameters move the outline
+by less than this."""
 
 ITERATIONS = 12
 CLOSE = 0.01
-"""Squared step, in standard deviations, at which the iteration ends: a tenth of a sigma is not to be seen."""
+"""Squared step, in standard deviations, at which the iteration ends: a tenth of a standard deviation is not visible."""
 
 SIDES = ("rear", "front", "right side", "left side")
 
 
 @dataclass(frozen=True)
 class Laid:
-    """The points of a drive, laid on its vehicle by the calibration and the corrected messages.
+    """The points of a drive in the vehicle's frame, by the calibration and the corrected messages.
 
     Attributes
     ----------
     stamps_s : ndarray, shape (n,)
-        Of each point's frame.
+        Stamp of each point's frame.
     xy_vehicle : ndarray, shape (n, 2)
         Metres; x ahead and y to the left of the box's centre.
     distance_m : ndarray, shape (n,)
-        From the outline, positive outside; what a side that mirrors is off by is taken out here.
+        Distance from the outline, positive outside; the bias of a side with specular reflection is subtracted.
     face : ndarray of int, shape (n,)
-        The side that the line of sight meets: 0 rear, 1 front, 2 right, 3 left, 4 passed by.
+        Side that the line of sight meets: 0 rear, 1 front, 2 right, 3 left. Points whose line of sight misses the
+        vehicle are left out.
     surface : ndarray, shape (n,)
-        Probability that the point is of the outline, and not of what is behind or beside it.
+        Probability that the point belongs to the outline, and not to an object behind or beside it.
     """
 
     stamps_s: FloatArray
@@ -54,19 +56,20 @@ class Laid:
 
     @property
     def rms_m(self) -> float:
-        """Of the points of the outline."""
+        """Root mean square distance of the points from the outline, weighted by `surface`."""
         return float(np.sqrt((self.surface * self.distance_m**2).sum() / max(float(self.surface.sum()), 1e-9)))
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What is a drive's own, where its transform is known.
+    """A drive's own parameters and residuals, given the transform.
 
     Attributes
     ----------
     laid : Laid or None
-        None where there are no points of the outline, as from a detector.
+        None where no line of sight meets the outline, or where there are no points, as with a detector's boxes.
     corrections : tuple of Correction
+        Estimated corrections to the drive's messages.
     """
 
     laid: Laid | None
@@ -74,22 +77,22 @@ class Fit:
 
 
 def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
-    """Find what of a drive's messages has to be corrected, given the transform, and lay its points on the outline.
+    """Estimate the corrections to a drive's messages, given the transform, and compute its points' residuals.
 
-    Where the transform is the joint estimate's, so is the rest: the best of a part of the parameters, with the others
-    held at the best of all, is the best of all.
+    If the transform is that of the joint estimate, the corrections are too: minimising over some of the parameters,
+    with the others fixed at the joint minimum, gives the joint minimum.
 
     Parameters
     ----------
     passage : Passage
-        With the transform in its match.
+        A drive whose match contains the transform.
     settings : JointSettings
-        Those of the estimate.
+        The settings of the estimate.
 
     Returns
     -------
     Fit or None
-        None where the messages never tell where the vehicle is.
+        None where the messages never determine the vehicle's position, or where the fit diverges.
     """
     drive = evidence_of(passage.track, passage.vehicle, passage.ground.height_m).thinned(MOST_ROWS)
     if not len(drive):
@@ -106,14 +109,17 @@ def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
 
 
 def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return all parameters, of which yaw, x and y are held, the mixture's shares, and the covariance of the own."""
+    """Return all parameters, the mixture's fractions, and the covariance of the drive's own parameters.
+
+    Only the range bias and the drive's own parameters are estimated; yaw, x and y are fixed.
+    """
     prior = model.prior
     x = np.concatenate(
         [[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn, 0.0, 0.0], prior.mean]
     )
     x[FIRST_OWN + CLOCK] = passage.time_offset_s
     shares = model.shares()
-    free = np.r_[BIAS, FIRST_OWN : len(x)]  # the optics are the stereo calibration's, as the points are
+    free = np.r_[BIAS, FIRST_OWN : len(x)]  # focal length and baseline, like the points, are the stereo calibration's
     precision = np.zeros((len(free), len(free)))
     precision[0, 0] = model.settings.bias_noise_share**-2
     pace, step = 1.0, np.zeros(len(free))
@@ -124,7 +130,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         curvature = fitness.curvature[np.ix_(free, free)] + precision
         gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, prior.mean))
         before, step = step, np.linalg.solve(curvature, gradient)
-        pace *= 0.5 if before @ curvature @ step < 0.0 else 1.0  # points at corners change sides, and it swings
+        pace *= 0.5 if before @ curvature @ step < 0.0 else 1.0  # points at corners change sides: damp oscillations
         step = pace * step
         x[free] -= step
         if soft == 0.0 and step @ curvature @ step < CLOSE:
@@ -143,13 +149,13 @@ def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
 
 @dataclass(frozen=True)
 class Apart:
-    """How far the boxes' centres by the sensor are from where the messages put them.
+    """Offsets of the sensor's box centres from the vehicle's centres by the messages.
 
     Attributes
     ----------
     stamps_s : ndarray, shape (n,)
     ahead_m, left_m : ndarray, shape (n,)
-        Of the sensor's, in the vehicle's axes.
+        Offsets along the vehicle's axes.
     """
 
     stamps_s: FloatArray
@@ -158,7 +164,7 @@ class Apart:
 
 
 def centres_apart(passage: Passage) -> Apart:
-    """Hold the boxes' centres, as they are, against the messages, as they are."""
+    """Compare the box centres with the messages, both without corrections other than the clock offset."""
     stamps_s = passage.track.stamps_s
     xy, yaw, known = passage.vehicle.at(stamps_s + passage.time_offset_s)
     apart = rotate_xy(-yaw, passage.match(passage.track.centres) - xy)[known]

@@ -1,4 +1,4 @@
-"""Points and lines as the data of SVG paths."""
+"""Points and lines as SVG path data."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from laci_stereo.core.frames import FloatArray
 
 @dataclass(frozen=True)
 class Part:
-    """Lines that look alike.
+    """Lines of one style.
 
     Attributes
     ----------
     look : str
-        The class that the style sheet knows.
+        Class of the style sheet.
     d : str
-        The path's data.
+        SVG path data.
     tip : str
-        What is said where the pointer rests on it; may be empty.
+        Tooltip; may be empty.
     """
 
     look: str
@@ -31,16 +31,16 @@ class Part:
 
 @dataclass(frozen=True)
 class Layer:
-    """What is shown or hidden as one.
+    """Parts that are shown or hidden together.
 
     Attributes
     ----------
     key : str
     label : str
-        What people call it.
+        Name for the reader.
     parts : tuple of Part
     shown : bool
-        At first.
+        Whether it is visible initially.
     """
 
     key: str
@@ -51,7 +51,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Label:
-    """Type beside a place of the picture, by so many pixels of the screen."""
+    """Text at a position of the picture, displaced by a number of screen pixels to the right and downwards."""
 
     x: float
     y: float
@@ -61,22 +61,22 @@ class Label:
 
 
 def lines(pieces: Iterable[FloatArray], digits: int = 1, closed: bool = False) -> str:
-    """Return lines through points, shape (n, 2) each, as a path's data."""
+    """Return polylines through points, shape (n, 2) each, as SVG path data."""
     end = "Z" if closed else ""
     return "".join("M" + "L".join(_pairs(piece, digits)) + end for piece in pieces if len(piece))
 
 
 def dots(points: FloatArray, digits: int = 1) -> str:
-    """Return points, shape (n, 2), as lines without a length: with round ends they are dots of any size on screen."""
+    """Return points, shape (n, 2), as SVG lines of length zero, which round line caps turn into dots of any size."""
     return "".join(f"M{pair}h0" for pair in _pairs(points, digits))
 
 
 def thinned(points: FloatArray, most: int) -> FloatArray:
-    """Return at most so many points, shape (n, ...), spread evenly."""
+    """Return at most ``most`` of the points, shape (n, ...), uniformly spaced."""
     kept: FloatArray = points[:: max(1, -(-len(points) // most))]
     return kept
 
 
 def _pairs(points: FloatArray, digits: int) -> list[str]:
-    rounded = np.round(points, digits) + 0.0  # no minus zero
+    rounded = np.round(points, digits) + 0.0  # turns -0.0 into 0.0
     return [f"{x:.{digits}f} {y:.{digits}f}" for x, y in rounded.tolist()]
