@@ -128,7 +128,7 @@ def summary_of(plan: Plan, state: State, found: Sequence[LaneFinding]) -> str:
         lines.append(f"{'':<11}and {len(found) - SHOWN} more in monitor.json")
     share = off_road_share(plan, state)
     if share is not None:
-        remark = "; look whether the map covers what is in view" if share > MOST_OFF_ROAD else ""
+        remark = "; check whether the map covers the field of view" if share > MOST_OFF_ROAD else ""
         lines.append(f"{'Off road':<11}{share:.1%} of positions{remark}")
     wrong = sum(one.tally.against for one in found if one.strip.one_way)
     lines.append(f"{'Wrong way':<11}{counted(wrong, 'passage')} against the lane's direction")

@@ -10,9 +10,9 @@ LEFT_OUT = {
     "cut": "cut by the border of the field of view",
     "far": "too far away",
     "thin": "too thin",
-    "unknown": "without CAMs that tell where it stands",
+    "unknown": "without CAMs that report where it is",
     "bare": "without a point of the outline",
-    "standing": "standing where it is seen in others",
+    "standing": "stationary where it is seen in others",
 }
 
 

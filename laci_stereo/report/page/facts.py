@@ -77,7 +77,7 @@ def verdict_of(calibration: Calibration, has_image: bool, contradicted: bool) ->
     """
     quality = calibration.quality
     known = (
-        f"objects on the vehicle's way are placed on the map to ±{quality.track_xy_sigma_m:.2f} m and the viewing "
+        f"objects on the vehicle's path are placed on the map to ±{quality.track_xy_sigma_m:.2f} m and the viewing "
         f"direction is known to ±{quality.yaw_sigma_deg:.2f}° (one standard deviation)"
     )
     told = {
@@ -182,7 +182,7 @@ def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
         Fact(
             "Position along the track",
             f"±{quality.track_xy_sigma_m:.3f} m",
-            "by how much an object on the vehicle's way is misplaced on the map, one standard deviation",
+            "position error on the map of an object on the vehicle's path, one standard deviation",
         ),
         Fact(
             "Weakest direction",
@@ -198,7 +198,7 @@ def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
         Fact(
             "Vehicle",
             f"station {calibration.station_id}, {size}{others_of(calibration)}",
-            "sender of the messages (CAM), and the size that they tell",
+            "sender of the messages (CAM), and the size that they report",
         ),
     )
 
@@ -222,7 +222,7 @@ def clock_facts(calibration: Calibration) -> tuple[Fact, ...]:
             "to be added to the sensor's times to get the times of the messages; one standard deviation",
         ),
         Fact(
-            "Known beforehand",
+            "Prior",
             f"0 ms ± {1e3 * prior:.1f} ms",
             f"what was expected; the estimate is {abs(offset) / prior:.1f} of these standard deviations away",
         ),
@@ -252,8 +252,8 @@ class Corrected:
 
 _WORDS = {
     "heading": ("direction of the body against the heading sent, clockwise", 180.0 / np.pi, 2, "°"),
-    "ahead": ("position sent is behind where on the vehicle it should be", 1.0, 3, " m"),
-    "left": ("position sent is to the right of where on the vehicle it should be", 1.0, 3, " m"),
+    "ahead": ("position sent is behind the reference point", 1.0, 3, " m"),
+    "left": ("position sent is to the right of the reference point", 1.0, 3, " m"),
     "length": ("length of the vehicle, more than sent", 1.0, 3, " m"),
     "width": ("width of the vehicle, more than sent", 1.0, 3, " m"),
 }

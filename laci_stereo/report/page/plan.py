@@ -230,7 +230,7 @@ def _moments(drives: list[Calibration], view: MapView) -> tuple[Moment, ...]:
 def _against(drive: Calibration, stamp_s: float, seen: FloatArray) -> str:
     sent = sender_box(drive, stamp_s)
     if sent is None:
-        return "no message tells where the vehicle was"
+        return "no message reports where the vehicle was"
     ahead = np.array([np.cos(sent.yaw_rad), np.sin(sent.yaw_rad)])
     along, left = (seen - sent.centre) @ np.column_stack([ahead, [-ahead[1], ahead[0]]])
     return f"the visible part's middle is {along:+.2f} m ahead and {left:+.2f} m left of the vehicle's middle"
