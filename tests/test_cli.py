@@ -229,8 +229,8 @@ def test_right_images_of_another_size_are_refused(site: Site) -> None:
 
 
 ASSUMED = (
-    "the messages tell no accuracy of their positions: taken as 0.02 m, that of a receiver with carrier-phase "
-    "corrections; with another the result is as far off as its positions: say --cam-sigma"
+    "the messages report no accuracy of their positions: taken as 0.02 m, that of a receiver with carrier-phase "
+    "corrections; with another the result is as far off as its positions: give --cam-sigma"
 )
 """What is to be said of the demonstration's messages."""
 

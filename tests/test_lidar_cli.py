@@ -139,8 +139,8 @@ def errors(made: Scene, T_utm_sensor: FloatArray) -> tuple[float, float]:
 
 
 ASSUMED = (
-    "note: the messages tell no accuracy of their positions: taken as 0.02 m, that of a receiver with carrier-phase "
-    "corrections; with another the result is as far off as its positions: say --cam-sigma"
+    "note: the messages report no accuracy of their positions: taken as 0.02 m, that of a receiver with carrier-phase "
+    "corrections; with another the result is as far off as its positions: give --cam-sigma"
 )
 
 
@@ -155,8 +155,8 @@ def test_files_in_and_the_true_transform_out(
     assert ran.code == 0, ran
     *found_so, of_the_scanner = ran.err.splitlines()
     assert "--sweep tells it" in of_the_scanner
-    assert [note[:50] for note in found_so] == (
-        ["note: by the drive, the scanner takes a scan's poi", ASSUMED[:50]] if method is None else []
+    assert [note[:47] for note in found_so] == (
+        ["note: by the drive, the scanner measures a scan", ASSUMED[:47]] if method is None else []
     )
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
     found = document(site)
@@ -271,7 +271,7 @@ def test_single_bad_scans_are_left_out_counted_and_named(site: Site, made: Scene
     notes = ran.err.splitlines()
     found_so, assumed, of_the_scanner, *left_out = notes
     assert assumed == ASSUMED
-    assert "by the drive, the scanner takes a scan's points all at once" in found_so
+    assert "by the drive, the scanner measures a scan's points all at once" in found_so
     assert "--sweep" in of_the_scanner
     assert len(left_out) == 3
     assert all(any(note.startswith(f"note: {path}") for note in left_out) for path in damaged)

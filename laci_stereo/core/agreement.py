@@ -44,7 +44,7 @@ class LeftOut:
     def __str__(self) -> str:
         return (
             f"{self.name} left out: it alone is {self.shift_m:.2f} m and {self.turn_deg:.2f} deg "
-            f"({self.sigmas:.1f} sigma) off what the {self.others} other drives say together"
+            f"({self.sigmas:.1f} sigma) off the joint result of the {self.others} other drives"
         )
 
 

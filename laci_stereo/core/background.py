@@ -1,4 +1,7 @@
-"""The static background: what stands in the frames in which nothing moves, as boxes."""
+"""The static background: boxes around the objects that do not move.
+
+A frame is *quiet* if nothing of a vehicle's size is seen in it besides the objects that stay.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +22,14 @@ from laci_stereo.core.settings import BackgroundSettings, BoxSettings, ClusterSe
 
 @dataclass(frozen=True)
 class BackgroundBox:
-    """Something static.
+    """A static object.
 
     Attributes
     ----------
     box : Box
-        On the ground plan of the level frame.
+        Box on the ground plan of the level frame.
     height_m : float
+        Height of its highest point.
     """
 
     box: Box
@@ -34,14 +38,16 @@ class BackgroundBox:
 
 @dataclass(frozen=True)
 class Background:
-    """Everything static that is higher than theta_g.
+    """All static objects higher than theta_g.
 
     Attributes
     ----------
     boxes : tuple of BackgroundBox
     quiet_frames : int
-        Frames without a moving object that it was learnt from; 0 means that it was learnt from what stays.
+        Number of quiet frames that the background was learnt from; with 0, it was learnt only from what stays in most
+        frames.
     margin_m : float
+        Margin by which boxes are enlarged before points are tested against them.
     """
 
     boxes: tuple[BackgroundBox, ...]
@@ -49,7 +55,7 @@ class Background:
     margin_m: float
 
     def covers(self, xy: FloatArray) -> BoolArray:
-        """Tell which points, level frame, shape (n, 2), lie in a background box."""
+        """Return which points, level frame, shape (n, 2), lie in a background box, shape (n,)."""
         order = np.argsort(xy[:, 0])
         ordered, inside = xy[order], np.zeros(len(xy), dtype=bool)
         first, last = np.searchsorted(ordered[:, 0], self._between_x.T)
@@ -61,7 +67,7 @@ class Background:
 
     @cached_property
     def _between_x(self) -> FloatArray:
-        """Between which x each box is, margin and rounding included, shape (n, 2)."""
+        """Least and largest x of each box, with a tolerance for margin and rounding, shape (n, 2)."""
         x = np.array([static.box.corners()[:, 0] for static in self.boxes]).reshape(-1, 4)
         reach_m = math.sqrt(2.0) * self.margin_m + 1e-6
         return np.column_stack([x.min(axis=1) - reach_m, x.max(axis=1) + reach_m])
@@ -76,18 +82,19 @@ def learn_background(
 ) -> Background:
     """Learn the static background from whole frames (paper section III-B).
 
-    What is occupied in at least half of the frames stays, unless its place is seen empty in others, or is looked
-    through: that is where traffic queues. Frames in which nothing of a vehicle's size stands elsewhere are quiet, and
-    what is seen in two quiet frames is background too, such as foliage that comes and goes. No frame needs to be quiet.
+    Cells that are occupied in at least half of the frames stay, unless they are seen to be empty, or are seen through,
+    in more than a tenth of the frames: there traffic queues. Frames in which no other object of a vehicle's size stands
+    are quiet, and cells that are occupied in two quiet frames are background too, such as foliage that comes and goes.
+    No frame needs to be quiet.
 
     Parameters
     ----------
     clouds_level : sequence of ndarray, shape (n, 3)
-        Level frame, metres; from different times.
+        Points of whole frames from different times, level frame, metres.
     height_m : float
-        Of the sensor above the level frame's origin.
+        Height of the sensor above the level frame's origin.
     settings, clusters, boxes
-        Of the three stages.
+        Settings of the three stages.
 
     Raises
     ------
@@ -118,7 +125,7 @@ def _standing(points: FloatArray, settings: BackgroundSettings) -> FloatArray:
 
 
 def _empty(points: FloatArray, through: IntArray, occupied: IntArray, settings: BackgroundSettings) -> IntArray:
-    """Return the cells in and around which ground is seen and nothing stands, and those that are looked through."""
+    """Return the cells in and around which ground is seen and nothing stands, and those that are seen through."""
     ground = points[np.abs(points[:, 2]) <= settings.min_height_m, :2]
     free = np.setdiff1d(_widened(cells_of(ground, settings.cell_m)), _widened(occupied), assume_unique=True)
     return np.union1d(free, np.setdiff1d(through, occupied))
@@ -143,7 +150,7 @@ def _staying(
 
 
 def _in_at_least(count: int, frames: Sequence[IntArray]) -> IntArray:
-    """Return the cells that so many frames have."""
+    """Return the cells that are in at least ``count`` frames."""
     if not frames:
         return np.zeros(0, dtype=np.int64)
     cells, counts = np.unique(np.concatenate(frames), return_counts=True)
@@ -151,17 +158,17 @@ def _in_at_least(count: int, frames: Sequence[IntArray]) -> IntArray:
 
 
 def _widened(cells: IntArray) -> IntArray:
-    """Return cells and the eight around each, in order."""
+    """Return the cells and the eight around each, in ascending order and without duplicates."""
     return np.unique(widened(np.unique(cells)))
 
 
 def _near(cells: IntArray, points: FloatArray, settings: BackgroundSettings) -> BoolArray:
-    """Tell which points are in one of the cells or next to it: outlines fall on either side of a cell's border."""
+    """Return which points are in one of the cells or next to it: outlines fall on either side of a cell's border."""
     return np.isin(cells_of(points[:, :2], settings.cell_m), _widened(cells))
 
 
 def _moving(points: FloatArray, clusters: ClusterSettings) -> bool:
-    """Tell whether there is something as large as the narrowest side of a car."""
+    """Return whether there is a cluster as large as the narrowest side of a car."""
     return any(
         np.ptp(points[group, :2], axis=0).max() >= VehicleSettings.min_extent_m
         for group in cluster(points[:, :2], clusters)
@@ -178,7 +185,7 @@ def _boxes(
 
 
 def _tight_boxes(points: FloatArray, settings: BackgroundSettings, boxes: BoxSettings) -> list[BackgroundBox]:
-    """Fit a box; where points cover too little of it, halve them along it and try again."""
+    """Return a box around points; if they cover too little of it, halve them along its longer side and fit again."""
     try:
         box = fit_box(points[:, :2], boxes)
     except BoxError:

@@ -7,12 +7,13 @@ Usable by itself for online detection::
     box = fit_box(xy, sensor_xy=(0.0, 0.0))
     inside = box.contains(other_xy)
 
-Source: LACI (Mueller et al., ITSC 2019), section III-C. Light falls from the sensor onto the points; a line runs
-through those that are lit; the points along it (Q) and those of the bar that stands on it (P) are two orthogonal lines.
+Source: LACI (Mueller et al., ITSC 2019), section III-C. Beams of light fall from the sensor onto the points; a line is
+fitted to the points that are lit, the nearest in each beam; the points near it (Q) and those of the bar perpendicular
+to it (P) are then fitted by two orthogonal lines.
 
-The paper lights the points once and takes one line. Seen onto its corner a vehicle shows two sides, and one line
-through both has the direction of neither; seen along one of its sides, that side hides in a single beam. So here the
-line has four candidates, and the two lines that fit the points best decide.
+The paper lights the points once and uses one line. A vehicle that is seen at its corner shows two sides, and one line
+through both has the direction of neither; if it is seen along one of its sides, that side is hidden in a single beam.
+Here the line therefore has four candidates, and the one whose two orthogonal lines fit the points best is chosen.
 """
 
 from __future__ import annotations
@@ -31,30 +32,32 @@ from laci_stereo.core.settings import BoxSettings
 _DEFAULTS = BoxSettings()
 
 _Sums: TypeAlias = Sequence[float]
-"""Of the points of one line: their number and the sums of x, y, x x, x y and y y."""
+"""Sums over the points of one line: their number and the sums of x, y, x x, x y and y y."""
 
 _Line: TypeAlias = tuple[float, float, float]
 """(c, n_x, n_y): the points with c + n_x x + n_y y = 0; (n_x, n_y) is the unit normal."""
 
 _NOWHERE: _Line = (1e12, 0.0, 0.0)
-"""The line that is far from every point; where infinity is multiplied, some processors' BLAS raise a flag."""
+"""A line far from every point; it is finite, since multiplying infinity raises a floating-point flag in some BLAS."""
 
 _NO_POINTS: _Sums = (0.0,) * 6
 
 _COVERED_SIGMAS = 2.0
-"""A line's points are those within two standard deviations of their noise: nearly all, and little of the inside."""
+"""Gate of a line's points in standard deviations of their noise: it contains nearly all of them, and little of the
+vehicle's inside."""
 
 _CUT_RMS = 0.44
-"""Root mean square of normal noise that is cut at two standard deviations, relative to where it is cut."""
+"""Root mean square of Gaussian noise truncated at two standard deviations, relative to the point of truncation."""
 
 _KEPT_SIGMAS = 3.0
-"""Noise is narrowed down from above: by Chebyshev each step keeps at least 8 of 9 points, whatever they are."""
+"""Gate of the narrowing of the tolerance: by Chebyshev's inequality each step keeps at least 8 of 9 points, whatever
+their distribution."""
 
 _NARROWINGS = 3
-"""So many steps bring the tolerance from 20 cm down to the scatter of a LiDAR; further ones change little."""
+"""Number of narrowing steps: enough from 20 cm down to the noise of a LiDAR; further ones change little."""
 
 _MAX_BINS = 1000
-"""One far outlier must not ask for all the memory there is."""
+"""Largest number of bins, so that one far outlier does not exhaust the memory."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +67,11 @@ class Box:
     Attributes
     ----------
     centre : ndarray, shape (2,)
-        Metres, in the frame of the points.
+        Centre in the frame of the points, metres.
     length_m, width_m : float
         Extents along yaw and across it; the length is the longer one.
     yaw_rad : float
-        Direction of the length, in [-pi/2, pi/2]: points do not tell front from rear.
+        Direction of the length, in [-pi/2, pi/2]: points do not distinguish front and rear.
     """
 
     centre: FloatArray
@@ -82,14 +85,14 @@ class Box:
         return self.centre + rotate_xy(self.yaw_rad, signs * (self.length_m / 2, self.width_m / 2))
 
     def contains(self, xy: FloatArray, margin_m: float = 0.0) -> BoolArray:
-        """Tell which points lie in the box or on its border.
+        """Return which points lie in the box or on its border.
 
         Parameters
         ----------
         xy : ndarray, shape (..., 2)
             Points in the frame of the box, metres.
         margin_m : float
-            By how much every side is moved outwards first.
+            Distance by which every side is moved outwards first.
 
         Returns
         -------
@@ -112,13 +115,13 @@ def fit_box(
     Parameters
     ----------
     xy : ndarray, shape (n, 2)
-        Points in the plane, metres, n >= 3; of one side of the vehicle, of two or of all, and some of its inside.
+        Points in the plane, metres, n >= 3; of one, two or all sides of the vehicle, and some of its inside.
     settings : BoxSettings
         Widths of bins and the tolerance of lines.
     sensor_xy : array_like, shape (2,)
-        Where the sensor stands, in the frame of the points.
+        Position of the sensor in the frame of the points.
     sigma_m : float, optional
-        The points' typical noise. Without it the tolerance widens until it covers the scatter that it finds.
+        Typical noise of the points. Without it the tolerance widens until it covers the dispersion of the points.
 
     Returns
     -------
@@ -128,7 +131,7 @@ def fit_box(
     Raises
     ------
     BoxError
-        Fewer than three points, all of them the same, or numbers that are not finite or of another shape.
+        If there are fewer than three points, if all are the same, or if values are not finite or have the wrong shape.
     """
     points = _checked(xy, sensor_xy, sigma_m)
     centre = points.mean(axis=1)
@@ -160,10 +163,10 @@ def _checked(xy: FloatArray, sensor_xy: Sequence[float] | FloatArray, sigma_m: f
 
 
 def _across_light(centre: Sequence[float], sensor: Sequence[float] | FloatArray) -> float:
-    """Return the angle of the axis x that makes the light fall along y.
+    """Return the angle of the x axis for which the light falls along y.
 
-    The middle of the points is inside the vehicle's convex outline, so light in parallel beams from the sensor to it
-    falls on every side that the sensor sees.
+    The mean of the points is inside the vehicle's convex outline, so parallel beams of light from the sensor towards it
+    fall on every side that the sensor sees.
     """
     return math.atan2(sensor[0] - centre[0], centre[1] - sensor[1])
 
@@ -175,7 +178,7 @@ def _turned(yaw_rad: float) -> FloatArray:
 
 
 def _moments(points: FloatArray) -> FloatArray:
-    """Return 1, x, y, x x, x y and y y of points, shape (2, n), as shape (6, n)."""
+    """Return 1, x, y, x x, x y and y y of points of shape (2, n), shape (6, n)."""
     moments = np.ones((6, points.shape[1]))
     moments[1:3] = points
     np.multiply(points[0], points, out=moments[3:5])
@@ -184,7 +187,7 @@ def _moments(points: FloatArray) -> FloatArray:
 
 
 def _fit_yaw(moments: FloatArray, settings: BoxSettings, sigma_m: float | None) -> float:
-    """Return the direction of the sides of the points, in the frame of the light."""
+    """Return the yaw of the vehicle's sides in the frame of the light, in which the light falls along y."""
     widest = settings.max_tolerance_m
     tolerance = min(max(settings.line_tolerance_m, _COVERED_SIGMAS * (sigma_m or 0.0)), widest)
     lines = _line_candidates(moments, _lit(moments, settings.light_bin_m))
@@ -196,12 +199,15 @@ def _fit_yaw(moments: FloatArray, settings: BoxSettings, sigma_m: float | None) 
 
 
 def _covers_noise(distances: FloatArray, tolerance: float) -> bool:
-    """Tell whether the points, at distances of shape (2, n), scatter less than if the tolerance cut their noise."""
+    """Return whether the points' dispersion is less than that of noise which the tolerance truncates.
+
+    ``distances``, shape (2, n), are those from the two lines.
+    """
     return _residual(np.minimum(distances[0], distances[1]), tolerance) <= _CUT_RMS * tolerance
 
 
 def _bins(values: FloatArray, bin_m: float) -> IntArray:
-    """Return the number of the bin, from 0, of each value."""
+    """Return the index of each value's bin, from 0."""
     above = values - values.min()
     bins: IntArray = (above / max(bin_m, float(above.max()) / _MAX_BINS)).astype(np.int64)
     return bins
@@ -215,7 +221,7 @@ def _lit(moments: FloatArray, bin_m: float) -> IntArray:
     nearest = np.full(int(beam.max()) + 1, -1)
     nearest[beam[far_to_near]] = far_to_near
     lit = nearest[nearest >= 0]
-    # A convex outline is nowhere farther than on both sides of it: such a point is inside, or on a side behind.
+    # On a convex outline no lit point is farther than both of its neighbours: such a point is inside, or on a far side.
     depth = y[lit]
     keep = np.ones(len(lit), dtype=bool)
     keep[1:-1] = depth[1:-1] <= np.maximum(depth[:-2], depth[2:])
@@ -224,10 +230,11 @@ def _lit(moments: FloatArray, bin_m: float) -> IntArray:
 
 
 def _line_candidates(moments: FloatArray, lit: IntArray) -> FloatArray:
-    """Return lines, shape (h, 3), one of which is likely to be a side.
+    """Return candidate lines, shape (h, 3), one of which is likely to be a side.
 
-    Through all lit points (the paper's: one side is lit); through those left and those right of the corner, which is
-    the nearest of all, for both sides of a corner face the light; and across the light (one side hides in a beam).
+    One line runs through all lit points (the paper's, for one lit side); two run through the lit points to the left and
+    to the right of the nearest point, the corner (both sides of a corner face the light); and one runs perpendicular to
+    the light (one side is hidden in a beam).
     """
     corner = int(moments[2, lit].argmin())
     parts = np.zeros((3, moments.shape[1]))
@@ -239,21 +246,22 @@ def _line_candidates(moments: FloatArray, lit: IntArray) -> FloatArray:
 
 
 def _best_corner(lines: FloatArray, moments: FloatArray, tolerance: float, bar_bin_m: float) -> FloatArray:
-    """Turn every candidate into two orthogonal lines, and return the points' distances from the best, shape (2, n)."""
+    """Fit two orthogonal lines from each candidate, and return the points' distances from the best, shape (2, n)."""
     q, p = _line_and_bar(lines, moments, tolerance, bar_bin_m).astype(np.float64) @ moments.T
     fits = [_two_lines(*sums) for sums in zip(q.tolist(), p.tolist(), strict=True)]
     distances = _distances(np.array([[fit[1] for fit in fits], [fit[2] for fit in fits]]), moments)
-    # A point that is on neither line costs the same everywhere, so what is inside does not decide.
+    # A point on neither line costs the same wherever it is, so points inside the vehicle have no influence.
     cost = (np.minimum(np.minimum(distances[0], distances[1]), tolerance) ** 2).sum(axis=1)
     best: FloatArray = distances[:, int(cost.argmin())]
     return best
 
 
 def _line_and_bar(lines: FloatArray, moments: FloatArray, tolerance: float, bar_bin_m: float) -> BoolArray:
-    """Tell which points are on each line (Q) and on the bar that stands on it (P), shape (2, h, n).
+    """Return which points are on each line (Q) and on the bar perpendicular to it (P), shape (2, h, n).
 
-    Points on the line are no part of the bar, so an I-shape has none. Where several bins have like counts, the paper
-    uses Q alone; but either end of a box shape stands square on the line, and steadies it.
+    Points on the line are not part of the bar, so an I shape has no bar. Where several bins have similar counts, the
+    paper uses Q alone; here the bar is kept, since either end of a box shape is perpendicular to the line and
+    stabilises it.
     """
     on_line = _distances(lines, moments) <= tolerance
     # The normal (n_x, n_y) belongs to the direction (n_y, -n_x).
@@ -268,11 +276,11 @@ def _line_and_bar(lines: FloatArray, moments: FloatArray, tolerance: float, bar_
 
 
 def _two_lines(q: _Sums, p: _Sums) -> tuple[float, _Line, _Line]:
-    """Fit two orthogonal lines: the direction of the first in radians, then both lines.
+    """Fit two orthogonal lines; return the direction of the first in radians, then both lines.
 
     Paper section III-C. A row of A is (1, 0, x, y) for a point of Q and (0, 1, y, -x) for one of P, so that M11 is
-    diagonal and M22 - M12^T M11^-1 M12 is the scatter of Q plus that of P turned by 90 deg. The eigenvector alpha of
-    its smallest eigenvalue has a closed form, and c = -M11^-1 M12 alpha are the lines' offsets.
+    diagonal and M22 - M12^T M11^-1 M12 is the scatter matrix of Q plus that of P rotated by 90 deg. The eigenvector
+    alpha of its smallest eigenvalue has a closed form, and the lines' offsets are c = -M11^-1 M12 alpha.
     """
     q_x, q_y, q_xx, q_xy, q_yy = _scatter(q)
     p_x, p_y, p_xx, p_xy, p_yy = _scatter(p)
@@ -282,25 +290,25 @@ def _two_lines(q: _Sums, p: _Sums) -> tuple[float, _Line, _Line]:
 
 
 def _scatter(sums: _Sums) -> tuple[float, float, float, float, float]:
-    """Return the mean of x and y and the centred sums of x x, x y and y y; zeros without points."""
+    """Return the means of x and y and the centred sums of x x, x y and y y; all are 0 if there are no points."""
     n, x, y, xx, xy, yy = sums
     mean_x, mean_y = (x / n, y / n) if n else (0.0, 0.0)
     return mean_x, mean_y, xx - x * mean_x, xy - x * mean_y, yy - y * mean_y
 
 
 def _distances(lines: FloatArray, moments: FloatArray) -> FloatArray:
-    """Return how far the points are from lines, shape (..., 3), as shape (..., n)."""
+    """Return the distances of the points from lines of shape (..., 3), shape (..., n)."""
     return np.abs(lines @ moments[:3])
 
 
 def _residual(distances: FloatArray, tolerance: float) -> float:
-    """Return the root mean square of those distances, shape (n,), that lie within the tolerance."""
+    """Return the root mean square of the distances, shape (n,), that lie within the tolerance."""
     near = distances[distances <= tolerance]
     return math.sqrt(near @ near / max(len(near), 1))
 
 
 def _settle(distances: FloatArray, moments: FloatArray, tolerance: float) -> float:
-    """Narrow the tolerance to the points' own scatter, so that what is inside drops out; return the direction."""
+    """Narrow the tolerance to the points' own dispersion, which excludes points inside; return the yaw of the sides."""
     yaw = 0.0
     for _ in range(_NARROWINGS):
         nearest = np.minimum(distances[0], distances[1])

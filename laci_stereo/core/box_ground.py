@@ -1,4 +1,4 @@
-"""The ground plane below the boxes of a detector, which stand on it."""
+"""The ground plane below the boxes of a detector, on the assumption that the boxes stand on it."""
 
 from __future__ import annotations
 
@@ -16,39 +16,45 @@ from laci_stereo.core.robust import NORMAL, weighted_median
 from laci_stereo.core.settings import GroundSettings
 
 MIN_SPREAD_M = 0.9
-"""The boxes must be spread by this standard deviation across the line along which they are spread most: half a car's
-width, by which a box's centre may be off. The traffic of one straight lane has 0.3 m, that of two has 1.7 m."""
+"""Least standard deviation of the boxes' places across the line of their largest spread: half a car's width, by which a
+box's centre may be off. The traffic of one straight lane has 0.3 m, that of two lanes 1.7 m."""
 
 MIN_STRETCHES = 6
-"""Twice as many independent stretches of road as a plane has unknowns, or what remains says nothing about its error."""
+"""Least number of independent stretches of road: twice the number of a plane's unknowns, below which the residuals do
+not determine its error."""
 
 LEVEL_SIGMA_DEG = 0.25
-"""What is meant by vertical: half of a graduation of a circular bubble, 30 minutes of arc for 2 mm."""
+"""Standard deviation of a vertical axis about each horizontal axis: half a graduation of a circular bubble, 30 minutes
+of arc for 2 mm."""
 
 HEIGHT_SIGMA_M = 0.05
-"""What is meant by a sensor's height where a person tells it: measured from its middle, by tape, to the decimetre."""
+"""Standard deviation of a sensor's height as given by the user: measured from its middle, by tape, to the decimetre."""
 
 SLOPE_SIGMA = 0.03
-"""How steep a road is where a sensor stands level above it: 6 % are two standard deviations."""
+"""Standard deviation of a road's slope relative to a level sensor: 6 % are two standard deviations."""
 
 BENT_PER_M = 1.0 / 2100.0
-"""How much a road is bent along its way: the tightest crest for 50 km/h has a radius of 700 m, which is taken for three
-standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m for each percent of slope)."""
+"""Standard deviation of a road's vertical curvature along its course: the tightest crest for 50 km/h has a radius of
+700 m, which is taken as three standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m
+for each percent of slope)."""
 
 _GATE = 3.0
-"""Boxes within so many standard deviations stand on the plane; of normal noise that is all but 0.3 %."""
+"""Boxes within this many standard deviations of the plane stand on it: all but 0.3 % of Gaussian noise."""
 
 _CELL_M = 1.0
-"""All boxes of one object within this distance count once, so that a vehicle that waits does not outweigh the rest."""
+"""Side of the cells in which all boxes of one object count once, so that a waiting vehicle does not outweigh the
+rest."""
 
 _START_SCALE_M = 0.01
-"""The start minimises distances rather than squares: this is less than any detector's noise."""
+"""Scale of the robust loss of the start, less than any detector's noise, so that distances rather than squares are
+minimised."""
 
 _EXACT_M = 1e-3
-"""No box is more exact, so this much never makes an outlier."""
+"""Least noise of a box's height: no detector is more exact, so a deviation of this size is never an outlier."""
 
 _STEPS = 20
-"""Each step turns the plane by what is left of its error times noise over spread, so a few reach any precision."""
+"""Largest number of steps: each leaves a fraction of the error, the ratio of noise to spread, so a few reach any
+precision."""
 
 
 def level_ground(height_m: float, axes: Axes) -> GroundPlane:
@@ -57,7 +63,7 @@ def level_ground(height_m: float, axes: Axes) -> GroundPlane:
     Parameters
     ----------
     height_m : float
-        Of the sensor above the ground.
+        Height of the sensor above the ground.
     axes : Axes
     """
     up = np.asarray(axes.up, dtype=np.float64)
@@ -68,15 +74,15 @@ def level_ground(height_m: float, axes: Axes) -> GroundPlane:
 
 @dataclass(frozen=True)
 class Below:
-    """Where the boxes' own heights have the ground below a sensor that is said to be level.
+    """The ground according to the boxes' own heights, below a sensor that the user states to be level.
 
     Attributes
     ----------
     height_m, height_sigma_m : float
-        How high the sensor stands, and one standard deviation.
+        Height of the sensor above the ground, and its standard deviation.
     slope, slope_sigma : float
-        How steeply the ground falls or rises, in the direction in which it does so most: 0 where the sensor's up axis
-        is at right angles to it.
+        Slope of the ground in its steepest direction, and its standard deviation: 0 where the sensor's up axis is
+        perpendicular to the ground.
     """
 
     height_m: float
@@ -86,16 +92,17 @@ class Below:
 
 
 def ground_below(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> Below:
-    """Return where the boxes' own heights have the ground below a sensor that is said to be level.
+    """Return the ground according to the boxes' own heights, below a sensor that the user states to be level.
 
-    The road may rise, and bend up to where the boxes are; and boxes may all err alike, as one of them does.
+    The standard deviations allow for a slope of the road, for its curvature between the sensor and the boxes, and for
+    an error of the size of one box's noise that all boxes share.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
-        Of each box, sensor frame, metres; at least one.
+        Reference point of each box, sensor frame, metres; at least one.
     above_ground_m : ndarray, shape (n,)
-        How high that point is above the ground.
+        Height of that point above the ground.
     axes : Axes
     """
     up = np.asarray(axes.up, dtype=np.float64)
@@ -122,27 +129,27 @@ def ground_below(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> 
 def plane_below(
     points: FloatArray, above_ground_m: FloatArray, objects: Sequence[IntArray], axes: Axes, settings: GroundSettings
 ) -> GroundPlane:
-    """Fit the plane that the boxes stand on.
+    """Fit the plane on which the boxes stand.
 
-    A robust start; then principal axes of the boxes near the plane: their heights over it are fitted by a plane, step
-    by step, until that is the same one. What one object's boxes err by lasts for a while, so they are not independent;
-    of what remains, the correlation along the tracks tells how many are.
+    After a robust start, the heights of the boxes near the plane are fitted by a correction of the plane, step by step
+    until it converges. The errors of one object's boxes persist for a while, so the boxes are not independent; the
+    effective number of independent boxes is estimated from the correlation of the residuals along the tracks.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
-        Of each box, sensor frame, metres.
+        Reference point of each box, sensor frame, metres.
     above_ground_m : ndarray, shape (n,)
-        How high that point is above the ground.
+        Height of that point above the ground.
     objects : sequence of ndarray of int64
-        Which boxes are of one object, in the order of time.
+        Indices of the boxes of each object, in the order of time.
     axes : Axes
     settings : GroundSettings
 
     Raises
     ------
     GroundError
-        If they do not span a plane, or none that can be the ground.
+        If there are too few boxes, or if they do not span a plane, or one that cannot be the ground.
     """
     if len(points) < settings.min_points:
         raise GroundError(
@@ -169,14 +176,14 @@ def plane_below(
         inlier_share=near,
         support_cells=int(heights.stretches()),
         support_share=near,
-        support_area_m2=12 * float(np.prod(heights.spread_m())),  # of the rectangle that is spread like that
+        support_area_m2=12 * float(np.prod(heights.spread_m())),  # of a rectangle with this spread
         unevenness_m=heights.sigma_m(),
     )
 
 
 @dataclass(frozen=True)
 class _Boxes:
-    """Boxes, one object after the other: place in the sensor frame, height over ground, object, weight."""
+    """Boxes, ordered by object: point in the sensor frame, its height above ground, index of the object, weight."""
 
     points: FloatArray
     above_m: FloatArray
@@ -186,7 +193,7 @@ class _Boxes:
 
 @dataclass(frozen=True)
 class _Heights:
-    """How high boxes, which should stand on a plane, are above it, and where they are on it (level frame)."""
+    """Heights of the boxes above a plane on which they should stand, and their places on it (level frame)."""
 
     xy: FloatArray
     above_m: FloatArray
@@ -196,38 +203,39 @@ class _Heights:
 
     @property
     def design(self) -> FloatArray:
-        """What a small rotation about level x and y and a lift change about the heights, shape (n, 3)."""
+        """Derivative of the heights by small rotations about level x and y and a vertical shift, shape (n, 3)."""
         return np.column_stack([self.xy[:, 1], -self.xy[:, 0], np.ones(len(self.xy))])
 
     @property
     def information(self) -> FloatArray:
-        """Of one standard deviation of 1 m, shape (3, 3)."""
+        """Information matrix for heights with a standard deviation of 1 m, shape (3, 3)."""
         information: FloatArray = (self.design * self.weight[:, None]).T @ self.design
         return information
 
     def correction(self) -> FloatArray:
-        """Return the rotation and lift, shape (3,), after which the plane lies below the boxes."""
+        """Return the rotations and vertical shift, shape (3,), that move the plane below the boxes."""
         found: FloatArray = -np.linalg.pinv(self.information) @ (self.design.T @ (self.weight * self.above_m))
         return found
 
     def spread_m(self) -> FloatArray:
-        """Return the standard deviations of the places across and along the line of largest spread."""
+        """Return the standard deviations of the places across and along the line of largest spread, shape (2,)."""
         return self._spread()[0]
 
     def _spread(self) -> tuple[FloatArray, FloatArray]:
-        """Return the same, and the directions, shape (2, 2): one each column."""
+        """Return the standard deviations of `spread_m`, and their directions as columns, shape (2, 2)."""
         squares, axes = np.linalg.eigh(np.cov(self.xy.T, aweights=self.weight, ddof=0))
         return np.sqrt(squares.clip(0.0)), axes
 
     def sigma_m(self) -> float:
-        """Return the standard deviation of the heights."""
+        """Return the weighted root mean square of the heights."""
         return float(np.sqrt(np.average(self.above_m**2, weights=self.weight)))
 
     def stretches(self) -> float:
-        """Return how many of the boxes are independent, by the correlation of their heights along the tracks.
+        """Return the effective number of independent boxes, from the correlation of their heights along the tracks.
 
-        The sum over lags ends where they are not correlated any more (Geyer's initial positive sequence), else what
-        the fit takes out of few tracks would count as correlation. What is below a box's last digit is no height.
+        The sum over lags ends where the correlation is no longer positive (Geyer's initial positive sequence), since
+        with few tracks the degrees of freedom of the fit would otherwise count as correlation. Heights below `_EXACT_M`
+        count as independent noise.
         """
         weighted = self.weight * self.above_m
         squares = float((weighted * self.above_m).sum() + self.weight.sum() * _EXACT_M**2)
@@ -241,7 +249,10 @@ class _Heights:
         return float(self.weight.sum()) * squares / total
 
     def covariance(self, shared_share: float) -> FloatArray:
-        """Return the covariance of (rotation about level x, about level y, height); of the noise a share is common."""
+        """Return the covariance of (rotation about level x, about level y, height), shape (3, 3).
+
+        ``shared_share`` is the fraction of the heights' standard deviation that is an error shared by all boxes.
+        """
         stretches = self.stretches()
         inflation = self.weight.sum() / (stretches - 3)
         variance = self.sigma_m() ** 2 * inflation
@@ -250,15 +261,15 @@ class _Heights:
         return covariance
 
     def _bent(self, variance_m2: float) -> FloatArray:
-        """Return what the road's bending leaves unknown of the plane, shape (3, 3).
+        """Return the covariance of the plane due to the road's curvature, shape (3, 3).
 
-        On a bent road the slope is another one a standard deviation of the boxes' places farther on, along and across.
-        How bent it is, the heights tell as far as they do; of the rest, what is known of roads (`BENT_PER_M`).
+        On a bent road the slope changes over one standard deviation of the boxes' places, along and across. The
+        curvature is estimated from the heights, with the prior for roads (`BENT_PER_M`).
 
         Parameters
         ----------
         variance_m2 : float
-            Of the heights, in units of their weights.
+            Variance of a height with the weight 1.
         """
         middle = np.average(self.xy, axis=0, weights=self.weight)
         spread_m, axes = self._spread()
@@ -268,7 +279,7 @@ class _Heights:
         inverse = np.linalg.pinv((design * self.weight[:, None]).T @ design + prior)
         bend = inverse @ (design.T @ (self.weight * self.above_m))
         squared = bend[3:] ** 2 + variance_m2 * np.diag(inverse)[3:]
-        # A slope along (x, y) is a turn about (-y, x).
+        # A slope along (x, y) is a rotation about (-y, x).
         about = np.stack([-axes[1], axes[0]])
         unknown = np.zeros((3, 3))
         unknown[:2, :2] = (about * squared * spread_m**2) @ about.T
@@ -276,7 +287,7 @@ class _Heights:
 
 
 def _start(points: FloatArray, above_m: FloatArray, axes: Axes) -> GroundPlane:
-    """Return the plane with the least sum of distances, in the frame that the sensor's own axes call level."""
+    """Return the plane with the least sum of distances from the boxes' bottoms, measured along the sensor's up axis."""
     level = GroundPlane(np.asarray(axes.up, dtype=np.float64), 0.0, np.zeros((4, 4)), 0.0, 0, 0.0, 0.0, 0.0)
     x, y, z = transform(level.T_level_sensor(axes), points).T
     bottom = z - above_m
@@ -289,14 +300,14 @@ def _start(points: FloatArray, above_m: FloatArray, axes: Axes) -> GroundPlane:
     begin = np.array([0.0, 0.0, float(np.median(bottom))])
     fitted = least_squares(off, begin, loss="soft_l1", f_scale=_START_SCALE_M, x_scale="jac")
     a, b, c = fitted.x
-    # z = a x + b y + c is turned by b about x, by -a about y; the plane lies at -height.
+    # z = a x + b y + c is rotated by b about x and by -a about y; c is the negative height.
     return _turned(level, np.array([-b, a, -c]), axes)
 
 
 def _counted(
     points: FloatArray, above_m: FloatArray, objects: Sequence[IntArray], ground: GroundPlane, axes: Axes
 ) -> _Boxes:
-    """Line boxes up by object, and let each object count once in each cell of the road."""
+    """Order boxes by object, with weights by which each object counts once in each cell of the road."""
     rows = np.concatenate(objects)
     label = np.repeat(np.arange(len(objects)), [len(one) for one in objects])
     cells = np.floor(transform(ground.T_level_sensor(axes), points[rows])[:, :2] / _CELL_M).astype(np.int64)
@@ -305,7 +316,7 @@ def _counted(
 
 
 def _heights(boxes: _Boxes, ground: GroundPlane, axes: Axes) -> _Heights:
-    """Hold boxes against a plane; what is far above or below it does not stand on it."""
+    """Return the boxes' heights above a plane; boxes far above or below it do not stand on it and get the weight 0."""
     level = transform(ground.T_level_sensor(axes), boxes.points)
     above_m = level[:, 2] - boxes.above_m
     middle = weighted_median(above_m, boxes.weight)
@@ -315,7 +326,7 @@ def _heights(boxes: _Boxes, ground: GroundPlane, axes: Axes) -> _Heights:
 
 
 def _turned(ground: GroundPlane, by: FloatArray, axes: Axes) -> GroundPlane:
-    """Turn a plane about level x and y by small angles, and lift the sensor over it."""
+    """Rotate a plane about level x and y by small angles, and raise the sensor above it."""
     x, y, lift_m = by
     normal = ground.T_level_sensor(axes)[:3, :3].T @ np.array([-y, x, 1.0])
     length = float(np.linalg.norm(normal))
@@ -323,7 +334,7 @@ def _turned(ground: GroundPlane, by: FloatArray, axes: Axes) -> GroundPlane:
 
 
 def _in_sensor(covariance: FloatArray, ground: GroundPlane, axes: Axes) -> FloatArray:
-    """Carry a covariance of (rotation about level x, about level y, height) over to `covariance_sensor`."""
+    """Convert a covariance of (rotation about level x, about level y, height) to `GroundPlane.covariance_sensor`."""
     to_sensor = np.zeros((4, 3))
     to_sensor[:3, :2] = ground.T_level_sensor(axes)[:2, :3].T
     to_sensor[3, 2] = 1.0

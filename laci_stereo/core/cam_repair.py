@@ -289,16 +289,16 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
                 "that of a lorry or a bus, which may be of any; needed is its length"
             )
         length, sigma[0] = USUAL_LENGTH_M, USUAL_LENGTH_SIGMA_M
-        remarks.append(f"the messages tell no length of the vehicle: taken as a car's, {length} +- {sigma[0]} m")
+        remarks.append(f"the messages report no length of the vehicle: taken as a car's, {length} +- {sigma[0]} m")
     if not np.isfinite(width):
         car = length <= LONGEST_CAR_M
         width = USUAL_WIDTH_M if car else ALLOWED_WIDTH_M
         sigma[1] = USUAL_WIDTH_SIGMA_M if car else ALLOWED_WIDTH_SIGMA_M
         kind = "car" if car else "lorry"
-        remarks.append(f"the messages tell no width of the vehicle: taken as a {kind}'s, {width} +- {sigma[1]} m")
+        remarks.append(f"the messages report no width of the vehicle: taken as a {kind}'s, {width} +- {sigma[1]} m")
     elif width > WIDEST_M:
         remarks.append(
-            f"the messages tell a width of {width:.2f} m, more than roads allow ({WIDEST_M} m), so it is over "
+            f"the messages report a width of {width:.2f} m, more than roads allow ({WIDEST_M} m), so it is over "
             f"the mirrors: taken as {ALLOWED_WIDTH_M} +- {ALLOWED_WIDTH_SIGMA_M} m"
         )
         width, sigma[1] = ALLOWED_WIDTH_M, ALLOWED_WIDTH_SIGMA_M
@@ -306,7 +306,7 @@ def dimensions(length_m: FloatArray, width_m: FloatArray) -> tuple[FloatArray, F
         told, (width, sigma[1]) = width, _without_mirrors(length, width)
         if width < told:
             remarks.append(
-                f"the messages tell a width of {told:.2f} m, which a vehicle of {length:.2f} m has over its mirrors: "
+                f"the messages report a width of {told:.2f} m, which a vehicle of {length:.2f} m has over its mirrors: "
                 f"taken as {width:.2f} +- {sigma[1]:.2f} m"
             )
     return np.array([length, width]), sigma, tuple(remarks)

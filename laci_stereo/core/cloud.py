@@ -1,4 +1,4 @@
-"""What the core knows of a sensor: clouds of points with their noise, one per frame."""
+"""The core's interface to a sensor: point clouds with their noise, one per frame."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 class PointCloud:
     """One frame of a sensor.
 
-    Noise is given along and across the line of sight from the sensor's origin: a stereo camera is exact in bearing
-    and poor in depth, a LiDAR is the other way round, and one ellipsoid of revolution per point describes both.
+    Noise is given along and across the line of sight from the sensor's origin: a stereo camera is accurate in bearing
+    and inaccurate in depth, a LiDAR is the reverse, and one ellipsoid of revolution per point describes both.
 
     Attributes
     ----------
     stamp_ns : int
         Unix time, nanoseconds.
     points : ndarray, shape (n, 3)
-        In the sensor frame, metres, finite.
+        Points in the sensor frame, metres, finite.
     sigma_along_m, sigma_across_m : ndarray, shape (n,)
         Standard deviations along and across the line of sight, metres.
     at_edge : ndarray of bool, shape (n,)
-        The point lies at the border of the field of view, so that what it belongs to may be cut off there.
+        Whether the point lies at the border of the field of view, so that its object may be cut off there.
     offset_s : ndarray, shape (n,), or None
-        Each point's own time after ``stamp_ns``, seconds: a scanner turns for a tenth of a second, in which a car
-        at 10 m/s moves by a metre. None: all points were taken at the stamp.
+        Time of each point relative to ``stamp_ns``, seconds: a turn of a scanner lasts a tenth of a second, in which a
+        car at 10 m/s moves by a metre. None if all points were measured at the stamp.
     turn_s : float
-        How long a turn of a scanner lasts that may turn, and of which neither this nor the points' times are known; 0
-        where there is nothing to guess.
+        Duration of a turn of a scanner of which neither the points' times are known nor whether it turns; 0 for all
+        other sensors.
     turned_rad : ndarray, shape (n,), or None
-        How far to the left of where such a scanner's scans begin it sees each point, 0 to 2 pi.
+        Azimuth of each point, counter-clockwise from the one at which such a scanner's scans begin, 0 to 2 pi.
     window_rad : float
-        Side of the square window, as an angle, over which a camera matches: points in one have their noise in common.
-        0: each has its own.
+        Side of a camera's square matching window, as an angle: points in one window share their noise. 0 if the noise
+        of each point is independent.
     others : PointCloud or None
-        What moves as well, but is no vehicle by a mask.
+        Further points that move but do not belong to a vehicle according to a mask.
     """
 
     stamp_ns: int
@@ -79,9 +79,9 @@ class PointCloud:
 
 
 class PointCloudSource(Protocol):
-    """A recording: frames that are made when they are asked for, as often as they are asked for.
+    """A recording: a sequence of frames that are made on demand, and can be iterated over repeatedly.
 
-    Memory must not grow with the recording's length, so neither method may keep what it has yielded.
+    Memory must not grow with the recording's length, so neither method may keep the frames that it has yielded.
     """
 
     @property
@@ -90,11 +90,11 @@ class PointCloudSource(Protocol):
 
     @property
     def name(self) -> str:
-        """What people call this sensor."""
+        """The user's name for this sensor."""
 
     @property
     def axes(self) -> Axes:
-        """Where forward and up are in the sensor frame."""
+        """The forward and up axes in the sensor frame."""
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -104,13 +104,13 @@ class PointCloudSource(Protocol):
         """Return the number of frames."""
 
     def __iter__(self) -> Iterator[PointCloud]:
-        """Yield every frame in the order of time. Points that the source knows to be static may be missing."""
+        """Yield every frame in the order of time; points that the source knows to be static may be missing."""
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield some whole frames, spread over the recording, those in which little moves first of all."""
+        """Yield some whole frames from all of the recording, preferably those in which little moves."""
 
 
 def empty_cloud(stamp_ns: int) -> PointCloud:
-    """Return a frame in which nothing was seen."""
+    """Return a frame without points."""
     nothing = np.zeros(0)
     return PointCloud(stamp_ns, np.zeros((0, 3)), nothing, nothing, np.zeros(0, dtype=bool))

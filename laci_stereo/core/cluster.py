@@ -1,4 +1,4 @@
-"""Clusters of points on the ground plan: what stands or drives there."""
+"""Clusters of points on the ground plan: the objects that stand or move there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.settings import ClusterSettings
 
 ONE_COLUMN = 2**32
-"""Difference between the numbers of two cells that are neighbours along x; along y it is one."""
+"""Difference between the numbers of two cells that are neighbours along x; along y the difference is one."""
 
 
 def cells_of(xy: FloatArray, cell_m: float) -> IntArray:
@@ -21,7 +21,7 @@ def cells_of(xy: FloatArray, cell_m: float) -> IntArray:
 
 
 def widened(cells: IntArray) -> IntArray:
-    """Return the cells at and around each, shape (n, 9)."""
+    """Return the numbers of each cell and the eight around it, shape (n, 9)."""
     step = np.array([-1, 0, 1])
     around: IntArray = cells.reshape(-1, 1) + (ONE_COLUMN * step[:, None] + step).ravel()
     return around
@@ -30,19 +30,19 @@ def widened(cells: IntArray) -> IntArray:
 def cluster(xy: FloatArray, settings: ClusterSettings) -> list[IntArray]:
     """Group points by density (DBSCAN; Ester et al., KDD 1996).
 
-    Points are first counted in cells, which are then weighed, so the cost depends on the area that is covered and not
-    on the sensor's density.
+    Points are first counted in cells, which are then clustered with these counts as weights, so the cost depends on the
+    covered area and not on the sensor's density.
 
     Parameters
     ----------
     xy : ndarray, shape (n, 2)
-        Level frame, metres.
+        Points on the ground plan of the level frame, metres.
     settings : ClusterSettings
 
     Returns
     -------
     list of ndarray of int
-        Indices into ``xy``, the cluster with most points first.
+        Indices into ``xy`` of each cluster's points, the cluster with most points first.
     """
     if len(xy) == 0:
         return []
@@ -57,8 +57,8 @@ def cluster(xy: FloatArray, settings: ClusterSettings) -> list[IntArray]:
 
 
 def _dbscan(cells: IntArray, counts: IntArray, settings: ClusterSettings) -> IntArray:
-    """Return the cluster of each cell, shape (n,); -1 is noise."""
-    # Half of the start-up time: whoever mistypes an argument should not wait for it.
+    """Return the index of each cell's cluster, shape (n,); -1 is noise."""
+    # Imported late, as it takes half of the start-up time: a mistyped argument should be reported without this delay.
     from sklearn.cluster import DBSCAN
 
     found = DBSCAN(eps=settings.reach_m / settings.cell_m, min_samples=settings.min_points)

@@ -1,4 +1,7 @@
-"""Several drives past one sensor in one level frame: their grounds merged, and each drive laid on and along that."""
+"""Several drives past one sensor in one level frame: merging of their grounds, transformation of each drive onto it.
+
+The drives are also moved from the map onto the ground, if their altitudes show a slope.
+"""
 
 from __future__ import annotations
 
@@ -21,27 +24,28 @@ from laci_stereo.core.slope import slope_of
 from laci_stereo.core.world import World
 
 GROUND_GATE = 5.0
-"""Standard deviations by which grounds may differ: beyond 4.6 is one of 10 000 pairs (3 degrees of freedom), and the
-covariance of a ground leaves out what is not the same road each time, such as wheels that hide it."""
+"""Largest difference of two grounds in standard deviations: one of 10 000 pairs is beyond 4.6 (3 degrees of freedom),
+and the covariance of a ground does not include that other parts of the road are seen each time, for example because
+wheels hide it."""
 
 SWAY_RAD = 5e-4
-"""A sensor that was not touched tilts by this from drive to drive, one standard deviation: a steel mast 0.15 m wide and
-6 m high whose sunny side is 5 K warmer bends by 1.2e-5 / K x 5 K / 0.15 m x 6 m = 2.4 mrad, and that is the extreme."""
+"""Standard deviation of the tilt of an untouched sensor from drive to drive: a steel mast 0.15 m wide and 6 m high
+whose sunny side is 5 K warmer bends by 1.2e-5 / K x 5 K / 0.15 m x 6 m = 2.4 mrad, which is the extreme case."""
 
 GROWTH_M = 1e-3
-"""The same of its height: 6 m of steel and 15 K."""
+"""Standard deviation of its height from drive to drive: 6 m of steel and 15 K."""
 
 
 def merge_grounds(passages: Sequence[Passage]) -> GroundPlane:
-    """Return the ground of several drives, each weighed by its covariance.
+    """Return the mean of the grounds of several drives, weighted by their inverse covariances.
 
-    The road and the sensor are the same each time, so what errs in one drive errs in the others: the information is
+    The road and the sensor are the same each time, so the errors of the drives are fully correlated: the information is
     the mean of theirs, not the sum.
 
     Raises
     ------
     CombineError
-        If two differ, so that the sensor was moved between them.
+        If two grounds differ significantly, so that the sensor was moved between them.
     """
     first = passages[0].ground
     if len(passages) == 1:
@@ -69,7 +73,7 @@ def _check_unmoved(passages: Sequence[Passage], values: FloatArray, covariances:
 
 
 def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:
-    """Lay a drive into the level frame of another ground, and onto the map of another world of the same UTM zone."""
+    """Transform a drive to the level frame of another ground and the map of another world in the same UTM zone."""
     T_own_sensor = passage.ground.T_level_sensor(passage.axes)
     T_level_sensor = ground.T_level_sensor(passage.axes)
     T_level_own = T_level_sensor @ invert(T_own_sensor)
@@ -95,7 +99,7 @@ def _between_worlds(xy: FloatArray, own: World, world: World) -> FloatArray:
 
 
 def along_ground(passages: Sequence[Passage]) -> list[Passage]:
-    """Lay drives that are on the map of one world along their ground, which has one slope if altitudes tell any."""
+    """Move drives from the map of one world onto their common ground, if their altitudes determine its slope."""
     slope = slope_of([_heights_in_view(passage) for passage in passages])
     if slope is None:
         return list(passages)
@@ -110,7 +114,7 @@ def along_ground(passages: Sequence[Passage]) -> list[Passage]:
 
 
 def _heights_in_view(passage: Passage) -> tuple[FloatArray, FloatArray]:
-    """Return what a drive's messages tell while it is seen, positions and altitudes: farther on the road may bend."""
+    """Return the positions and altitudes reported while a drive is in view: farther away the road may bend."""
     vehicle = passage.vehicle
     seen_s = np.array([sighting.stamp_s for sighting in passage.track.sightings]) + passage.time_offset_s
     near = (vehicle.stamps_s >= seen_s.min() - MAX_GAP_S) & (vehicle.stamps_s <= seen_s.max() + MAX_GAP_S)

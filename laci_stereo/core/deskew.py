@@ -1,4 +1,4 @@
-"""Motion compensation: what was taken of a vehicle point after point, brought to where it was at one time."""
+"""Motion compensation: moves a vehicle's points, measured one after the other, to their places at one time."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from laci_stereo.core.sighting import Sighting, box_around
 from laci_stereo.core.tracking import GATE, Track
 
 WINDOW_S = 1.0
-"""So long does a vehicle's acceleration last, ahead and back."""
+"""Time before and after a sighting over which a vehicle's acceleration is taken as constant."""
 
 TURN_RADIUS_M = 5.0
-"""Of the tightest turn of a passenger car's middle: turning circles are 10 m and more."""
+"""Radius of the tightest turn of a passenger car's middle: turning circles have a diameter of at least 10 m."""
 
 NEGLIGIBLE_M = 0.005
-"""Less motion than this between a sighting's points is far below what bodies differ from any outline by."""
+"""Motion between a sighting's points that is ignored: far less than the deviation of bodies from any outline."""
 
 
 def deskewed(track: Track, settings: Settings) -> Track:
-    """Move the points of every sighting to where they were at its stamp.
+    """Move the points of every sighting to their places at its stamp.
 
-    A scanner takes the two ends of a near car up to 20 ms apart, and scans that are gathered into one frame are tenths
-    of a second apart, in which a car moves by metres and turns. Its motion about each sighting is a path with constant
-    acceleration, fitted to the middles of the sightings within `WINDOW_S`.
+    A scanner measures the two ends of a near car up to 20 ms apart, and scans that are combined into one frame are
+    tenths of a second apart, in which a car moves by metres and turns. The motion about each sighting is a path with
+    constant acceleration, fitted to the middles of the sightings within `WINDOW_S`.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def deskewed(track: Track, settings: Settings) -> Track:
     Returns
     -------
     Track
-        Whose sightings have no times of points any more.
+        The track; its sightings no longer have times of points.
     """
     if all(sighting.late_s is None for sighting in track.sightings):
         return track
@@ -52,9 +52,18 @@ def deskewed(track: Track, settings: Settings) -> Track:
 
 
 def motion(late_s: FloatArray, xy: FloatArray, settings: TrackSettings) -> tuple[FloatArray, FloatArray]:
-    """Return velocity and acceleration, shape (2,) each, at time 0 of a vehicle that was at ``xy``, shape (n, 2)."""
+    """Return velocity and acceleration at time 0, shape (2,) each.
+
+    Parameters
+    ----------
+    late_s : ndarray, shape (n,)
+        Times in seconds.
+    xy : ndarray, shape (n, 2)
+        Positions of the vehicle at these times, metres.
+    settings : TrackSettings
+    """
     powers = np.column_stack([np.ones_like(late_s), late_s, late_s**2 / 2])
-    # Middles jump by twice their standard deviation at most; speed and acceleration have their limits at three sigma.
+    # The jitter is two standard deviations of a middle; the limits of speed and acceleration are three.
     sigmas = np.array([np.inf, settings.max_speed_mps / GATE, settings.max_acceleration_mps2 / GATE])
     information = powers.T @ powers / (settings.jitter_m / 2) ** 2 + np.diag(sigmas**-2)
     _, velocity, acceleration = np.linalg.solve(information, powers.T @ xy / (settings.jitter_m / 2) ** 2)
@@ -62,7 +71,7 @@ def motion(late_s: FloatArray, xy: FloatArray, settings: TrackSettings) -> tuple
 
 
 def _still(sighting: Sighting, velocity: FloatArray, acceleration: FloatArray, settings: Settings) -> Sighting:
-    """Return a sighting as it would be, had all of its points been taken at its stamp."""
+    """Return a sighting as if all of its points had been measured at its stamp."""
     late_s, sighting = sighting.late_s, replace(sighting, late_s=None)
     speed = float(np.hypot(*velocity))
     if late_s is None or speed * np.abs(late_s).max() < NEGLIGIBLE_M:

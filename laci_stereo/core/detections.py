@@ -1,4 +1,4 @@
-"""Boxes of the user's own detector: what they say about the ground and the traffic."""
+"""Observation of a scene by the boxes of the user's own detector: ground plane and tracks."""
 
 from __future__ import annotations
 
@@ -22,29 +22,31 @@ from laci_stereo.core.tracking import Track, link_tracks
 log = logging.getLogger(__name__)
 
 LOST_FRAMES = 5
-"""A detector slower than the linking's own patience may still miss an object in a few frames in a row."""
+"""Number of consecutive frames in which even a slow detector may miss an object without ending its track."""
 
 
 @dataclass(frozen=True)
 class DetectionLog(Columns):
-    """Detections in the order of time. What is not known is NaN.
+    """Detections in the order of time. Unknown values are NaN.
 
     Attributes
     ----------
     stamps_ns : ndarray of int64, shape (n,)
         Unix time, nanoseconds, ascending; at least one.
     points_sensor : ndarray, shape (n, 3)
-        Where each object is, metres. The third coordinate is only needed to find the ground.
+        Reference point of each object in the sensor frame, metres. The third coordinate is only needed to find the
+        ground.
     above_ground_m : ndarray, shape (n,)
-        How high that point of it is above the road: half of its height for the centre of its box.
+        Height of that point above the road: half of the object's height for the centre of its box.
     yaw_rad : ndarray, shape (n,)
-        Where its box points to: right-handed about the sensor's axis that is nearest to vertical, from x (from y where
-        x is that axis).
+        Direction of the box: right-handed about the sensor's axis that is nearest to vertical, from x (from y if x is
+        that axis).
     length_m, width_m : ndarray, shape (n,)
+        Size of the box, metres.
     track_id : ndarray of int64, shape (n,)
-        What the detector holds for one object; -1 where it does not say.
+        The detector's number of the object; -1 if it gives none.
     radial_mps : ndarray, shape (n,)
-        How fast it moves away from the sensor.
+        Speed of the object away from the sensor.
     """
 
     stamps_ns: IntArray
@@ -61,11 +63,11 @@ class DetectionLog(Columns):
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """First and last stamp."""
+        """First and last stamp, Unix time, nanoseconds."""
         return int(self.stamps_ns[0]), int(self.stamps_ns[-1])
 
     def is_box(self) -> BoolArray:
-        """Tell which detections, shape (n,), have a size and a direction; the others are points."""
+        """Return which detections have a size and a direction, shape (n,); the others are points."""
         known: BoolArray = np.isfinite(self.yaw_rad) & np.isfinite(self.length_m) & np.isfinite(self.width_m)
         return known
 
@@ -73,21 +75,21 @@ class DetectionLog(Columns):
 def observe_detections(
     detections: DetectionLog, axes: Axes, settings: Settings | None = None, level_m: float | None = None
 ) -> Observation:
-    """Find the ground below the boxes of a detector, and lay them on it as tracks.
+    """Find the ground below the boxes of a detector, and link the boxes to tracks on it.
 
     Parameters
     ----------
     detections : DetectionLog
     axes : Axes
-        Of the sensor.
+        Axes of the sensor.
     settings : Settings
     level_m : float or None
-        How high the sensor stands above the ground, where its up axis is vertical; None finds the ground.
+        Height of the sensor above the ground, if its up axis is vertical; with None the ground is fitted to the boxes.
 
     Raises
     ------
     GroundError
-        If the boxes do not tell where the ground is.
+        If the boxes do not determine the ground.
     """
     settings = settings or Settings()
     if level_m is not None:
@@ -102,7 +104,7 @@ def observe_detections(
 
 
 def _ground_and_tracks(detections: DetectionLog, axes: Axes, settings: Settings) -> tuple[GroundPlane, list[IntArray]]:
-    """Find the ground, then what is one object on it, then the ground again, each object counted by what it drove."""
+    """Return the ground and the tracks on it; the ground is fitted again with each object weighted by its path."""
     known = np.flatnonzero(np.isfinite(detections.points_sensor).all(axis=1) & np.isfinite(detections.above_ground_m))
     points, above = detections.points_sensor[known], detections.above_ground_m[known]
     alone = [np.array([row]) for row in range(len(known))]
@@ -115,7 +117,7 @@ def _ground_and_tracks(detections: DetectionLog, axes: Axes, settings: Settings)
 
 
 def _tracks(detections: DetectionLog, ground: GroundPlane, axes: Axes, settings: TrackSettings) -> list[IntArray]:
-    """Return which detections are of one object, in the order of time, the object with most of them first."""
+    """Return the indices of each object's detections, in the order of time, the object with most of them first."""
     settings = replace(settings, max_lost_s=max(settings.max_lost_s, LOST_FRAMES * _interval_s(detections)))
     sightings = _sightings(detections, detections, ground, axes)
     by_number = np.argsort(detections.track_id, kind="stable")
@@ -128,13 +130,13 @@ def _tracks(detections: DetectionLog, ground: GroundPlane, axes: Axes, settings:
 
 
 def _interval_s(detections: DetectionLog) -> float:
-    """Return the usual time from one frame to the next."""
+    """Return the median time from one frame to the next; 0 with a single frame."""
     steps_s = np.diff(np.unique(detections.stamps_ns)) / 1e9
     return float(np.median(steps_s)) if len(steps_s) else 0.0
 
 
 def _unbroken(rows: IntArray, sightings: Sequence[Sighting], settings: TrackSettings) -> list[IntArray]:
-    """Cut what has one number where it is lost for long or jumps: trackers give their numbers again."""
+    """Split detections with one number where they are interrupted for long or jump: trackers reuse their numbers."""
     stamps_s = np.array([sightings[row].stamp_s for row in rows])
     xy = np.array([sightings[row].middle for row in rows])
     step_s, step_m = np.diff(stamps_s), np.linalg.norm(np.diff(xy, axis=0), axis=1)
@@ -152,9 +154,9 @@ def _linked(rows: IntArray, sightings: Sequence[Sighting], settings: TrackSettin
 
 
 def _sightings(detections: DetectionLog, recording: DetectionLog, ground: GroundPlane, axes: Axes) -> list[Sighting]:
-    """Lay detections onto the ground plan; the recording that they are from tells second zero."""
+    """Return detections as sightings on the ground plan; ``recording``, which contains them, defines second zero."""
     T_level_sensor = ground.T_level_sensor(axes)
-    # A sensor without elevation measures in its own plane, which only passes for the ground's where it is level.
+    # A sensor without elevation measures in its own plane, which may be taken as parallel to the ground only if level.
     xy = transform(T_level_sensor, np.nan_to_num(detections.points_sensor))[:, :2]
     is_box = detections.is_box()
     length, width = (np.where(is_box, size, 0.0) for size in (detections.length_m, detections.width_m))
@@ -182,7 +184,7 @@ def _sightings(detections: DetectionLog, recording: DetectionLog, ground: Ground
 
 
 def _headings(yaw_rad: FloatArray, normal: FloatArray, axes: Axes) -> FloatArray:
-    """Return vectors in the sensor frame, shape (n, 3), on the ground, with that yaw seen along the upright axis."""
+    """Return vectors along the ground, sensor frame, shape (n, 3), that have the yaws about the most upright axis."""
     upright = int(np.argmax(np.abs(axes.up)))
     about = np.eye(3)[upright]
     zero = np.eye(3)[1 if upright == 0 else 0]

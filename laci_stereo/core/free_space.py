@@ -1,4 +1,4 @@
-"""Places that a sensor looks through: nothing stands there, even where the ground behind is too far to be seen."""
+"""Places that a sensor sees through: nothing stands there, even where the ground behind is too far away to be seen."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 
 MOST_POINTS = 20_000
-"""Of a frame, which are looked through: a place of half a metre is passed by some of them up to 50 m away."""
+"""Largest number of a frame's rays that are examined: some of them pass a place of half a metre up to 50 m away."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """Cells of the ground plan in which something stands at times.
+    """Cells of the ground plan in which an object stands at times.
 
     Attributes
     ----------
     cells : ndarray of int, shape (n,)
-        Ascending; see `cells_of`.
+        Numbers of the cells, ascending; see `cells_of`.
     xy : ndarray, shape (n, 2)
-        The mean of what stands in each, level frame.
+        Mean of the points in each cell, level frame.
     low_m, high_m : ndarray, shape (n,)
-        Between which heights half of its points are.
+        Lower and upper quartile of the heights of its points.
     """
 
     cells: IntArray
@@ -34,16 +34,16 @@ class Places:
 
 
 def places_of(points: FloatArray, cells: IntArray, cell_m: float) -> Places:
-    """Tell where and how high what stands in some cells is.
+    """Return the position and heights of the points in given cells.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
-        All that stands, at any time, level frame.
+        Points of all standing objects, of all frames, level frame.
     cells : ndarray of int
-        Each of which has a point.
+        Numbers of the cells, each of which has a point.
     cell_m : float
-        Their side.
+        Side of a cell.
     """
     number = cells_of(points[:, :2], cell_m)
     inside = np.isin(number, cells)
@@ -56,16 +56,17 @@ def places_of(points: FloatArray, cells: IntArray, cell_m: float) -> Places:
 
 
 def seen_through(points: FloatArray, height_m: float, places: Places, cell_m: float) -> IntArray:
-    """Return the cells that a ray crosses where at other times something stands, to end farther away.
+    """Return the cells that a ray crosses, at the heights of the object that stands there at times, and ends beyond.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
-        Of one frame, level frame.
+        Points of one frame, level frame.
     height_m : float
-        Of the sensor above the frame's origin.
+        Height of the sensor above the frame's origin.
     places : Places
     cell_m : float
+        Side of a cell.
     """
     points = points[:: max(1, len(points) // MOST_POINTS)]
     azimuth = np.arctan2(points[:, 1], points[:, 0])
@@ -73,7 +74,7 @@ def seen_through(points: FloatArray, height_m: float, places: Places, cell_m: fl
     azimuth, far_m = azimuth[order], np.hypot(points[order, 0], points[order, 1])
     slope = (points[order, 2] - height_m) / np.maximum(far_m, 1e-9)
     away_m, towards = np.hypot(*places.xy.T), np.arctan2(places.xy[:, 1], places.xy[:, 0])
-    # Through the middle half of the cell; the rays go once more around, for cells that lie straight behind.
+    # Only rays through the middle half of a cell count; they are repeated for a second turn, for cells straight behind.
     width = np.arctan2(cell_m / 4, away_m)
     around, start = np.append(azimuth, azimuth + 2 * np.pi), towards - width
     start = np.where(start < -np.pi, start + 2 * np.pi, start)

@@ -1,4 +1,4 @@
-"""The ground plane in a cloud of points (the paper's section III-A)."""
+"""Fit of the ground plane to a point cloud (the paper's section III-A)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from laci_stereo.core.ground_rays import GATE, Rays, as_rays, one_per_bearing
 from laci_stereo.core.ground_start import can_be_ground, principal_axes, robust_start, where_it_can_be
 from laci_stereo.core.settings import GroundSettings
 
-# Below this angle between forward and the normal, a tilt of 0.01 deg already turns the level frame by 0.5 deg.
+# Below this angle between forward and the normal, a tilt of 0.01 deg already yaws the level frame by 0.5 deg.
 _MIN_FORWARD_ANGLE_DEG = 1.0
-# Between a share of azimuth and the logarithm of range, which is 1, and one of area, which is 3.
+# Power of the range by which a ray is weighted: 1 measures azimuth and log range uniformly, 3 measures area.
 _FARTHER = 2.0
 _DEFAULTS = GroundSettings()
 
@@ -27,23 +27,24 @@ class GroundPlane:
     Attributes
     ----------
     normal : ndarray, shape (3,)
-        Unit vector in the sensor frame, towards the sensor, so up.
+        Unit vector in the sensor frame that points from the plane to the sensor, which is up.
     height_m : float
-        Of the sensor's origin above the plane.
+        Height of the sensor's origin above the plane.
     covariance_sensor : ndarray, shape (4, 4)
-        Of (rotation vector in sensor axes [rad], height [m]), of rank 3: a turn about the normal does not exist. The
-        rotation vector is the one that, applied after the estimate, makes it true. Noise of each point, noise common to
-        a cell or to all points, and the unevenness of a paved road, as far as the points leave it open, are in it; a
-        ground that is bent as a whole, by a wave longer than what is in view, or that is raised a few centimetres over
-        much of it, is not. See `covariance_level`.
+        Covariance of (rotation vector in sensor axes [rad], height [m]), of rank 3: a rotation about the normal leaves
+        the plane unchanged. The rotation vector is the one that, applied after the estimated transform, yields the true
+        one. The covariance includes the noise of each point, noise shared by a cell or by all points, and the
+        unevenness of a paved road as far as the points do not determine it. It does not include a ground that is bent
+        as a whole, by a wave longer than the visible part, or that is raised a few centimetres over much of its area.
+        See `covariance_level`.
     inlier_share : float
-        Of all points, those on the plane within their noise.
+        Fraction of all points that lie on the plane within their noise.
     support_cells : int
-        Cells of bearing that agree with the plane.
+        Number of cells of bearing that agree with the plane.
     support_share : float
-        The same over all cells with a free view of the plane within the range seen.
+        Fraction of supporting cells among all cells with a free view of the plane within the measured range.
     support_area_m2 : float
-        What the supporting cells cover on the plane.
+        Area on the plane that the supporting cells cover.
     unevenness_m : float
         Standard deviation of the ground about the plane, beyond the noise of the points.
     """
@@ -63,7 +64,7 @@ class GroundPlane:
         Parameters
         ----------
         axes : Axes
-            Its ``forward``, projected onto the plane, becomes x.
+            The sensor's axes; ``forward``, projected onto the plane, becomes x.
 
         Raises
         ------
@@ -84,7 +85,7 @@ class GroundPlane:
     def covariance_level(self, axes: Axes) -> FloatArray:
         """Return the covariance, shape (3, 3), of (rotation about level x, about level y, height) [rad, rad, m].
 
-        With the small rotation vector d of the first two, ``exp(d) @ T_level_sensor`` is the true transform.
+        If d is the small rotation vector made of the first two, ``exp(d) @ T_level_sensor`` is the true transform.
 
         Raises
         ------
@@ -112,18 +113,18 @@ def fit_ground(
 ) -> GroundPlane:
     """Fit the ground plane (paper, section III-A).
 
-    A robust start, the paper's iterated principal axes from there, and a last fit in inverse range, where the plane is
-    linear and the noise of a stereo camera uniform. Only the third component of the paper's vector of height is meant:
-    the distance along the normal.
+    The fit has three stages: a robust start, the paper's iterated principal axes from that start, and a final fit in
+    inverse range, in which the plane is linear and the noise of a stereo camera is uniform. Of the paper's height
+    vector only the third component is meant: the distance along the normal.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
-        Sensor frame, metres; all lines of sight leave the origin.
+        Points in the sensor frame, metres; all lines of sight start at the origin.
     sigma_along_m, sigma_across_m : ndarray, shape (n,)
         Standard deviations along and across the line of sight, metres.
     up : tuple of float
-        Roughly against gravity, in the sensor frame.
+        Axis in the sensor frame that points roughly against gravity.
     settings : GroundSettings
 
     Returns
@@ -151,10 +152,11 @@ def fit_farther_ground(
     up: tuple[float, float, float],
     settings: GroundSettings = _DEFAULTS,
 ) -> GroundPlane:
-    """Fit the ground plane where what is farther away counts for more; parameters and errors are `fit_ground`'s.
+    """Fit the ground plane with a larger weight on distant points; parameters and errors are those of `fit_ground`.
 
-    A verge below the sensor fills more of the view than the road behind it, and with the near lane makes one plane that
-    is neither's. Principal axes would lead back to it, since they trust the nearest points most.
+    A verge below the sensor fills more of the view than the road behind it, and a plane through the verge and the near
+    lane is the plane of neither. The stage of principal axes is left out: it would lead back to that plane, since it
+    gives the largest weight to the nearest points.
     """
     up_axis = _checked_up(up)
     rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
@@ -170,18 +172,19 @@ def fit_ground_beside(
     within_m: tuple[float, float],
     settings: GroundSettings = _DEFAULTS,
 ) -> GroundPlane:
-    """Fit the ground plane to what is not on a ground, but not far from it either.
+    """Fit the ground plane to the points that are off a known ground plane but near it.
 
-    Land of which more is in view than of the road hides it: a road that is higher stands on it, and what drives there
-    is one with it.
+    Terrain that fills more of the view than the road does captures the first fit. A road that is higher than this
+    terrain then appears as an object on it, and the vehicles on the road merge with that object.
 
     Parameters
     ----------
     points, sigma_along_m, sigma_across_m, settings
-        As `fit_ground`'s, and so are the errors.
+        See `fit_ground`, which also lists the errors.
     ground : GroundPlane
+        The known ground plane.
     within_m : tuple of float
-        The least and the largest height above it.
+        The least and the largest height of the points above that plane.
     """
     rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
     (heights,), (variance,) = rays.heights_above(-ground.normal[None] / ground.height_m)
@@ -192,12 +195,12 @@ def fit_ground_beside(
 
 
 def check_support(ground: GroundPlane, settings: GroundSettings) -> None:
-    """Hold what supports a plane against the settings.
+    """Check the support of a plane against the settings.
 
     Raises
     ------
     GroundError
-        If it is too little.
+        If too few cells, or too small a fraction of them, support the plane.
     """
     check_count(ground.support_cells, settings)
     _check_share(ground.support_share, settings)
@@ -220,7 +223,7 @@ def _checked_up(up: tuple[float, float, float]) -> FloatArray:
 
 
 def _plane(rays: Rays, fit: Fit, up: FloatArray, settings: GroundSettings) -> GroundPlane:
-    """Check the fit's place and support, and carry m and its covariance over to normal and height."""
+    """Check the position and support of a fit, and convert m and its covariance to normal and height."""
     height_m = 1.0 / float(np.linalg.norm(fit.m))
     normal = -height_m * fit.m
     if not can_be_ground(fit.m[None], up, settings)[0]:
@@ -229,7 +232,7 @@ def _plane(rays: Rays, fit: Fit, up: FloatArray, settings: GroundSettings) -> Gr
         raise GroundError(f"best plane: {found} found, {where_it_can_be(settings)}")
     support_share = fit.cells / fit.cells_seen
     _check_share(support_share, settings)
-    # d(height) = height^2 normal . dm; d(normal) = -height (I - normal normal^T) dm; the turn is d(normal) x normal.
+    # d(height) = height^2 normal . dm; d(normal) = -height (I - normal normal^T) dm; rotation = d(normal) x normal.
     cross = np.cross(np.eye(3), normal)
     jacobian = np.vstack([-height_m * cross.T, height_m**2 * normal])
     covariance = jacobian @ fit.covariance @ jacobian.T

@@ -1,4 +1,4 @@
-"""The ground below a sensor whose axes were told, and which axes it would need where there is none."""
+"""Fit of the ground with the sensor's given axes, and a search for other axes where these lead to no ground."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ UPS = {
     "y forward, x up": (1.0, 0.0, 0.0),
     "y forward, x down": (-1.0, 0.0, 0.0),
 }
-"""All ways in which an axis can point upwards, as `--axes` takes them."""
+"""The up vector of each choice of axes, named as `--axes` takes it."""
 
 
 def ground_below(
     points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, axes: Axes, settings: GroundSettings
 ) -> GroundPlane:
-    """Fit the ground plane (see `fit_ground`); one that little of the view supports must be confirmed by a road.
+    """Fit the ground plane (see `fit_ground`), if need be with little support, which a road must confirm later.
 
     Raises
     ------
     GroundError
-        If there is none where the axes put it. If there is one elsewhere, as below a sensor that hangs upside down, it
-        says with which axes; a camera's are what they are.
+        If there is no ground in the direction that the axes define. If there is one in another direction, as for a
+        sensor that hangs upside down, the message names the axes that lead to it; a camera's axes are fixed, so no
+        others are tried.
     """
     cloud = points, sigma_along_m, sigma_across_m
     try:
@@ -43,7 +44,7 @@ def ground_below(
 def _elsewhere(
     cloud: tuple[FloatArray, FloatArray, FloatArray], axes: Axes, settings: GroundSettings
 ) -> dict[str, float]:
-    """Return what the grounds cover that there are with other axes, by their names, square metres."""
+    """Return the areas of the grounds that are found with other axes, in square metres, by the names of the axes."""
     areas_m2 = {}
     for name, up in UPS.items():
         if up != tuple(axes.up):

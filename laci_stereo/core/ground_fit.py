@@ -1,13 +1,13 @@
-"""The last fit of the ground plane, in inverse range.
+"""The final fit of the ground plane, in inverse range.
 
-``1 / rho = m . e`` (see `laci_stereo.core.ground_rays`) is linear in m; for a stereo camera 1 / rho is the disparity up
-to an exact factor of the ray, so its noise is uniform there, and for a LiDAR the known noise of the range is carried
-over to first order.
+The model ``1 / rho = m . e`` (see `laci_stereo.core.ground_rays`) is linear in m. For a stereo camera 1 / rho is the
+disparity times a factor that each ray determines exactly, so its noise is uniform there; for a LiDAR the known noise of
+the range is propagated to first order.
 
-The plane is divided into cells, `_CELL` rad wide and `_CELL` of the logarithm of range deep, which grow with the range.
-A cell, and not a point, is what supports a plane: dense surfaces near the sensor do not outvote the road, the
-mean of a cell is so exact that the foot of a wall and a pavement stand out from it, and noise shared by neighbours is
-counted once.
+The plane is divided into cells, `_CELL` rad wide and `_CELL` of log range deep, so that their size grows with the
+range. The support of a plane is counted in cells, not points: dense surfaces near the sensor do not outvote the road;
+the mean of a cell is so accurate that the foot of a wall and a pavement stand out; and noise shared by neighbouring
+points is counted once.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from laci_stereo.core.ground_rays import GATE, Rays, random_part
 from laci_stereo.core.ground_uneven import covariance_of_unevenness, patches_of
 from laci_stereo.core.settings import GroundSettings
 
-# 1 m at 20 m: narrower than a car or a pavement, and wide enough for the mean of many points.
+# Side of a cell: 1 m at 20 m, narrower than a car or a pavement, and wide enough for the mean of many points.
 _CELL = 0.05
-# Several in each of some thousand cells.
+# Largest number of points used: several in each of a few thousand cells.
 _POINTS = 50_000
 _MAX_ITERATIONS = 30
-# Length of a step in standard deviations of the result, squared: first for laying the cells, then for good.
+# Convergence limits, squared length of a step in standard deviations of m: for placing the cells, and for the result.
 _NEAR, _SETTLED = 0.1**2, 0.01**2
 # Tukey's constant for 95 % efficiency on normal noise.
 _TUKEY = 4.685
-# Of a point's variance, what its cell shares: a matcher's window is a fifth of a cell wide, so that 25 fit into it.
+# Fraction of a point's variance that its cell shares: a matching window is a fifth of a cell wide, so 25 fit into one.
 SHARED_IN_CELL = 0.04
-# Kerbs are up to 0.15 m high; what is higher stands out by itself.
+# Largest height of a kerb; higher objects stand out from the noise without further evidence.
 _KERB_M = 0.15
-# Blocks of five by five cells: wider than a matcher's window reaches, and about as wide as a pavement.
+# Side of a block in cells: wider than the reach of a matching window, and about as wide as a pavement.
 _BLOCK = 5
-# Directions within a cell of each other have a condition number of about 1 / _CELL^4; nothing solvable is near this.
+# Largest condition number: directions within one cell have about 1 / _CELL^4, and no solvable case is near this limit.
 _SINGULAR = 1e13
-# Parts of the largest unevenness that are tried, in steps that change a standard deviation by less than a half.
+# Fractions of the largest unevenness that are tried; from 0.1 on, neighbouring ones differ by at most a half.
 _FRACTIONS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
-# Degrees of freedom that let one cell in twenty be an outlier.
+# Degrees of freedom of Student's t, with which one cell in twenty may be an outlier.
 _STUDENT = 4.0
 
 
@@ -54,14 +54,15 @@ class Fit:
     Attributes
     ----------
     m : ndarray, shape (3,)
+        The plane; see `laci_stereo.core.ground_rays`.
     covariance : ndarray, shape (3, 3)
-        Of m.
+        Covariance of m.
     unevenness_m : float
         Standard deviation of the ground about the plane.
     cells, cells_seen : int
-        Cells that support the plane, and all with a free view of it.
+        Number of cells that support the plane, and of all cells with a free view of it.
     area_m2 : float
-        What the supporting cells cover.
+        Area on the plane that the supporting cells cover.
     """
 
     m: FloatArray
@@ -74,7 +75,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Partition:
-    """Rays with a free view of the plane, the number of the cell of each, and each cell's azimuth and ring."""
+    """Rays with a free view of the plane, the index of each ray's cell, and each cell's azimuth sector and ring."""
 
     rays: Rays
     cell: IntArray
@@ -83,11 +84,11 @@ class _Partition:
 
 @dataclass(frozen=True)
 class _Cells:
-    """Means over the points of each cell that are on the plane within their noise.
+    """Means over those points of each cell that are on the plane within their noise.
 
-    ``variance`` is that of the mean residual, ``sigma`` the standard deviation of one point's 1 / range through noise
-    along its ray, ``per_metre`` what 1 m above the plane adds to 1 / range, ``place`` the cell's azimuth and ring,
-    ``area_m2`` what it covers on the plane, to within the slant.
+    ``variance`` is that of the mean residual; ``sigma`` the standard deviation of one point's 1 / range due to noise
+    along its ray; ``per_metre`` the increase of 1 / range per metre above the plane; ``place`` the cell's azimuth
+    sector and ring; ``area_m2`` the area of the cell on the plane, apart from the slant.
     """
 
     residual: FloatArray
@@ -101,7 +102,10 @@ class _Cells:
 
 @dataclass(frozen=True)
 class _Solution:
-    """The plane, the cells it was fitted to, the weight of each, 0 to 1, and what its residual adds to m as (n, 3)."""
+    """The plane m, the n cells that it was fitted to, and their weights (0 to 1).
+
+    ``gain``, shape (n, 3), is the derivative of m with respect to the residual of each cell.
+    """
 
     m: FloatArray
     cells: _Cells
@@ -111,19 +115,19 @@ class _Solution:
 
 
 def fit_inverse_range(rays: Rays, m: FloatArray, settings: GroundSettings) -> Fit:
-    """Solve 1 / range = m . e robustly; the cells follow the plane, so they are laid a second time.
+    """Solve 1 / range = m . e robustly, twice, because the cells depend on the plane.
 
     Parameters
     ----------
     rays : Rays
     m : ndarray, shape (3,)
-        The start.
+        Initial value of the plane.
     settings : GroundSettings
 
     Raises
     ------
     GroundError
-        If too few cells support the plane, or none that spans it.
+        If too few cells support the plane, or if the directions of those that do lie in one plane.
     """
     rays = random_part(rays, _POINTS)
     m = _solve(_partition(rays, m), m, _NEAR, settings).m
@@ -141,10 +145,10 @@ def fit_inverse_range(rays: Rays, m: FloatArray, settings: GroundSettings) -> Fi
 
 
 def _partition(rays: Rays, m: FloatArray) -> _Partition:
-    """Divide the rays that have a free view of the plane, within the range seen, into cells.
+    """Divide the rays that have a free view of the plane, within the measured range, into cells.
 
-    A ray is chosen for its bearing and for what stands beyond it, never for the range measured along it: that would
-    cut the noise on one side.
+    A ray is selected by its bearing and by the objects seen in the rays above it, never by its own measured range: that
+    would truncate the noise on one side.
     """
     normal = -m / np.linalg.norm(m)
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
@@ -159,7 +163,7 @@ def _partition(rays: Rays, m: FloatArray) -> _Partition:
     if not kept.any():
         raise GroundError("rays with a free view of the best plane: 0 found, more needed")
     sector, ring = sector[kept], ring[kept]
-    # Per ring as many cells as make them _CELL wide: the circle shrinks to a point below the sensor.
+    # The number of cells per ring keeps them _CELL wide: the circle shrinks to a point below the sensor.
     steepness = np.exp(-_CELL * (first + ring + 0.5)) / np.linalg.norm(m)
     around = np.floor(azimuth[kept] * np.sqrt(np.maximum(1.0 - steepness**2, 0.0)) / _CELL).astype(np.int64)
     _, example, cell = np.unique(ring * (around.max() + 1) + around, return_index=True, return_inverse=True)
@@ -168,20 +172,20 @@ def _partition(rays: Rays, m: FloatArray) -> _Partition:
 
 
 def _hidden(rays: Rays, m: FloatArray, sector: IntArray, ring: IntArray, first: float) -> BoolArray:
-    """Return which rays would meet the plane behind the foot of something that stands on it, shape (n,).
+    """Return which rays would meet the plane behind the foot of an object that stands on it, shape (n,).
 
-    Just behind the foot of a wall its points are still on the plane within their noise, all of them on one side. But
-    the rays above these show the wall, and how far away it is.
+    Just behind the foot of a wall, the points of the wall are still on the plane within their noise, all of them on one
+    side of it. The rays above them, however, show the wall and its distance.
 
     Parameters
     ----------
     rays : Rays
     m : ndarray, shape (3,)
     sector, ring : ndarray, shape (n,)
-        Where the ray points: azimuth, and logarithm of the range at which it meets the plane, both in cells. Rays near
-        the horizon are in the last ring.
+        Direction of each ray, in cells: its azimuth, and the log range at which it meets the plane. Rays near the
+        horizon are in the last ring.
     first : float
-        The logarithm at which ring 0 begins, in cells.
+        The log range at which ring 0 begins, in cells.
     """
     shape = (int(sector.max()) + 1, int(ring.max()) + 1)
     index = sector * shape[1] + ring
@@ -197,9 +201,9 @@ def _hidden(rays: Rays, m: FloatArray, sector: IntArray, ring: IntArray, first: 
     sigma = np.sqrt(rays.variance_of_inverse(inverse, m))
     above = low & (measured - inverse > GATE * sigma)
     stands = total(above) > 0.5 * np.maximum(total(low), 1.0)
-    # One standard deviation nearer, since it is the noise of the points there that hides the foot.
+    # The foot is taken one standard deviation nearer, since the noise of the points there hides it.
     foot = total(above * (measured + sigma)) / np.maximum(total(above), 1.0)
-    # What the next ring with something standing in it shows: beyond the last one nothing is.
+    # Inverse range of the foot in this ring or the next one that contains a standing object; 0 beyond the last one.
     rings = np.arange(shape[1])
     beyond = np.minimum.accumulate(np.where(stands, rings, shape[1])[:, ::-1], axis=1)[:, ::-1]
     nearest = np.take_along_axis(np.pad(foot, ((0, 0), (0, 1))), beyond, axis=1)
@@ -208,7 +212,10 @@ def _hidden(rays: Rays, m: FloatArray, sector: IntArray, ring: IntArray, first: 
 
 
 def _solve(partition: _Partition, m: FloatArray, settled: float, settings: GroundSettings) -> _Solution:
-    """Reweight until m moves by much less than its own standard deviation."""
+    """Solve by iteratively reweighted least squares, until m moves by much less than its own standard deviation.
+
+    ``settled`` is the convergence limit: the squared length of a step in standard deviations.
+    """
     raised_share = np.full(partition.place.max(axis=0) + 1, 0.5)
     for _ in range(_MAX_ITERATIONS):
         cells = _cell_means(partition, m, settings)
@@ -232,11 +239,11 @@ def _solve(partition: _Partition, m: FloatArray, settled: float, settings: Groun
 
 
 def _covariance(solution: _Solution, settings: GroundSettings) -> FloatArray:
-    """Return the covariance of m, shape (3, 3): of noise, of unevenness, and of what all points have in common."""
+    """Return the covariance of m, shape (3, 3), due to noise, unevenness, and the error shared by all points."""
     cells, gain = solution.cells, solution.gain
     supports = solution.weight > 0.0
     each = np.where(supports, cells.variance / np.where(supports, solution.weight, 1.0), 0.0)
-    # b standard deviations of each point, where all have them in common, add b times this to m.
+    # A shared error of b standard deviations in every point adds b times `cells.sigma @ gain` to m.
     shared = settings.shared_noise_share * (cells.sigma @ gain)
     patches = patches_of(
         solution.m, cells.direction, cells.area_m2, cells.residual, cells.variance, solution.weight, gain
@@ -273,10 +280,10 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
 
 
 def _unevenness(cells: _Cells, settings: GroundSettings) -> float:
-    """Return the standard deviation of the ground's height, the likeliest under Student's t.
+    """Return the maximum-likelihood standard deviation of the ground's height under Student's t.
 
-    Only cells below the plane are asked: those above may be pavement or grass, but below the ground there is nothing
-    but noise.
+    Only cells below the plane are used: those above it may be pavement or grass, but below the ground there is only
+    noise.
     """
     below = cells.residual < 0.0
     tried_m = settings.unevenness_m * _FRACTIONS
@@ -287,15 +294,18 @@ def _unevenness(cells: _Cells, settings: GroundSettings) -> float:
 
 
 def _raised(cells: _Cells, variance: FloatArray, share: FloatArray) -> FloatArray:
-    """Return how likely each cell is raised by up to a kerb, shape (n,), where so large a share of its like is.
+    """Return the probability that each cell is raised by up to the height of a kerb, shape (n,).
 
-    Far away a pavement does not stand out from the noise. But a cell that is a little above the plane is likelier one
-    than a cell below it, and a weight of how likely it is ground leaves no bias: over all cells, raised or not, the
-    mean of this weight times any function is the mean of the function over the ground.
+    Far away a pavement does not stand out from the noise. A cell slightly above the plane is, however, more likely to
+    be pavement than a cell below it, and weighting each cell by its probability of being ground leaves no bias: over
+    all cells, raised or not, the expectation of this weight times any function is proportional to the function's
+    expectation over the ground.
+
+    ``share``, shape (n,), is the prior probability: the fraction of raised cells around each cell.
     """
     sigma = np.sqrt(variance)
     standardised, kerb = cells.residual / sigma, _KERB_M * cells.per_metre / sigma
-    # Both densities in standard deviations; heights up to the kerb's are equally likely.
+    # Both densities are per standard deviation; the prior of a raised cell's height is uniform up to the kerb's.
     ground = (1.0 - share) * np.exp(-0.5 * standardised**2) / np.sqrt(2.0 * np.pi)
     above = share * (ndtr(standardised) - ndtr(standardised - kerb)) / kerb
     raised: FloatArray = above / np.maximum(ground + above, np.finfo(float).tiny)
@@ -303,9 +313,9 @@ def _raised(cells: _Cells, variance: FloatArray, share: FloatArray) -> FloatArra
 
 
 def _share_around(cells: _Cells, raised: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return the share of raised cells around each place, of the shape of the grid of places.
+    """Return the fraction of raised cells in the block around each place, with the shape of the grid of places.
 
-    As if one more cell were there that is like the mean of all.
+    One pseudo-cell with the mean of all cells is added to each block.
     """
     index = tuple(cells.place.T)
 
@@ -320,10 +330,10 @@ def _share_around(cells: _Cells, raised: FloatArray, shape: tuple[int, ...]) -> 
 
 
 def _mean_around(cells: _Cells, pull: FloatArray, uneven: FloatArray) -> FloatArray:
-    """Return the mean residual of the cells around each one in its own standard deviations, shape (n,).
+    """Return the mean residual of the block around each cell, in standard deviations of this mean, shape (n,).
 
-    In a single cell far away a pavement is lost in the noise, in a block of cells it is not. Unevenness is taken as
-    common to all of them.
+    Far away a pavement is lost in the noise of a single cell, but not in that of a block of cells. Unevenness is taken
+    as fully correlated within a block.
     """
     index = tuple(cells.place.T)
 
@@ -333,14 +343,14 @@ def _mean_around(cells: _Cells, pull: FloatArray, uneven: FloatArray) -> FloatAr
         sums: FloatArray = uniform_filter(grid, size=_BLOCK, mode="constant")[index]
         return sums * float(_BLOCK**2)
 
-    # Sums of what is nowhere negative, up to the filter's rounding.
+    # The sums are of non-negative values; the limit removes the filter's rounding errors.
     total = np.maximum(around(pull), np.maximum(pull, np.finfo(float).tiny))
     standardised: FloatArray = around(pull * cells.residual) / total / np.sqrt(1.0 / total + uneven)
     return standardised
 
 
 def check_count(cells: int, settings: GroundSettings) -> None:
-    """Hold the number of cells that support a plane against the settings.
+    """Check the number of cells that support a plane against the settings.
 
     Raises
     ------
@@ -354,6 +364,6 @@ def check_count(cells: int, settings: GroundSettings) -> None:
 
 
 def _tukey(standardised: FloatArray) -> FloatArray:
-    """Return Tukey's biweight, 1 at zero and 0 from `_TUKEY` on."""
+    """Return Tukey's biweight: 1 at zero, and 0 from `_TUKEY` on."""
     weight: FloatArray = np.maximum(1.0 - (standardised / _TUKEY) ** 2, 0.0) ** 2
     return weight

@@ -1,4 +1,4 @@
-"""Ground planes of one sensor as vectors near the first one: two components of the normal, and the height."""
+"""Local coordinates of ground planes of one sensor: two components of the normal, and the height."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from laci_stereo.core.ground import GroundPlane
 
 @dataclass(frozen=True)
 class Chart:
-    """Coordinates of planes near one plane.
+    """Local coordinates of planes near a reference plane.
 
     Attributes
     ----------
     ground : GroundPlane
+        The reference plane.
     across : ndarray, shape (3, 2)
-        Two unit vectors along it, sensor frame.
+        Two orthogonal unit vectors in the reference plane, sensor frame, as columns.
     """
 
     ground: GroundPlane
@@ -27,17 +28,17 @@ class Chart:
 
     @staticmethod
     def around(ground: GroundPlane) -> Chart:
-        """Lay two axes into a plane."""
+        """Return a chart with two orthogonal axes in the reference plane ``ground``."""
         one = _unit(np.cross(ground.normal, np.eye(3)[int(np.abs(ground.normal).argmin())]))
         return Chart(ground, np.column_stack([one, np.cross(ground.normal, one)]))
 
     def values(self, planes: Sequence[GroundPlane]) -> FloatArray:
-        """Return (normal along ``across``, height) of n planes, shape (n, 3)."""
+        """Return the coordinates of n planes, shape (n, 3): components of the normal along ``across``, and height."""
         return np.array([[*(plane.normal @ self.across), plane.height_m] for plane in planes])
 
     def covariance(self, plane: GroundPlane) -> FloatArray:
-        """Return the covariance of such a vector, shape (3, 3)."""
-        # A turn by r moves the normal by normal x r; see `fit_ground`.
+        """Return the covariance of a plane's coordinates, shape (3, 3)."""
+        # A rotation of the coordinates by r moves the normal by normal x r; see `GroundPlane`.
         by = np.zeros((3, 4))
         by[:2, :3] = self.across.T @ np.cross(plane.normal, np.eye(3)).T
         by[2, 3] = 1.0
@@ -45,7 +46,7 @@ class Chart:
         return covariance
 
     def plane(self, value: FloatArray, covariance: FloatArray) -> GroundPlane:
-        """Return the plane with these coordinates; its support is that of the chart's."""
+        """Return the plane with the given coordinates and covariance; its support is that of the reference plane."""
         normal = _unit(self.ground.normal + self.across @ (value[:2] - self.ground.normal @ self.across))
         to_turn = np.zeros((4, 3))
         to_turn[:3, :2] = np.cross(self.across.T, normal).T

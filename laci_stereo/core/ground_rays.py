@@ -1,8 +1,8 @@
-"""Points as rays from the sensor, and the planes they meet.
+"""Points as rays from the sensor, and the planes that the rays meet.
 
-For a ray with unit direction e and range rho the plane ``normal . p + height = 0`` reads ``1 / rho = m . e`` with
-``m = -normal / height``. Every plane that does not run through the sensor is one such m: 1 / height long, and pointing
-away from the sensor.
+For a ray with unit direction e and range rho, the plane ``normal . p + height = 0`` reads ``1 / rho = m . e`` with ``m
+= -normal / height``. Every plane that does not pass through the sensor has one such m, which has the length 1 / height
+and points from the sensor towards the plane.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.settings import GroundSettings
 
-# Beyond three standard deviations lies 0.3 % of normal noise.
+# Gate in standard deviations: 0.3 % of Gaussian noise lies beyond three.
 GATE = 3.0
-# 0.6 deg: narrower than a car or a pavement at any range, and still only some ten thousand in any field of view.
+# Side of a cube on the unit sphere, 0.6 deg: narrower than a car or a pavement at any range, and still only tens of
+# thousands of cubes in any field of view.
 _BEARING = 0.01
 
 
@@ -30,10 +31,10 @@ class Rays:
     directions : ndarray, shape (n, 3)
         Unit vectors in the sensor frame.
     range_m, sigma_along_m, sigma_bearing_rad : ndarray, shape (n,)
-        Range, its standard deviation, and that of the direction.
+        Range, its standard deviation, and the standard deviation of the direction.
     growth : float
-        p in sigma_along ~ range^p: the noise at the range that a plane predicts follows from it. Weights taken at the
-        measured range would favour the points that happen to be measured too near.
+        Exponent p in sigma_along ~ range^p, with which the noise is computed at the range that a plane predicts.
+        Weights computed at the measured range would favour points that are measured too near by chance.
     """
 
     directions: FloatArray
@@ -56,22 +57,25 @@ class Rays:
 
     @property
     def points(self) -> FloatArray:
-        """Sensor frame, metres, shape (n, 3)."""
+        """Points in the sensor frame, metres, shape (n, 3)."""
         return self.directions * self.range_m[:, None]
 
     def sigma_of_inverse(self, inverse: FloatArray) -> FloatArray:
-        """Return what the noise along the rays makes of 1 / range, where a plane predicts ``inverse`` > 0."""
+        """Return the standard deviation of 1 / range due to noise along the rays, at a predicted ``inverse`` > 0."""
         sigma: FloatArray = self.sigma_along_m * (self.range_m * inverse) ** -self.growth * inverse**2
         return sigma
 
     def variance_of_inverse(self, inverse: FloatArray, m: FloatArray) -> FloatArray:
-        """Variance of 1 / range - m . e, to first order, where the plane m predicts 1 / range as ``inverse`` > 0."""
+        """Return the first-order variance of 1 / range - m . e; ``inverse`` > 0 is the 1 / range that m predicts."""
         across_squared = np.maximum(m @ m - inverse**2, 0.0) * self.sigma_bearing_rad**2
         variance: FloatArray = self.sigma_of_inverse(inverse) ** 2 + across_squared
         return variance
 
     def heights_above(self, planes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the heights above planes m, shape (k, 3), and their variances at the measured range, as (k, n)."""
+        """Return the points' heights above planes m of shape (k, 3), and their variances, each of shape (k, n).
+
+        The variances hold at the measured range.
+        """
         length = np.linalg.norm(planes, axis=1, keepdims=True)
         heights = (1.0 - planes @ self.points.T) / length
         across = (self.sigma_bearing_rad * self.range_m) ** 2
@@ -82,7 +86,13 @@ class Rays:
 def as_rays(
     points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, settings: GroundSettings
 ) -> Rays:
-    """Check a cloud and turn it into rays; the parameters are those of `fit_ground`."""
+    """Check a cloud and convert it to rays; the parameters are those of `fit_ground`.
+
+    Raises
+    ------
+    GroundError
+        If the arrays have the wrong shape, if there are too few points, or if a value is not finite or not positive.
+    """
     points, along, across = (np.asarray(a, dtype=np.float64) for a in (points, sigma_along_m, sigma_across_m))
     if points.ndim != 2 or points.shape[1] != 3:
         raise GroundError(f"shape of the points: {points.shape} found, (n, 3) needed")
@@ -105,7 +115,7 @@ def as_rays(
 
 
 def _noise_growth(range_m: FloatArray, sigma_along_m: FloatArray) -> float:
-    """Return p of sigma_along ~ range^p: 2 for a stereo camera, 0 for a LiDAR, and never outside these."""
+    """Return the exponent p of sigma_along ~ range^p, in [0, 2]: 2 for a stereo camera, 0 for a LiDAR."""
     x = np.log(range_m)
     x -= x.mean()
     spread = float(x @ x)
@@ -115,14 +125,14 @@ def _noise_growth(range_m: FloatArray, sigma_along_m: FloatArray) -> float:
 
 
 def random_part(rays: Rays, size: int) -> Rays:
-    """Return so many of the rays, the same ones each time; all, where there are no more."""
+    """Return a random subset of ``size`` rays, the same subset each time; all rays if there are no more."""
     if len(rays) <= size:
         return rays
     return rays[np.sort(np.random.default_rng(0).choice(len(rays), size, replace=False))]
 
 
 def one_per_bearing(rays: Rays) -> Rays:
-    """Keep one random ray of each small cube on the unit sphere, so that dense parts of the view do not rule."""
+    """Keep one random ray per small cube on the unit sphere, so that dense parts of the view do not dominate."""
     order = np.random.default_rng(0).permutation(len(rays))
     cubes = np.floor((rays.directions[order] + 1.0) / _BEARING).astype(np.int64)
     _, first = np.unique(cubes @ [1, 1_000, 1_000_000], return_index=True)

@@ -1,7 +1,7 @@
-"""The ground where vehicles drive: the road, and not the land, the verge or the pavement beside it.
+"""The ground plane where vehicles drive: that of the road, not of the terrain, the verge or the pavement beside it.
 
-The plane that most of the view speaks for need not be the road's, which may be a narrow strip in it. Once something has
-driven through the scene it is known where the road is: below its wheels.
+The plane that most of the view supports need not be that of the road, which may be a narrow strip in the view. Once a
+vehicle has driven through the scene, the place of the road is known: below its wheels.
 """
 
 from __future__ import annotations
@@ -25,44 +25,48 @@ from laci_stereo.core.settings import GroundSettings
 log = logging.getLogger(__name__)
 
 APART = np.geomspace((0.015, FALL / 8.0, FALL / 8.0), OTHER, 5)
-"""Height and slopes of a ground, from the road's, standard deviations, shape (5, 3). The first are those of a ground
-that is the road's: its view may show one side of the crown more than the other, by an eighth of all, and as much of the
-height of a crown of 4 m to either side. The last are those of land. In between is what is partly road, or land that is
-nearly even with it; as nobody knows how nearly, each doubling is as likely (Jeffreys 1946)."""
+"""Standard deviations of the height and the two slopes of the ground relative to the road's plane, shape (5, 3). The
+first row is for a ground that is the road: its view may show one side of the crown more than the other, which moves its
+slopes by an eighth of the fall, and its height by an eighth of that of a crown with sides of 4 m. The last row is for
+terrain. The rows in between are for a ground that is partly road, or for terrain that is nearly level with the road; as
+it is unknown how nearly, each doubling is equally likely (Jeffreys 1946)."""
 
 OPEN = 10.0
-"""What the crown leaves open of the road it leaves open of the ground, which sees the same side of it: by so many times
-that, the ground tells nothing of it."""
+"""The uncertainty that the crown causes in the road's plane is also in the ground's plane, for which the same side of
+the crown was seen. Multiplied by this factor, this covariance makes the ground uninformative about the crown."""
 
 PASSES, SETTLED = 5, 0.1
-"""What is far above a plane is not looked at from it, so the road is looked at again from its own, until that moves by
-less than a third of its doubt, squared here. Where it goes on moving, it may be any that was found, and the ground if a
-look comes back to that."""
+"""Largest number of passes, and the limit of convergence. Points far above the current plane are left out, so the road
+is estimated again relative to its own plane, until the estimate moves by less than a third of its standard deviation;
+`SETTLED` is the square of this. If it does not converge, the planes of all passes are equally likely, including that of
+the ground where a pass returned to it."""
 
 FARTHEST = 4.0
-"""What is farther from the ground than land is from roads, by so many standard deviations, is something else: it falls
-by 11 %, or is 1.2 m higher."""
+"""Largest offset of a road from the ground, in the standard deviations of `OTHER`: a surface that falls by 11 % more,
+or is 1.2 m higher, is something else."""
 
 ROOM_M = 1.0
-"""What moves is left out with so much around it: boxes lack what is not seen."""
+"""Margin by which the boxes of moving objects are enlarged before their points are removed: boxes do not cover the
+hidden parts of an object."""
 
 
 def road_ground(
     survey: Sequence[PointCloud], axes: Axes, ground: GroundPlane, way: FloatArray, settings: GroundSettings
 ) -> GroundPlane:
-    """Return the plane of the road around the way of a vehicle: what is seen of it, and of the ground as a whole.
+    """Return the plane of the road around a vehicle's path, from the visible road and the ground as a whole.
 
-    The ground tells the road's plane as far as it may be that plane, by `APART`. Where no road is seen, nobody knows
-    whether the ground is one, or only one side of it.
+    The ground is evidence of the road's plane, in that its offset from the road has the priors of `APART`. Where no
+    road is seen, it is unknown whether the ground is a road, or only one side of one; the ground is then returned with
+    the standard deviation of a fall in its slopes.
 
     Parameters
     ----------
     survey : sequence of PointCloud
-        Without what moves.
+        Clouds without the points of moving objects.
     axes : Axes
     ground : GroundPlane
     way : ndarray, shape (n, 2)
-        Of a vehicle, in the level frame of this ground; see `places`.
+        Path of a vehicle, in the level frame of ``ground``; see `places`.
     settings : GroundSettings
 
     Raises
@@ -101,14 +105,14 @@ def road_ground(
 def standing(
     survey: Sequence[PointCloud], T_level_sensor: FloatArray, boxes: Mapping[int, Sequence[Box]]
 ) -> tuple[PointCloud, ...]:
-    """Return clouds without what is in or near what moves in their frames.
+    """Return the clouds without the points in or near the objects that move in their frames.
 
     Parameters
     ----------
     survey : sequence of PointCloud
     T_level_sensor : ndarray, shape (4, 4)
     boxes : mapping of int to sequence of Box
-        Of what moves, in the level frame, by the frame's stamp.
+        Boxes of the moving objects, in the level frame, by the frame's stamp in nanoseconds.
     """
     found = []
     for cloud in survey:
@@ -128,10 +132,11 @@ def _seen_from(
     way: FloatArray,
     settings: GroundSettings,
 ) -> tuple[GroundPlane, GroundPlane, GroundPlane] | None:
-    """Return the plane of the road along a way on a ground, looked at in the level frame of what was found of it.
+    """Return the plane of the road along a path on the ground, estimated in the level frame of the plane ``found``.
 
-    It is there three times: with its doubt, with what of that the crown leaves open, and with what edges that may be
-    none add to it. None if no road is seen near the ground.
+    The plane is returned three times, with different covariances: its own; the part of that which is due to the crown;
+    and the additional covariance due to edges that may not be real. None is returned if no road is seen near the
+    ground.
     """
     T_level_sensor, T_ground_sensor = found.T_level_sensor(axes), ground.T_level_sensor(axes)
     T_level_ground = T_level_sensor @ invert(T_ground_sensor)
@@ -157,19 +162,19 @@ def _seen_from(
 def _together(
     off: FloatArray, of_road: FloatArray, cases: Sequence[FloatArray], land: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the road's plane, from the ground's, and its covariance, as the road and the ground tell together.
+    """Return the offset of the road's plane from the ground's, shape (3,), and its covariance, from both together.
 
     Parameters
     ----------
     off : ndarray, shape (3,)
-        What is seen of the road, from the ground.
+        Estimated offset of the road from the ground.
     of_road : ndarray, shape (3, 3)
-        Its covariance.
+        Covariance of this estimate.
     cases, land : ndarray, shape (3, 3)
-        How far the ground may be from the road's plane, in cases that are as likely as one another beforehand. What is
-        seen of the road holds that of land already.
+        Prior covariances of the offset, in cases that are equally likely a priori. The estimate of the road already
+        includes the prior for terrain, ``land``.
     """
-    # A road that is bent much is known less well than beforehand, and tells nothing then, but not less.
+    # The posterior of a strongly bent road can be wider than its prior: it has no information then, not a negative one.
     root = np.linalg.cholesky(land)
     values, vectors = np.linalg.eigh(root.T @ np.linalg.inv(of_road) @ root - np.eye(len(off)))
     by_road = np.linalg.solve(root.T, vectors[:, values > 0.0])
@@ -189,13 +194,13 @@ def _together(
 
 
 def _spread(by_plane: FloatArray, sigmas: ArrayLike) -> FloatArray:
-    """Return the covariance, in a chart, of a height and two slopes with some standard deviations, shape (3, 3)."""
+    """Return the covariance, in a chart, of a height and two slopes with given standard deviations, shape (3, 3)."""
     covariance: FloatArray = (by_plane * np.square(sigmas)) @ by_plane.T
     return covariance
 
 
 def _by_plane(chart: Chart, axes: Axes, place: FloatArray) -> FloatArray:
-    """Return what changes coordinates in a chart by height, at a place in the level frame, and slopes, shape (3, 3)."""
+    """Return the derivative of chart coordinates by height and slopes at a place in the level frame, shape (3, 3)."""
     across = chart.ground.T_level_sensor(axes)[:2, :3] @ chart.across
     by = np.zeros((3, 3))
     by[:2, 1:] = -across.T

@@ -1,8 +1,8 @@
 """A robust start for the ground plane, and the paper's iterated principal axes from there.
 
-The paper iterates principal axes from all points, which goes astray when walls are in view. Here planes through three
-points compete first: near enough to up, with much of the view on them and little below them. Planes are given as in
-`laci_stereo.core.ground_rays`.
+The paper iterates principal axes from all points, which converges to a wrong plane when walls are in view. Here the
+start is chosen by random sampling: among planes through three points that are near enough to horizontal, the one with
+the most of the view on it and the least below it. Planes are represented by m as in `laci_stereo.core.ground_rays`.
 """
 
 from __future__ import annotations
@@ -14,39 +14,42 @@ from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.core.ground_rays import GATE, Rays, random_part
 from laci_stereo.core.settings import GroundSettings
 
-# They tell a share of the view of 0.3 to within 0.007.
+# Largest number of points used: they determine a fraction of the view of 0.3 to within 0.007.
 _POINTS = 4000
-# With 15 % of ground among the points a triple is all ground with 0.3 %: 2000 leave 6 expected, 0.2 % for none.
+# If 15 % of the points are ground, a triple is all ground with a probability of 0.3 %: of 2000, 6 are expected, and
+# none occurs with a probability of 0.2 %.
 _TRIPLES = 2000
-# As high as the things that stand about: where a point that is not on the ground may be.
+# Height of the scene: the range of heights over which points that are not on the ground are distributed uniformly.
 _SCENE_HEIGHT_M = 10.0
-# All planes are first judged by these, which tell a share of the view to within 0.02, and the best of them by all.
+# All planes are first scored with this many points, which determine a fraction of the view to within 0.02; then the
+# best planes, this fraction of all, are scored with all points.
 _FEW_POINTS = 500
 _BEST_SHARE = 0.1
-# Planes that are judged at a time: what they need stays in a processor's cache.
+# Number of planes scored at a time, so that their data stay in a processor's cache.
 _SLICE = 8
-# In standard deviations: the plane of a triple is off by some more than the noise of its points.
+# Thresholds of the iterations in standard deviations: the plane of a triple is off by more than the noise of its
+# points.
 _THRESHOLDS = (2.0 * GATE, 1.5 * GATE, *(12 * [GATE]))
 
 
 def robust_start(rays: Rays, up: FloatArray, settings: GroundSettings, *, farther: float = 0.0) -> FloatArray:
-    """Return the plane through three random points that the rays speak for most.
+    """Return the plane through three random points for which the rays give the largest evidence, shape (3,).
 
     Parameters
     ----------
     rays : Rays
-        One of each bearing, so that what they say is a share of the view.
+        One ray per bearing, so that the score measures a fraction of the view.
     up : ndarray, shape (3,)
         Unit vector in the sensor frame.
     settings : GroundSettings
     farther : float
-        By what power of its range each ray counts: 0 is a share of the view, 1 one of azimuth and the logarithm of
-        range, 3 one of area.
+        Power of its range by which each ray is weighted: 0 measures a fraction of the view, 1 a fraction of azimuth and
+        log range, 3 a fraction of area.
 
     Raises
     ------
     GroundError
-        If none is where the ground can be.
+        If no sampled plane is within the tilt and heights of the settings.
     """
     rays = random_part(rays, _POINTS)
     drawn = np.random.default_rng(0).integers(len(rays), size=(_TRIPLES, 3))
@@ -69,10 +72,10 @@ def _scores(rays: Rays, planes: FloatArray, settings: GroundSettings, farther: f
 
 
 def _score(rays: Rays, planes: FloatArray, settings: GroundSettings, farther: float) -> FloatArray:
-    """Return the evidence for each plane, shape (k,): that of the rays on it less that of the rays that end below it.
+    """Return the evidence for each plane, shape (k,): that of the rays on it minus that of the rays that end below it.
 
-    The evidence of a ray is the logarithm of how much likelier its height is on the plane than anywhere in the scene,
-    so that a wall, blurred by depth noise into a slab of several metres, is none for the planes that cut through it.
+    The evidence of a ray is the log-likelihood ratio of its height on the plane to a uniform height in the scene, so
+    that a wall, blurred by depth noise into a slab of several metres, gives no evidence for planes that cut through it.
     """
     heights, variance = rays.heights_above(planes)
     variance += settings.unevenness_m**2
@@ -85,7 +88,7 @@ def _score(rays: Rays, planes: FloatArray, settings: GroundSettings, farther: fl
 
 
 def can_be_ground(planes: FloatArray, up: FloatArray, settings: GroundSettings) -> BoolArray:
-    """Return which planes, shape (k, 3), are within the tilt and the heights of the settings."""
+    """Return which planes, shape (k, 3), are within the tilt and heights of the settings, shape (k,)."""
     length = np.linalg.norm(planes, axis=1)
     near_up = -planes @ up >= length * np.cos(np.radians(settings.max_tilt_deg))
     within: BoolArray = near_up & (length * settings.min_height_m <= 1.0) & (length * settings.max_height_m >= 1.0)
@@ -103,7 +106,7 @@ def where_it_can_be(settings: GroundSettings) -> str:
 def principal_axes(rays: Rays, m: FloatArray, settings: GroundSettings) -> FloatArray:
     """Fit principal axes to the inliers, with a shrinking threshold, until the inliers stay the same (section III-A).
 
-    Returns the plane it was given where too few points are near to span another one.
+    If too few points are near the current plane to determine another one, the current plane is returned.
     """
     inliers = np.zeros(len(rays), dtype=bool)
     for threshold in _THRESHOLDS:

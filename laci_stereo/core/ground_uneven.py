@@ -1,9 +1,9 @@
-"""What the unevenness of the road leaves unknown of the ground plane.
+"""The uncertainty of the ground plane due to the unevenness of the road.
 
 ISO 8608 gives the spectrum of a road's height as G (n / n0)^-2 over the wave number n, with n0 = 0.1 / m. A random
-field with the covariance u^2 exp(-distance / l) has the spectrum u^2 / (pi^2 l n^2) for waves shorter than some l, so
-it is such a road where u^2 = pi^2 l n0^2 G. How uneven the road is shows where the noise lets it show; where it does
-not, what is known of paved roads speaks.
+field with the covariance u^2 exp(-distance / l) has the spectrum u^2 / (pi^2 l n^2) for waves shorter than a few l, so
+it models such a road if u^2 = pi^2 l n0^2 G. Where the noise is small enough, u is estimated from the heights; where it
+is not, the prior for paved roads dominates.
 """
 
 from __future__ import annotations
@@ -15,26 +15,27 @@ import numpy as np
 from laci_stereo.core.cluster import cells_of
 from laci_stereo.core.frames import FloatArray
 
-# l: a road falls from its crown to its gutter, so its height is common to about as much as half its width.
+# Correlation length l: a road falls from its crown to its gutter, so heights are correlated over about half its width.
 REACH_M = 7.0
 N0_PER_M = 0.1
-# Class B, a good paved road: G = 64e-6 m^3.
+# u of class B, a good paved road: G = 64e-6 m^3.
 CLASS_B_M = float(np.sqrt(np.pi**2 * REACH_M * N0_PER_M**2 * 64e-6))
-# A paved road of class C by ISO 8608 is as uneven; what is more so is more than one surface.
+# u of class C, the most uneven class of paved roads by ISO 8608; a larger value indicates more than one surface.
 ONE_SURFACE_M = 2.0 * CLASS_B_M
-# With each class G is four times as large. Paved roads are of class A to C, which is taken as one standard deviation.
+# Classes from B on, in steps of half a class; each class has four times the G of the previous one. Paved roads are of
+# class A to C, which is taken as one standard deviation.
 _CLASSES = np.arange(-3.0, 3.1, 0.5)
 _TRIED_M = CLASS_B_M * 2.0**_CLASSES
-# The noise is not known exactly either: so many times its variance, all as likely before.
+# The noise is not known exactly either: factors of its variance, all equally likely a priori.
 _NOISES = 2.0 ** np.arange(-2.0, 2.1, 0.5)
-# So many patches are each much smaller than what is in view.
+# Number of patches, each of which is then much smaller than the visible ground.
 _PATCHES = 100
-# Places along the side of a square that stand for all of it.
+# Number of places along the side of a square that represent the whole side.
 _ALONG_SIDE = 4
-# Degrees of freedom that let one patch in twenty be an outlier.
+# Degrees of freedom of Student's t, with which one patch in twenty may be an outlier.
 _STUDENT = 4.0
-# Its scale, in units of a Gaussian's variance: the c at which 5 z^2 / (4 c + z^2) is 1 in the mean of the Gaussian, so
-# that heights without outliers tell their own variance.
+# Scale of Student's t in units of a Gaussian's variance: the c for which the mean of 5 z^2 / (4 c + z^2) over a
+# standard Gaussian z is 1, so that the variance of heights without outliers is estimated without bias.
 _SCALE = 0.69
 
 
@@ -45,15 +46,15 @@ class Patches:
     Attributes
     ----------
     place_m : ndarray, shape (k, 2)
-        Position on the plane, along the squares' sides.
+        Position on the plane, in axes along the squares' sides.
     side_m : float
-        Of each square.
+        Side of each square.
     height_m, variance_m2 : ndarray, shape (k,)
-        Mean height above the plane, and its variance through noise.
+        Mean height above the plane, and its variance due to noise.
     lift : ndarray, shape (k, 3)
-        What 1 m more of height of the patch adds to m.
+        Derivative of m with respect to the height of each patch.
     slope_m : ndarray, shape (k, 3)
-        What more of m takes from the patch's height.
+        Negative derivative of each patch's height above the plane with respect to m.
     """
 
     place_m: FloatArray
@@ -73,22 +74,22 @@ def patches_of(
     weight: FloatArray,
     gain: FloatArray,
 ) -> Patches:
-    """Gather cells of the ground in patches.
+    """Group cells of the ground into patches.
 
     Parameters
     ----------
     m : ndarray, shape (3,)
         The plane, see `laci_stereo.core.ground_rays`.
     direction : ndarray, shape (n, 3)
-        Of each cell's rays.
+        Mean direction of each cell's rays.
     area_m2 : ndarray, shape (n,)
-        Of each cell on the plane.
+        Area of each cell on the plane.
     residual, variance : ndarray, shape (n,)
-        Of each cell: mean of 1 / range beyond the plane's, and its variance through noise.
+        Mean of measured minus predicted 1 / range in each cell, and its variance due to noise.
     weight : ndarray, shape (n,)
-        From 0 to 1, 0 where a cell is not ground.
+        Weight of each cell from 0 to 1, 0 where a cell is not ground.
     gain : ndarray, shape (n, 3)
-        What more of a cell's residual adds to m.
+        Derivative of m with respect to each cell's residual.
     """
     ground = weight > 0.0
     direction, residual, gain = direction[ground], residual[ground], gain[ground]
@@ -118,9 +119,9 @@ def patches_of(
 
 
 def covariance_of_unevenness(patches: Patches) -> FloatArray:
-    """Return what the unevenness adds to the covariance of m, shape (3, 3): the mean over what is likely of it."""
+    """Return the covariance of m due to unevenness, shape (3, 3), averaged over the posterior of the unevenness."""
     together = _common(patches.place_m, patches.side_m)
-    # In units of the noise, and without what a plane can take up; modes of the unevenness are independent.
+    # In units of the noise, and without the components that a plane absorbs; modes of the unevenness are independent.
     per_sigma = 1.0 / np.sqrt(patches.variance_m2)
     plane = np.linalg.qr(per_sigma[:, None] * patches.slope_m)[0]
     left = np.eye(len(plane)) - plane @ plane.T
@@ -137,10 +138,10 @@ def covariance_of_unevenness(patches: Patches) -> FloatArray:
 def _common(place_m: FloatArray, side_m: float) -> FloatArray:
     """Return the correlation of means over squares, shape (k, k): that of points, averaged over places in both squares.
 
-    A mean hides what is shorter than its square. Taken for a point's, its smoothness would tell a road more even than
-    the one that is there.
+    A mean suppresses waves that are shorter than its square. If it were treated as the height of a point, its
+    smoothness would make the road appear more even than it is.
     """
-    # Two of n places along a side are d steps apart in n - |d| of n^2 pairs.
+    # Of the n^2 pairs of n places along a side, n - |d| are d steps apart.
     steps = np.arange(1 - _ALONG_SIDE, _ALONG_SIDE)
     share = (_ALONG_SIDE - np.abs(steps)) / _ALONG_SIDE**2
     apart = place_m - place_m[:, None]

@@ -245,7 +245,7 @@ def fit_jointly(
     offsets = [0.0] * len(drives) if time_offsets_s is None else list(time_offsets_s)
     used = [drive for drive in drives if len(drive)]
     if not used:
-        raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
+        raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
     begin = _around(start, centre)
     turn = _turn_of(drives)
@@ -416,7 +416,7 @@ def fit_roughly(
     Parameters and errors are those of `fit_jointly`.
     """
     if not len(drive):
-        raise MatchError("0 points of the vehicle while its CAMs tell its position; needed are some in 10 frames")
+        raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     settings, turn = settings or JointSettings(), _turn_of([drive])
     problem = _Problem([drive.thinned(ROUGH_ROWS)], _around(start, centre), centre, settings, turn)

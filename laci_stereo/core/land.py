@@ -1,4 +1,4 @@
-"""How high the land is beside a road: what is as low as that is no vehicle, though it is above the road's plane."""
+"""Height of the terrain beside a road: points no higher than that do not belong to a vehicle, even above the plane."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from laci_stereo.core.static_clutter import stands
 
 @dataclass(frozen=True)
 class Land:
-    """Up to where points are the ground's.
+    """Height of the terrain above the ground plane, by cells of the ground plan.
 
     Attributes
     ----------
     cells : ndarray of int, shape (n,)
-        In order, as `cells_of` numbers them.
+        Numbers of the cells as in `cells_of`, ascending.
     top_m : ndarray, shape (n,)
-        Of the highest ground in each and around it, above the plane, its scatter included.
+        Height above the plane of the highest ground in each cell and around it, including the dispersion of its points.
     cell_m : float
+        Side of a cell.
     """
 
     cells: IntArray
@@ -31,7 +32,7 @@ class Land:
     cell_m: float
 
     def top_at(self, xy: FloatArray) -> FloatArray:
-        """Return the same of places, level frame, shape (n, 2); 0 where nothing is known to be above the plane."""
+        """Return this height at places, level frame, shape (n, 2); 0 where no terrain is known above the plane."""
         if not len(self.cells):
             return np.zeros(len(xy))
         wanted = cells_of(xy, self.cell_m)
@@ -44,16 +45,16 @@ FLAT = Land(np.zeros(0, dtype=np.int64), np.zeros(0), 1.0)
 
 
 def learn_land(clouds_level: Sequence[FloatArray], settings: Settings) -> Land:
-    """Learn where the ground is above the plane, from what is too low for the background.
+    """Learn where the terrain is above the plane, from points that are too low for the background.
 
-    It is looked for where something as high as a vehicle's points is seen all the time, however seldom. Vehicles may
-    stand there in three of four frames; so the ground is where a quarter of the frames has it, and it scatters upwards
-    as it does downwards, where nothing else is.
+    It is searched where points as high as a vehicle's are seen throughout the recording, even if only in few frames.
+    Vehicles may stand there in three of four frames, so the height of the ground is the lower quartile over the frames.
+    Its points are assumed to scatter upwards as they do downwards, where there are no points of other objects.
 
     Parameters
     ----------
     clouds_level : sequence of ndarray, shape (n, 3)
-        Whole frames, level frame, metres; from different times.
+        Points of whole frames from different times, level frame, metres.
     settings : Settings
     """
     cell_m = settings.background.cell_m
@@ -81,7 +82,7 @@ def learn_land(clouds_level: Sequence[FloatArray], settings: Settings) -> Land:
 
 
 def _quantile(group: IntArray, values: FloatArray, share: float) -> FloatArray:
-    """Return which of its values, shape (n,), that share of each group is below, shape (g,); groups are numbered."""
+    """Return the quantile at ``share`` of the values, shape (n,), of each group, shape (g,); groups are 0 to g - 1."""
     count = np.bincount(group)
     ordered = values[np.lexsort((values, group))]
     quantile: FloatArray = ordered[np.cumsum(count) - count + (share * count).astype(np.int64)]

@@ -1,4 +1,4 @@
-"""What a sensor saw, before anything is known of the messages: ground, background and what moved."""
+"""Observation of a scene without any message: ground, background and moving objects; then the road below the sender."""
 
 from __future__ import annotations
 
@@ -38,38 +38,41 @@ from laci_stereo.core.tracking import Track, link_tracks
 log = logging.getLogger(__name__)
 
 LOOKS = 2
-"""So often the road is looked for."""
+"""Largest number of times that the road is estimated."""
 
 _BEYOND_S = np.arange(0.0, 20.0, 0.1)
-"""So long after it was last seen, and before it was first, a vehicle's way is asked for: at a walk that is 20 m."""
+"""Times after the last sighting, and before the first one, for which a vehicle's path is taken from its messages: at
+walking speed these cover 20 m."""
 
 SAME_M = 0.05
-"""By so much another ground may be higher or lower along the way for what was seen from the first to be laid onto it:
-then an eighth of a wall's lower part is missing at most, and else the recording is observed again, which takes time."""
+"""Largest difference in height along the path up to which the observation on the first ground is transformed to another
+ground: at most an eighth of a wall's lower part is missing then. With a larger difference the recording is observed
+again, which takes time."""
 
 OTHER_M = FARTHEST * OTHER[0]
-"""A road is no farther than that above or below the land beside it."""
+"""Largest height of a road above or below the terrain beside it."""
 
 GROUND_POINTS = 100_000
-"""So many points of the survey fix the ground: the plane's error comes from the road by then, not from their noise."""
+"""Number of points of the survey that the ground is fitted to: with so many, the plane's error is due to the road and
+not to their noise."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What a sensor saw.
+    """The scene as observed by a sensor.
 
     Attributes
     ----------
     axes : Axes
-        Of the sensor.
+        Axes of the sensor.
     ground : GroundPlane
     background : Background
     tracks : tuple of Track
-        Everything that may have moved, in the level frame, the one with most sightings first.
+        All objects that may have moved, in the level frame, the one with most sightings first.
     survey : tuple of PointCloud
-        Thinned, which the ground was fitted to.
+        The thinned clouds that the ground was fitted to.
     standing : tuple of PointCloud
-        The same without what moves.
+        The same clouds without the points of moving objects.
     """
 
     axes: Axes
@@ -94,15 +97,15 @@ def observe(
     Parameters
     ----------
     source : PointCloudSource
-        It is read twice: a survey of whole frames, then every frame once.
+        The recording; it is read twice: a survey of whole frames, then every frame once.
     settings : Settings
     ground : GroundPlane
-        Where it is known already.
+        The ground if it is known already.
 
     Raises
     ------
     CalibrationError
-        If there is no ground, or nothing whole to learn it from.
+        If no ground is found, or if the survey has no whole frames.
     """
     settings = settings or Settings()
     survey = list(source.survey())
@@ -139,24 +142,25 @@ def observe(
 def on_the_road(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings | None = None
 ) -> Observation:
-    """Take the road below the sender for the ground, and observe again where that is another one.
+    """Replace the ground by the road below the sender, and observe again if that is a different plane.
 
-    On a wrong ground a stranger may pass for the sender, on land of its own. Where the sender is found elsewhere then,
-    this is done once more. Where nothing on the ground is clearly the sender, it is looked for on other grounds.
+    On a wrong ground another vehicle, on other terrain, may be mistaken for the sender. If the sender is found
+    elsewhere after the ground was replaced, this is done once more. If no track on the ground is clearly the sender's,
+    it is searched on other grounds.
 
     Parameters
     ----------
     seen : Observation
     source : PointCloudSource
-        What it was made from.
+        The recording that ``seen`` was made from.
     vehicles : mapping of int to VehicleTrack
-        By station.
+        The senders' tracks by station.
     settings : Settings
 
     Raises
     ------
     GroundError
-        If too little of the view supports the ground, and no road that anybody drives on is seen.
+        If too little of the view supports the ground, and no road that a sender drives on is seen.
     """
     settings = settings or Settings()
     seen, choice = _where_driven(seen, source, vehicles, settings)
@@ -164,7 +168,7 @@ def on_the_road(
     for _ in range(LOOKS):
         if before is not None:
             choice = _driven(seen, vehicles, settings)
-        if choice is None:  # it will be said why, if not because there is no ground
+        if choice is None:  # the caller reports why, unless it is the ground's support
             check_support(first.ground, settings.ground)
             break
         T_first_seen = first.T_level_sensor @ invert(seen.T_level_sensor)
@@ -181,7 +185,7 @@ def on_the_road(
 
 
 def _laid(seen: Observation, ground: GroundPlane, T_ground_seen: FloatArray) -> Observation:
-    """Return what was seen, in the level frame of another ground."""
+    """Return an observation transformed to the level frame of another ground."""
     tracks = tuple(transformed_track(T_ground_seen, track) for track in seen.tracks)
     return replace(
         seen, ground=ground, background=transformed_background(T_ground_seen, seen.background), tracks=tracks
@@ -189,16 +193,17 @@ def _laid(seen: Observation, ground: GroundPlane, T_ground_seen: FloatArray) -> 
 
 
 def _is_along(way: FloatArray, before: FloatArray) -> bool:
-    """Tell whether a way is mostly within half a lane of another."""
+    """Return whether most of a path is within half a lane of another one."""
     return bool(np.median(cKDTree(before).query(way)[0]) < HALF_LANE_M)
 
 
 def _where_driven(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
 ) -> tuple[Observation, Choice | None]:
-    """Return what is seen on the first ground on which a track that stands on it is clearly a sender's.
+    """Return the observation on the first ground on which a track is clearly a sender's, and that track.
 
-    Else, on which one may be.
+    The track must also have points at the level of the ground. If there is no such ground, the first one is returned on
+    which a track may be a sender's; if there is none either, ``seen`` and None.
     """
     tried = []
     for each in chain([seen], _on_other_grounds(seen, source, settings)):
@@ -214,7 +219,7 @@ def _where_driven(
 
 
 def _stands(track: Track) -> bool:
-    """Tell whether anything of a track is as low as a car's sides: what drives on an embankment is above the land's."""
+    """Return whether any point of a track is as low as a car's sides; those on an embankment are above the terrain."""
     parts = [points for one in track.sightings for points in (one.points, one.low.points)]
     return any((points[:, 2] < SIDES_HIGHEST_M).any() for points in parts)
 
@@ -222,7 +227,10 @@ def _stands(track: Track) -> bool:
 def _driven(
     seen: Observation, vehicles: Mapping[int, VehicleTrack], settings: Settings, *, surely: bool = False
 ) -> Choice | None:
-    """Return the track that fits a sender best, if any does: a stranger drives on the road as well."""
+    """Return the best match of a track and a sender, or None if there is none.
+
+    Without ``surely`` the odds do not matter: a track that is not the sender's leads to the road as well.
+    """
     match = settings.match if surely else settings.match.any_fit
     try:
         return choose_track(whole(seen.tracks, vehicles.values(), settings), vehicles, match)
@@ -231,7 +239,10 @@ def _driven(
 
 
 def _sent(choice: Choice, vehicles: Mapping[int, VehicleTrack]) -> tuple[FloatArray, FloatArray]:
-    """Return where its messages have a vehicle before it was first seen, backwards, and after it was last, (n, 2)."""
+    """Return the reported path before the first sighting, backwards, and after the last one, shape (n, 2) each.
+
+    Both are in the level frame and end where the position is no longer known.
+    """
     found = []
     for sighting, way in ((choice.track.sightings[0], -1.0), (choice.track.sightings[-1], 1.0)):
         xy, _, known = vehicles[choice.station].at(sighting.stamp_s + choice.time_offset_s + way * _BEYOND_S)
@@ -241,7 +252,7 @@ def _sent(choice: Choice, vehicles: Mapping[int, VehicleTrack]) -> tuple[FloatAr
 
 
 def _on_other_grounds(seen: Observation, source: PointCloudSource, settings: Settings) -> Iterator[Observation]:
-    """Observe again on what is above the ground, below it, and farther away, where there is a plane."""
+    """Yield observations on planes above the ground, below it, and farther away, as far as such planes are found."""
     points, axes, ground = _gathered(seen.survey), seen.axes, settings.ground
     fits: list[Callable[[], GroundPlane]] = [
         lambda: fit_ground_beside(*points, seen.ground, (0.0, OTHER_M), ground),
@@ -269,7 +280,7 @@ def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> Gro
 
 
 def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the points of all clouds, and their noise along and across the line of sight."""
+    """Return the points of all clouds, and their standard deviations along and across the line of sight."""
     return (
         np.concatenate([cloud.points for cloud in survey]),
         np.concatenate([cloud.sigma_along_m for cloud in survey]),

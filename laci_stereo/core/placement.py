@@ -33,7 +33,7 @@ CONTRADICTED = 4.0
 """Beyond so many standard deviations what was found is not what the messages tell."""
 
 ANOTHER_PIECE = (
-    "what was seen may be another piece of it, or its length wrong, and the position off by as much along the way"
+    "what was seen may be another part of it, or its length wrong, and the position off by as much along the path"
 )
 
 
@@ -265,12 +265,12 @@ def place(
 def _check_registered(fit: JointFit, drives: Sequence[Evidence], settings: Settings) -> None:
     if fit.frames < settings.match.min_frames:
         raise MatchError(
-            f"the vehicle's outline is seen in {fit.frames} frames while its CAMs tell its position; needed are "
+            f"the vehicle's outline is seen in {fit.frames} frames while its CAMs report its position; needed are "
             f"{settings.match.min_frames}{_blurred(drives)}"
         )
     if fit.explained < LEAST_EXPLAINED:
         raise MatchError(
-            f"the outline that the messages tell explains {fit.explained:.0%} of the vehicle's points; needed are "
+            f"the outline that the messages report explains {fit.explained:.0%} of the vehicle's points; needed are "
             f"{LEAST_EXPLAINED:.0%}: something else is seen with it, or its messages are wrong"
         )
 
@@ -309,7 +309,7 @@ def ridden_doubts(
 
 def _part_of_it(frames: int) -> str:
     return (
-        f"{_besides(frames)}: a trailer that its messages do not tell, or a piece of it, may have been taken for the "
+        f"{_besides(frames)}: a trailer that its messages do not report, or a piece of it, may have been taken for the "
         "vehicle"
     )
 
@@ -375,12 +375,12 @@ def _in_words(correction: Correction, vehicle: VehicleTrack) -> str:
         return f"the messages' heading is {np.degrees(value):.1f} deg off the vehicle's body, clockwise"
     if correction.what == "ahead":
         where = f"{abs(value):.2f} m {'behind' if value > 0 else 'ahead of'}"
-        return f"the messages' positions are {where} where on the vehicle --cam-reference puts them"
+        return f"the messages' positions are {where} the point that --cam-reference gives"
     if correction.what == "left":
         side = "right" if value > 0 else "left"
-        return f"the messages' positions are {abs(value):.2f} m to the {side} of where --cam-reference puts them"
+        return f"the messages' positions are {abs(value):.2f} m to the {side} of the point that --cam-reference gives"
     guessed_m = dict(zip(("length", "width"), vehicle.guessed_m, strict=True))
-    told = "was assumed" if guessed_m[correction.what] else "its messages tell"
+    told = "was assumed" if guessed_m[correction.what] else "its messages report"
     return f"the vehicle's {correction.what} is {value:+.2f} m off what {told}"
 
 
@@ -393,8 +393,8 @@ def _optics_in_words(fit: JointFit) -> str:
         for each in fit.optics
     )
     return (
-        f"depths are {depths} than measured, and breadths {breadths}: the stereo calibration's focal length (depths "
-        f"alone) or baseline (both) is wrong, and the camera is put about {off_m:.1f} m off its place; mend it and "
+        f"depths are {depths} than measured, and widths {breadths}: the stereo calibration's focal length (depths "
+        f"alone) or baseline (both) is wrong, and the camera's position is off by about {off_m:.1f} m; correct it and "
         "calibrate again"
     )
 
@@ -402,29 +402,29 @@ def _optics_in_words(fit: JointFit) -> str:
 def _perhaps_unset(clock: Correction) -> str:
     """Say that a clock that nobody has set would explain what is seen better, where its offset is not known well."""
     return (
-        f"clocks that are {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms apart would explain what is seen "
-        "better; unless they are surely set: --clock unknown"
+        f"a clock offset of {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms would fit better; unless the clocks "
+        "are known to be synchronised: --clock unknown"
     )
 
 
 def _turning(fit: JointFit, turn_s: float) -> str:
     """Say how the scanner turns, if it does that once in ``turn_s``."""
-    how = {0.0: "all at once", 1.0: "turning counter-clockwise", -1.0: "turning clockwise"}[fit.turn]
-    found = f"by the drive, the scanner takes a scan's points {how} (probability {fit.turn_probability:.0%})"
+    how = {0.0: "all at once", 1.0: "spinning counter-clockwise", -1.0: "spinning clockwise"}[fit.turn]
+    found = f"by the drive, the scanner measures a scan's points {how} (probability {fit.turn_probability:.0%})"
     if fit.turn == 0.0:
         return found
     return (
-        f"{found}, once in {turn_s:.3g} s; when in a turn it sees the vehicle is a part of the clock offset then, "
-        "which --sweep takes out"
+        f"{found}, one revolution in {turn_s:.3g} s; the clock offset then includes the time within the revolution at "
+        "which the vehicle is measured, which --sweep removes"
     )
 
 
 def _assumed_accuracies(drives: Sequence[Evidence], names: Sequence[str], settings: JointSettings) -> list[str]:
     """Say how exact positions were taken for whose messages tell nothing of it."""
     assumed = (
-        f"the messages tell no accuracy of their positions: taken as {settings.position_sigma_m:g} m, that of a "
+        f"the messages report no accuracy of their positions: taken as {settings.position_sigma_m:g} m, that of a "
         "receiver with carrier-phase corrections; with another the result is as far off as its positions: "
-        "say --cam-sigma"
+        "give --cam-sigma"
     )
     return [
         f"{name}: {assumed}" if name else assumed
@@ -465,16 +465,16 @@ def _advice(fit: JointFit, doubt: Doubt, drive: Evidence, missing_m: float = 0.0
     along = abs(np.cos(yaw - np.arctan2(velocity[1], velocity[0]))) > np.sqrt(0.5)
     direction = "along the drive" if along else "across the drive"
     if along and missing_m > sigma_m:  # 0.7 of it is in the doubt
-        why = "an end of the vehicle was never seen, so that all may be shifted by as much; another vehicle shows both"
+        why = "an end of the vehicle was never seen: the result may be shifted by as much; another vehicle shows both"
     elif along and by_clock > 0.7 * sigma_m:
         why = (
-            f"the clocks' offset, known to {1e3 * fit.time_sigmas_s[0]:.0f} ms, looks like a shift; a drive with a "
-            "turn, or one that brakes while in view, tells them apart"
+            f"the clock offset, known to {1e3 * fit.time_sigmas_s[0]:.0f} ms, cannot be told from a shift; a turn, or "
+            "braking while in view, separates them"
         )
     elif _told(drive.vehicle) > 0.7 * sigma_m:
         why = f"the CAMs' own positions are known to {_told(drive.vehicle):.2f} m; drives at other times average that"
     elif by_yaw > 0.7 * sigma_m:
-        why = "the drive is short, so its direction is not sharp; a longer one tells the yaw"
+        why = "the drive is short, so its direction is uncertain; a longer one determines the yaw"
     else:
         why = "few sides of the vehicle are seen; a drive that turns, or comes back the other way, shows the others"
     return f"weakest {direction} ({sigma_m:.2f} m): {why}"

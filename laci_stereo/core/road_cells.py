@@ -1,4 +1,4 @@
-"""What is seen of a road, in squares of the ground plan, and its means over patches."""
+"""Points of a road, averaged in square cells of the ground plan, and means of the cells over patches."""
 
 from __future__ import annotations
 
@@ -12,37 +12,39 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray
 
 CELL_M = 0.5
-"""The side of a square."""
+"""Side of a cell."""
 
 LASER_RAD = float(np.radians(0.2))
-"""What is seen in the same elevation was measured by one laser of a scanner: few have layers closer to one another."""
+"""Points within this elevation interval were measured by one laser of a scanner: few scanners have layers closer to one
+another."""
 
 _PATCHES = 100
-"""So many means of cells tell as much as all cells: a road is as high where it is uneven over several metres."""
+"""Largest number of patches: so many means contain as much information as all cells, since the heights of an uneven
+road are correlated over several metres."""
 
 
 @dataclass(frozen=True)
 class Cells(Columns):
-    """What is seen in squares of the ground plan along a way.
+    """Means of the points in square cells of the ground plan along a vehicle's path.
 
     Attributes
     ----------
     xy : ndarray, shape (n, 2)
-        Level frame, metres.
+        Position in the level frame, metres.
     z, variance : ndarray, shape (n,)
-        Height, and its variance through noise that no other cell has.
+        Height, and the variance of its noise that is independent of the other cells.
     sigma_m : ndarray, shape (n,)
-        Standard deviation of one point's height through noise, a share of which all points have in common: with a
-        camera as an offset of all disparities would have it, in proportion to depth.
+        Standard deviation of the noise of one point's height, a fraction of which is an error shared by all points: for
+        a camera this is the effect of an offset of all disparities, proportional to depth.
     left_m : ndarray, shape (n,)
-        How far to the left of the way.
+        Distance to the left of the path.
     piece : ndarray of int, shape (n,)
-        Piece of the way, one number for each of its sides.
+        Index of the piece of the path; each side of a piece has an index of its own.
     sight : ndarray, shape (n, 2)
-        Azimuth and elevation in which the sensor sees it, in windows of its matcher: what is in one has all noise in
-        common. A scanner's windows are too narrow for two.
+        Azimuth and elevation of the line of sight, in units of the matching window: points in one window share all of
+        their noise. A scanner's windows are too narrow to contain two cells.
     layer : ndarray, shape (n,)
-        Elevation in the sensor frame in which a scanner sees it, in `LASER_RAD`; NaN for a camera.
+        Elevation in the sensor frame at which a scanner sees the cell, in units of `LASER_RAD`; NaN for a camera.
     """
 
     xy: FloatArray
@@ -59,28 +61,30 @@ class Cells(Columns):
 
     @property
     def by_camera(self) -> bool:
-        """Whether a camera sees them, which has no lasers."""
+        """Whether the cells are seen by a camera, which has no lasers."""
         return bool(np.isnan(self.layer).any())
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Means over patches of cells, by their precision.
+    """Precision-weighted means of cells over patches.
 
     Attributes
     ----------
     xy : ndarray, shape (m, 2)
+        Mean position in the level frame, metres.
     size_m2 : ndarray, shape (m,)
-        Mean square of the distance of what is in it from there.
+        Mean squared distance of the patch's points from ``xy``.
     z, variance : ndarray, shape (m,)
-        Height, and its variance through noise that no other patch has.
+        Height, and the variance of its noise apart from the errors that all points, or all points of a laser, share.
     sigma_m : ndarray, shape (m,)
-        As of the cells.
+        As in `Cells`.
     sight : ndarray, shape (m, 2)
+        As in `Cells`.
     lasers : ndarray, shape (m, k)
-        How much of each laser there is: of a patch between two elevations, half of the variance of both.
+        Weight of each laser's error in the patch: half-way between two elevations, both have half of the variance.
     share : scipy.sparse.csr_array, shape (m, n)
-        Of each cell in each patch: with it, means of anything else over patches are made.
+        Weight of each cell in each patch: multiplied by any quantity of the cells, it gives the means over patches.
     """
 
     xy: FloatArray
@@ -94,7 +98,7 @@ class Patches:
 
     @staticmethod
     def of(cells: Cells) -> Patches:
-        """Merge cells in squares, of which there are no more than tell as much as all cells."""
+        """Merge cells into square patches, at most `_PATCHES` of them."""
         patch = _patch(cells.xy)
         window = np.floor(cells.sight).astype(np.int64)
         _, alike, count = np.unique(np.column_stack([patch, window]), axis=0, return_inverse=True, return_counts=True)
@@ -108,32 +112,35 @@ class Patches:
         return Patches(xy, size_m2, z[:, 0], 1.0 / told, sigma_m[:, 0], sight, lasers, share)
 
     def apart_m(self) -> FloatArray:
-        """Return the root mean square distance of what is in one patch from what is in another, shape (m, m).
+        """Return the root mean square distance between the points of one patch and those of another, shape (m, m).
 
-        By it, and not by the patches' own, heights of patches are alike: a mean over a patch is less uneven than a
-        place in it. A covariance that is a mixture of Gaussians of the distance stays one, and so positive definite.
+        The covariance of the patches' heights is a function of this distance, not of that between their positions: the
+        mean over a patch is smoother than the height at a place in it. A covariance that is a mixture of Gaussians of
+        the distance remains one, and is therefore still positive definite.
         """
         square_m2 = ((self.xy[:, None] - self.xy) ** 2).sum(axis=2) + self.size_m2[:, None] + self.size_m2
         apart_m: FloatArray = np.sqrt(square_m2)
         return apart_m
 
     def best_plane(self, origin: FloatArray, blurred_m: float) -> tuple[FloatArray, FloatArray]:
-        """Return what makes the plane that fits best: its height at an origin, and its slopes along x and y.
+        """Return the linear maps to the best-fitting plane: its height at an origin and its slopes along x and y.
 
-        What is seen is blurred, with the slopes of the road's model: least squares over a line tell no slope across it.
+        Each cell is blurred over a square that has the slopes of the road's model, since least squares over a line do
+        not determine the slope across it.
 
         Parameters
         ----------
         origin : ndarray, shape (2,)
+            Level frame, metres.
         blurred_m : float
-            Over so much.
+            Side of this square.
 
         Returns
         -------
         by_heights : ndarray, shape (3, m)
-            Of the height of each patch.
+            Derivative of the plane by the height of each patch.
         by_slopes : ndarray, shape (3, 2)
-            Of the model's slopes.
+            Derivative of the plane by the model's slopes.
         """
         count = np.diff(self.share.indptr)
         flat = np.column_stack([np.ones(len(count)), self.xy - origin])
@@ -143,12 +150,13 @@ class Patches:
         return np.linalg.solve(square, flat.T * count), np.linalg.solve(square, wide)
 
     def noise(self, shared_noise_share: float) -> FloatArray:
-        """Return the covariance, shape (m, m), of the heights through noise.
+        """Return the covariance of the heights due to noise, shape (m, m).
 
         Parameters
         ----------
         shared_noise_share : float
-            Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
+            Fraction of each point's standard deviation that is an error shared by all points; a second error of this
+            size is shared by all points of one laser.
         """
         overlap = np.maximum(0.0, 1.0 - np.abs(self.sight[:, None] - self.sight)).prod(axis=2)
         shared = shared_noise_share**2 * np.outer(self.sigma_m, self.sigma_m)
@@ -158,7 +166,7 @@ class Patches:
 
 
 def _patch(xy: FloatArray) -> IntArray:
-    """Return the number of the patch of each place, shape (n,)."""
+    """Return the index of the patch of each place, shape (n,)."""
     side_m = 1.0
     while True:
         patch: IntArray = np.unique(cells_of(xy, side_m), return_inverse=True)[1].reshape(-1)
@@ -168,7 +176,7 @@ def _patch(xy: FloatArray) -> IntArray:
 
 
 def _lasers(cells: Cells) -> FloatArray:
-    """Return to which lasers cells belong, shape (n, k): between two elevations to both, half of the variance each."""
+    """Return the weight of each laser in each cell, shape (n, k); half-way between two, both have half the variance."""
     if cells.by_camera:
         return np.zeros((len(cells), 0))
     low = np.floor(cells.layer)

@@ -1,7 +1,9 @@
-"""Crowns of roads, from which they fall to both sides so that they drain.
+"""Crowns of roads: the lines from which roads fall to both sides for drainage.
 
-One runs along the way, or the way crosses it, as in a turn and around a roundabout's island. Where two roads cross,
-both have one, and each place is as high as the nearer of them makes it.
+A crown runs along the vehicle's path, or the path crosses it, as in a turn and around a roundabout's island. Where two
+roads cross, both have a crown, and the nearer of the two determines the height of a place. Terms: the *fall* is the
+slope of a road away from its crown; a *straight* crown is a line in one of the directions of `_ACROSS_RAD`; a *pair* is
+made of the crowns of two roads that cross.
 """
 
 from __future__ import annotations
@@ -15,59 +17,61 @@ from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.road_edges import LANES_M, TOWARDS_RAD, towards
 
 _ALONG_M = np.arange(-LANES_M, LANES_M + 0.1, 0.125)
-"""How far to the left of the way a crown along it is, within two lanes: all are as likely."""
+"""Distances to the left of the path of crowns that run along it, within two lanes; all are equally likely."""
 
 _CROSSED = (0.0, 0.15, 0.325, 0.5, 0.675, 0.85, 1.0)
-"""Crowns that the way crosses are straight: which shares of what is seen are on one side of one. Of what is no wider
-than two lanes that may be all; for each lane more that is half as likely, as the road is so wide, or another one's
-mouth is seen as well."""
+"""Positions of straight crowns, which the path may cross, as the fraction of the visible road on one side of the crown.
+If the visible road is no wider than two lanes, all of it may be on one side; each lane more halves the probability of
+this, as the road itself may be that wide, or the mouth of another road may be visible as well."""
 
 _LANE_M = LANES_M / 2
 
 _PAST_END = 0.1
-"""Beyond where a road was seen to end, along the way, a crown is as much less likely: the kerb of an island is none of
-the road's."""
+"""Factor of the probability of a crown along the path beyond the place where the road was seen to end; it is not zero,
+since the kerb of an island is not the road's edge."""
 
 _ACROSS_RAD = TOWARDS_RAD[: len(TOWARDS_RAD) // 2]
-"""Directions across straight crowns, from that of the way: each crown has two, of which one is enough."""
+"""Directions across straight crowns, relative to that of the path: each crown has two, of which one suffices."""
 
 _LEFT = len(_ACROSS_RAD) // 2
-"""That to the left of the way, across one of two roads that cross."""
+"""Index of the direction to the left of the path: across that one of two crossing roads which runs along the path."""
 
 _CROSSING = np.array([0, 1, 2, -2, -1]) % len(_ACROSS_RAD)
-"""Those across the other: along the way, and askew by one and two steps to either side."""
+"""Indices of the directions across the other road: along the path, and oblique by one and two steps to either side."""
 
 _CROSSING_LIKELY = np.repeat([0.9, 0.1 / 4], [1, 4])
-"""Roads are to cross at 72 to 108 deg (RAL 2012); one crossing in ten is older than that. All others are as likely."""
+"""Prior probabilities of `_CROSSING`. Roads are to cross at 72 to 108 deg (RAL 2012); one crossing in ten is older than
+this rule, and its oblique directions are equally likely."""
 
 _SEEN = (0.1, 0.9)
-"""Between these shares of what is seen roads cross: with next to nothing on one side of it, a crown tells nothing, and
-the little that is there, such as a pavement where the last rings of a scanner leave the road, would tell all."""
+"""Crowns of crossing roads are searched between these fractions of the visible road: with almost nothing on one side of
+it a crown is not determined, and the few cells there, such as a pavement where the last rings of a scanner leave the
+road, would decide alone."""
 
 _APART_M, _SQUARES = 1.0, 16
-"""How large the squares are in which crossings are looked for, and in how many of them, the likeliest, one is."""
+"""Side of the squares in which crossings are searched, and the number of the most likely squares that are kept."""
 
 _WITHIN_M = _APART_M * ((np.arange(4) + 0.5) / 4 - 0.5)
-"""Places in such a square, along either side of it: where the crown is off by as much as one of them is from the next,
-the road is 5 mm too high or too low."""
+"""Coordinates of places in such a square, relative to its centre, along either side: a crown that is off by their
+spacing makes the road 5 mm too high or too low."""
 
 
 @dataclass(frozen=True)
 class Crowns:
-    """Where crowns may be: one of them is there, or one pair.
+    """Hypotheses about the crown: exactly one single crown or one pair exists.
 
     Attributes
     ----------
     towards : ndarray, shape (2, directions)
         Unit vectors across straight crowns.
     at_m : ndarray, shape (k, directions)
-        How far from the origin in each direction these are.
+        Distances of the straight crowns from the origin in each direction.
     crossing : ndarray of int, shape (pairs,)
-        Where two roads cross: the direction across one of them; the other is along the way.
+        Index of the direction across one of the two roads of each pair; the other road runs along the path.
     pairs_m : ndarray, shape (pairs, 2)
-        How far from the origin in that direction, and to the left of the way, their crowns are.
+        Distances of the two crowns of each pair from the origin: in that direction, and to the left of the path.
     likely : ndarray, shape (crowns,)
-        Probability of each: of those along the way, of straight ones, and of pairs.
+        Probability of each hypothesis, in the order used by all methods: crowns along the path, straight ones, pairs.
     """
 
     towards: FloatArray
@@ -78,16 +82,19 @@ class Crowns:
 
     @staticmethod
     def of_road(off: FloatArray, along_rad: float, ends_m: tuple[float, float] = (-np.inf, np.inf)) -> Crowns:
-        """Return those of one road: one that is along the way is as likely as a straight one, and all of each kind are.
+        """Return the crowns of one road, with even odds between one along the path and a straight one.
+
+        Within each kind the prior is uniform, apart from crowns beyond an end of the road and at an end of what is
+        seen.
 
         Parameters
         ----------
         off : ndarray, shape (n, 2)
-            What is seen of it, from the origin.
+            Positions of the visible road relative to the origin.
         along_rad : float
-            Direction of the way.
+            Direction of the path.
         ends_m : tuple of float
-            How far to the left of the way the road was seen to end on its right and on its left.
+            Distances to the left of the path at which the road was seen to end on its right and on its left.
         """
         directions = towards(along_rad)[:, : len(_ACROSS_RAD)]
         at_m = np.quantile(off @ directions, _CROSSED, axis=0)
@@ -102,15 +109,15 @@ class Crowns:
         return Crowns(directions, at_m, none, np.zeros((0, 2)), np.concatenate(kinds) / 2)
 
     def and_crossings(self, off: FloatArray, evidence: Callable[[FloatArray], FloatArray]) -> Crowns:
-        """Return the same and pairs, anywhere in what is seen: they are as likely as either kind of one road's.
+        """Return these crowns and pairs anywhere in the visible road; the pairs are as likely as either kind of crown.
 
         Parameters
         ----------
         off : ndarray, shape (n, 2)
-            What is seen.
+            Positions of the visible road relative to the origin.
         evidence : callable
-            Takes by how much each of some pairs raises that if roads fall by 1, shape (n, pairs), and returns how
-            likely it is with each, as a logarithm.
+            Takes the heights that each of some pairs adds to these positions per unit fall, shape (n, pairs), and
+            returns the log-likelihood with each pair, shape (pairs,).
         """
         at_m = off @ self.towards
         low, high = np.quantile(at_m, _SEEN, axis=0)
@@ -125,30 +132,30 @@ class Crowns:
         each_m = squares_m[best, None] + within
         each = evidence(-_nearer_m(at_m, np.repeat(crossing[best], len(within)), each_m.reshape(-1, 2)))
         told = each.reshape(len(best), len(within))
-        # The likeliest place stands for its square, with as much evidence as its places have on average.
+        # The most likely place represents its square, with the average evidence of the places in it.
         pairs_m = each_m[np.arange(len(best)), told.argmax(axis=1)]
         share = np.exp(told - told.max(axis=1, keepdims=True)).mean(axis=1)
         likely = np.append(self.likely * 2.0, likely[best] * share) / 3.0
         return replace(self, crossing=crossing[best], pairs_m=pairs_m, likely=likely)
 
     def other_sides(self, tilts: FloatArray, off: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return what of the tilts there is only since more was seen of one side of a crown than of the other.
+        """Return the part of the tilts that exists only because more is seen of one side of a crown than of the other.
 
-        The plane of the road that the way is on is the one between both of its falls, however much is seen of each. A
-        crown that the way crosses, and both where roads cross, may have no other side; see `_likely`.
+        The plane of the road on which the path lies is the one midway between both falls, however much is seen of each
+        side. A crown that the path crosses, and each crown of a pair, may have no other side; see `_likely`.
 
         Parameters
         ----------
         tilts : ndarray, shape (2, crowns)
-            Slopes of what is seen if roads fall by 1 from each crown.
+            Slopes of the visible road per unit fall from each crown.
         off : ndarray, shape (n, 2)
-            What is seen, from the origin.
+            Positions of the visible road relative to the origin.
 
         Returns
         -------
         list of pairs of ndarray, shape (2, crowns) and (crowns,)
-            Across the first of the roads that cross, or the only one, and across the second: such slopes, and how
-            likely the other side is there.
+            These slopes, and the probability that the crown has another side: first across the only road or the first
+            of two crossing roads, then across the second.
         """
         at_m = off @ self.towards
         low_m, high_m = at_m.min(axis=0), at_m.max(axis=0)
@@ -161,7 +168,7 @@ class Crowns:
         across, across_first, across_second = (self.towards[:, way] for way in (every, self.crossing, left))
         one = across * (across * straight).sum(axis=0)
         of_one = np.where(every == _LEFT, 1.0, likely(every, self.at_m.ravel()))
-        # Of roads that cross askew, each has the part of the tilt that the other's direction does not make up.
+        # If roads cross obliquely, the tilt is decomposed into the directions across the two of them.
         first = across_first * _cross(pairs, across_second) / _cross(across_first, across_second)
         of_first, of_second = likely(self.crossing, self.pairs_m[:, 0]), likely(left, self.pairs_m[:, 1])
         lone = along.shape[1] + straight.shape[1]
@@ -171,14 +178,14 @@ class Crowns:
         ]
 
     def raised(self, off: FloatArray, left_m: FloatArray) -> FloatArray:
-        """Return how high each makes places if roads fall by 1, shape (n, crowns).
+        """Return the height that each crown adds to places per unit fall, shape (n, crowns).
 
         Parameters
         ----------
         off : ndarray, shape (n, 2)
-            From the origin.
+            Positions of the places relative to the origin.
         left_m : ndarray, shape (n,)
-            How far to the left of the way they are.
+            Distances of the places to the left of the path.
         """
         at_m = off @ self.towards
         straight = (at_m[:, None] - self.at_m).reshape(len(off), -1)
@@ -187,9 +194,10 @@ class Crowns:
 
 
 def _likely(at_m: FloatArray, low_m: FloatArray, high_m: FloatArray) -> FloatArray:
-    """Return how likely both sides of a crown are as wide as the wider one of what is seen, from low to high.
+    """Return the probability that both sides of a crown are as wide as the wider visible one.
 
-    Each lane that the road had to be wider for that than it was seen, and than two lanes, makes it half as likely.
+    The road is visible from ``low_m`` to ``high_m``. Each lane by which the road would then be wider than its visible
+    part, and than two lanes, halves the probability.
     """
     wide_m = 2.0 * np.maximum(at_m - low_m, high_m - at_m)
     likely: FloatArray = 0.5 ** ((wide_m - np.maximum(high_m - low_m, LANES_M)).clip(0.0) / _LANE_M)
@@ -203,6 +211,9 @@ def _cross(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _nearer_m(at_m: FloatArray, crossing: IntArray, pairs_m: FloatArray) -> FloatArray:
-    """Return how far places, `at_m` in each direction, are from the nearer crown of each pair, shape (n, pairs)."""
+    """Return the distance of places from the nearer crown of each pair, shape (n, pairs).
+
+    ``at_m``, shape (n, directions), are the places' distances from the origin in each direction.
+    """
     aside: FloatArray = np.abs(at_m[:, crossing] - pairs_m[:, 0])
     return np.minimum(aside, np.abs(at_m[:, [_LEFT]] - pairs_m[:, 1]), out=aside)

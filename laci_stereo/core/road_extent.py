@@ -1,4 +1,8 @@
-"""The road along a way: what is seen below it, and to either side as far as that goes on."""
+"""The extent of the road along a vehicle's path: the surface below the path, and to either side up to the road's ends.
+
+The path is a sequence of places in the level frame, `CELL_M` apart (see `places`). Each side of the road is divided
+along the path into *pieces* of `PIECE_M`, each of which has a limit of its own.
+"""
 
 from __future__ import annotations
 
@@ -32,104 +36,111 @@ from laci_stereo.core.sighting import sigma_z
 from laci_stereo.core.tracking import Track
 
 REACH_M = 20.0
-"""So far beside a way road is looked for, unless it ends before: from one edge to the other of five lanes. The more is
-seen of a road, the less do its waves tilt it."""
+"""Largest distance from the path at which road is searched, unless it ends before: from one edge of five lanes to the
+other. The larger the visible part of a road, the less do its waves tilt the plane."""
 
 NO_WINDOW_RAD = 1e-6
-"""Narrower than what two cells are apart."""
+"""Width of the matching window of a sensor without one: narrower than the distance between two cells."""
 
 COARSE_M = 0.003
-"""What squares of that size differ by on an even road: chippings, markings, covers."""
+"""Standard deviation of the heights of cells on an even road: chippings, markings, covers."""
 
 LOW_M = 0.7
-"""What is farther above or below the plane that was found before, and twice that with its noise, is no road: land that
-falls by 5 % is as far off after 14 m."""
+"""Points farther above or below the plane that was found before are not road; with their noise, up to twice this is
+allowed. Terrain that falls by 5 % is this far off after 14 m."""
 
 TURN_M, SMOOTH_M = 3.5, 2.5
-"""How far before and behind a place the direction of the way is taken from, and over how much its places are averaged:
-they jump as other sides of the vehicle come into view."""
+"""Distances before and behind a place of the path from which its direction is computed, and over which its position is
+averaged: the measured positions jump as other sides of the vehicle come into view."""
 
 PIECE_M = 6.0
-"""The road is as wide over so much of its length: half of a crossing's mouth. What is seen of the next pieces on the
-same side tells it too: at the ends of a way little is seen of one."""
+"""Length of a piece, over which the road is taken as equally wide: half of the mouth of a crossing. The next pieces on
+the same side are evidence of its width too, since little is seen of a piece at the ends of a path."""
 
 WANDER_M = 0.25
-"""Within its lane a vehicle wanders by as much, and so do the boxes on it, one standard deviation."""
+"""Standard deviation by which a vehicle wanders within its lane, and its boxes about the vehicle."""
 
 HALF_VEHICLE_M = 1.25
-"""So far to either side there is road: vehicles are up to 2.55 m wide (EU directive 96/53/EC)."""
+"""Distance to either side of the path within which there is road: vehicles are up to 2.55 m wide (EU directive
+96/53/EC)."""
 
 NEAR_M, START_STEPS, START_LOOKS = 0.05, 20, 2
-"""What is nearer than that, or than its noise, to the plane that most of a lane is on is road at first: a kerb, were it
-among that, would be explained as a steep crown, and what is left out comes back with what is seen around it. And the
-steps to that plane, and how often what is seen is placed on it: the plane that was known is a foot off, a hundredth of
-the way to it then."""
+"""The start. Cells nearer than `NEAR_M`, or than their noise, to the plane through most of the lane are taken as road
+first: a kerb among them would be explained as a steep crown, and cells that are left out are added later with those
+around them. `START_STEPS` is the number of steps of the fit of this plane, `START_LOOKS` the number of times that the
+cells are placed on it: the plane known before may be off by 0.3 m, and only a hundredth of this remains then."""
 
 STEP_M = 1.0
-"""The road goes on by so much at a time: over more, what is not known of it yet would hide a kerb."""
+"""Distance by which the limits of the road are moved outwards at a time: over a longer one, the uncertainty of the
+extrapolated surface would hide a kerb."""
 
 KERB_M, NO_ROAD_M = 0.08, 0.15
-"""Mean height above the road of what is none, and its standard deviation: kerbs have 3 to 15 cm, banks rise or fall."""
+"""Mean and standard deviation of the height of other surfaces above the road: kerbs are 3 to 15 cm high, banks rise or
+fall."""
 
 KNOWN_M = KERB_M / 2
-"""Where the surface is known less well, a kerb may pass for its slope: such places wait until it is known better, but
-not those below the vehicle. By what roads fall by beforehand (`OTHER`) that is 1.4 m from what is seen: one ring of a
-scanner tells no slope, and the next one may be as far off."""
+"""Largest standard deviation of the surface at a cell that is taken as road. Where it is larger, a kerb may be mistaken
+for the slope of the road, so the cell has to wait until the surface is better known, unless it is below the vehicle.
+With the prior of slopes (`OTHER`) this is reached 1.4 m from the visible road: one ring of a scanner determines no
+slope, and the next ring may be that far off."""
 
 MOST_LIKELY = 3.0
-"""Logarithm of the odds: no cell tells by more than twenty to one whether it is road."""
+"""Largest log odds from one cell: no cell is evidence for or against road by more than twenty to one."""
 
 VERGE_FALL = 0.01
-"""Where a road ends that falls by so much more than farther in, that may be on a verge: a verge falls by twice as much
-more at least (see `laci_stereo.core.road_edges.EDGES`), but half of what is looked at may not be on it."""
+"""If a road falls at its limit by this much more than farther inside, its outermost part may be a verge: a verge falls
+by at least twice as much more (see `laci_stereo.core.road_edges.EDGES`), but half of the examined cells may not be on
+it."""
 
 GATE = 3.0
 
 MOST_EDGES = 4
-"""A crossing has as many corners."""
+"""Largest number of edges found one after the other: the number of corners of a crossing."""
 
 FIRST_CELLS, LEAST_CELLS = 6, 36
-"""So many below the way tell a plane and that they are on it; fewer than so many in all are no road: 4 m of a lane."""
+"""Least number of cells below the path that determine a plane and confirm it, and least number of cells of a road: 4 m
+of a lane."""
 
 
 @dataclass(frozen=True)
 class Road:
-    """What a road may be: its surface, if so many edges are left out as were found one after the other, or fewer.
+    """Possible surfaces of a road: the first one without any edge removed, each next one with one more edge removed.
 
-    What passes for an edge mostly is one, so the last surface is the road's. But the mouth of another road, where the
-    crown ends, and the other side of a crown, of which little is seen, do so as well. Surfaces through different places
-    cannot be told apart by their evidence, so each is as likely.
+    A detected edge is mostly real, so the last surface is taken for the road's. The mouth of another road, where the
+    crown ends, and the other side of a crown of which little is seen, can however be mistaken for an edge. The evidence
+    of surfaces through different cells cannot be compared, so all of them are equally likely.
     """
 
     surfaces: tuple[Surface, ...]
 
     @property
     def found(self) -> Surface:
-        """The last one."""
+        """The last surface, with all edges removed."""
         return self.surfaces[-1]
 
     def apart(self) -> FloatArray:
-        """Return how far the planes may be from the last one's, squared and averaged, shape (3, 3): as `Surface.plane`.
+        """Return the mean squared deviation of the planes from the last one, shape (3, 3), in `Surface.plane`'s units.
 
-        A surface that is torn between an edge and a crown has its plane between what both would make of it: how far
-        these are from one another is in its doubt, of which nothing is left once the edge is taken for one.
+        The plane of a surface that is ambiguous between an edge and a crown lies between the planes of the two
+        explanations. Their difference is part of its covariance, but no longer of that of the last surface, for which
+        the edge has been accepted.
         """
         last, _, _ = self.found.plane()
         squares: FloatArray = np.zeros((3, 3))
         for surface in self.surfaces[:-1]:
             off, _, torn = surface.plane()
             by_place = np.eye(3)
-            by_place[0, 1:] = self.found.middle - surface.middle  # where the last one is told
+            by_place[0, 1:] = self.found.middle - surface.middle  # to the place of the last plane's height
             off = by_place @ off - last
             squares += np.outer(off, off) + by_place @ torn @ by_place.T
         return squares / len(self.surfaces)
 
 
 def places(track: Track) -> FloatArray:
-    """Return the way of a vehicle, level frame, shape (n, 2), every `CELL_M`, however fast it was or long it stood.
+    """Return the path of a vehicle, level frame, shape (n, 2), with a uniform spacing of `CELL_M` whatever its speed.
 
-    Where it comes back over its own way, as who backs out of a yard and drives off, that is left out: nothing new is
-    below it, and what was to the left of it would be to the right.
+    Parts in which the vehicle drives over its own path again, for example after backing out of a yard, are left out:
+    nothing new is below them, and left and right would be exchanged.
     """
     cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / CELL_M)
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
@@ -141,7 +152,7 @@ def places(track: Track) -> FloatArray:
     reach = np.minimum(np.minimum(number, number[::-1]), round(SMOOTH_M / CELL_M))
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(middles, axis=0)])
     smooth: FloatArray = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
-    # Where it was not seen for longer, the way may have turned; but frames may be seldom.
+    # In a longer gap between sightings the path may have turned; but frames may be infrequent.
     steps_m = np.diff(along_m)
     longest_m = max(PIECE_M, 1.5 * float(np.median(steps_m))) if len(steps_m) else PIECE_M
     kept = np.append(steps_m, 0.0)[np.searchsorted(along_m, at_m, side="right") - 1] < longest_m
@@ -149,17 +160,17 @@ def places(track: Track) -> FloatArray:
 
 
 def prolonged(way: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return a way and what comes before and after it, as far as it is long itself, but no farther than `REACH_M`.
+    """Return a path extended at both ends by up to its own length, but by no more than `REACH_M`, shape (k, 2).
 
-    A scanner's rings meet a vehicle nearer than the road that is below it, so that where it was seen may be none of the
-    road, but some is before and behind that. Over more than its own length a way's direction is not known.
+    A scanner's rings meet a vehicle before they meet the road below it, so no road may be seen where the vehicle was
+    seen, but some before and behind that. Beyond its own length the direction of a path is not known.
 
     Parameters
     ----------
     way : ndarray, shape (n, 2)
-        See `places`.
+        The path; see `places`.
     before, after : ndarray, shape (m, 2)
-        From its first and its last place on, outwards; as a whole they may be off.
+        Paths outwards from its first and its last place; each may be offset as a whole.
     """
     most_m = min(REACH_M, float(along_line(way)[-1]))
     parts = []
@@ -172,7 +183,7 @@ def prolonged(way: FloatArray, before: FloatArray, after: FloatArray) -> FloatAr
 
 
 def _once(way: FloatArray, along_m: FloatArray) -> FloatArray:
-    """Return a way without where it comes back over itself."""
+    """Return a path without the parts that lead over an earlier part of it; ``along_m`` is the distance travelled."""
     again = np.linalg.norm(way[:, None] - way, axis=2) < HALF_VEHICLE_M
     again &= along_m < along_m[:, None] - 2 * HALF_VEHICLE_M
     once: FloatArray = way[~again.any(axis=1)]
@@ -187,20 +198,20 @@ def road_along(
     before: FloatArray,
     settings: GroundSettings,
 ) -> Road | None:
-    """Return the road along a way; None where none is seen.
+    """Return the road along a path; None if no road is seen.
 
     Parameters
     ----------
     way : ndarray, shape (n, 2)
-        Level frame; see `places`.
+        The path in the level frame; see `places`.
     clouds : sequence of PointCloud
-        Without what moves.
+        Clouds without the points of moving objects.
     T_level_sensor : ndarray, shape (4, 4)
-        Into the level frame of a plane that is near the road's.
+        Transform into the level frame of a plane near that of the road.
     axes : Axes
-        Of the sensor.
+        Axes of the sensor.
     before : ndarray, shape (3,)
-        Height at the origin, and slopes, of the ground near which a road is beforehand; see `Surface`.
+        Prior mean of the road's plane: height at the origin, and slopes, of the ground; see `Surface`.
     settings : GroundSettings
     """
     on_plane = _cells(way, clouds, T_level_sensor, axes)
@@ -219,7 +230,7 @@ def road_along(
             return None
         height, variance = Surface(cells[on_road], settings.shared_noise_share, before, along_rad).heights(cells)
         off_m = cells.z - height
-        alike = (settings.shared_noise_share * cells.sigma_m) ** 2  # what all points err by is no kerb
+        alike = (settings.shared_noise_share * cells.sigma_m) ** 2  # an error of all points is no kerb
         known = (variance - alike < KNOWN_M**2) | (away_m < HALF_VEHICLE_M)
         variance = variance + cells.variance + CLASS_B_M**2
         limit_m = _limits(cells, off_m, variance, limit_m)
@@ -234,9 +245,10 @@ def road_along(
 
 
 def evened(cells: Cells) -> Cells:
-    """Return cells beside an even way, if theirs wanders about one: crowns and edges along it do not wander.
+    """Return cells with distances from a smooth path, if their own path only wanders about a smooth one.
 
-    Over what is seen such a way is straight, or bends evenly.
+    Crowns and edges along the path do not wander as vehicles do. Over the visible road a smooth path is straight or has
+    a uniform curvature.
     """
     x, y = (cells.xy - cells.xy.mean(axis=0)).T
     shapes = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
@@ -248,7 +260,10 @@ def evened(cells: Cells) -> Cells:
 def _without_edges(
     cells: Cells, shared_noise_share: float, before: FloatArray, along_rad: float, ends_m: tuple[float, float]
 ) -> Road:
-    """Return a road, without what is rather behind an edge than not: it may have another edge then."""
+    """Return a road after repeated removal of the cells that are more likely behind an edge than not.
+
+    After each removal the remaining road may have another edge.
+    """
     surfaces: list[Surface] = []
     while len(surfaces) < MOST_EDGES:
         surfaces.append(Surface(cells, shared_noise_share, before, along_rad, ends_m, edges=True))
@@ -260,19 +275,20 @@ def _without_edges(
 
 
 def _beyond_verges(cells: Cells, height: FloatArray, limit_m: FloatArray, on_road: BoolArray) -> BoolArray:
-    """Tell which cells, shape (n,), are up to twice a verge beyond where a road may have ended on one.
+    """Return which cells, shape (n,), lie within twice a verge's width beyond a limit of the road that may be a verge.
 
-    What falls there may be the other side of a crown as well. But behind a verge there is land, which rises from it:
-    that looked like a kerb, and tells.
+    A surface that falls there may also be the other side of a crown. But behind a verge the terrain rises from it,
+    which looked like a kerb; these cells decide between the two.
 
     Parameters
     ----------
     cells : Cells
     height : ndarray, shape (n,)
-        Of the road's surface.
+        Height of the road's surface at each cell.
     limit_m : ndarray, shape (k,)
-        How far to its side each piece of the road goes on.
+        Distance from the path at which each piece of the road ends.
     on_road : ndarray of bool, shape (n,)
+        Whether each cell was taken as road.
     """
     narrow_m, wide_m = VERGES_M
     found = np.zeros(len(cells), dtype=bool)
@@ -288,13 +304,13 @@ def _beyond_verges(cells: Cells, height: FloatArray, limit_m: FloatArray, on_roa
 
 
 def _slope(x: FloatArray, z: FloatArray) -> float:
-    """Return by how much z rises along x, least squares."""
+    """Return the least-squares slope of z along x."""
     off = x - x.mean()
     return float(off @ z / max(off @ off, 1e-9))
 
 
 def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatArray, axes: Axes) -> Cells:
-    """Gather what is low and near the way in squares of the ground plan."""
+    """Average the points that are low and near the path in square cells of the ground plan."""
     sensor = T_level_sensor[:3, 3]
     levels = [transform(T_level_sensor, cloud.points) for cloud in clouds]
     sigma_m = np.concatenate(
@@ -306,8 +322,8 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     level = np.concatenate(levels)
     low = np.abs(level[:, 2]) < LOW_M + np.minimum(GATE * sigma_m, LOW_M)
     z, sigma_m, ray = level[low, 2], sigma_m[low], np.concatenate([cloud.points for cloud in clouds])[low]
-    # Noise moves points along their lines of sight, which are known: else a scan's ring would be as steep as these are.
-    # So they are taken to where these meet the plane, and later the road's surface.
+    # Noise moves points along their lines of sight, so a scan's ring would appear as steep as these. As the lines of
+    # sight are known, points are moved along them to the plane, and later to the road's surface.
     xy = level[low, :2] * (sensor[2] / (sensor[2] - z))[:, None]
     near = np.asarray(cKDTree(way).query(xy, distance_upper_bound=REACH_M)[0]) < REACH_M
     xy, z, sigma_m, ray = xy[near], z[near], sigma_m[near], ray[near]
@@ -317,11 +333,11 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     noise = np.bincount(cell, sigma_m**2) / count
     height = _medians(z, cell)
     spread = NORMAL * _medians(np.abs(z - height[cell]), cell)
-    # A median is less exact than a mean by pi / 2.
+    # The variance of a median is pi / 2 times that of a mean.
     variance = np.pi / 2 * np.maximum(noise, spread**2) / count + SHARED_IN_CELL * noise + COARSE_M**2
     nearest, left_m, beyond_m = _beside(way, middle)
     piece = 2 * (along_line(way)[nearest] // PIECE_M).astype(np.int64) + (left_m > 0.0)
-    beside = np.abs(beyond_m) < 2 * CELL_M  # and neither before the way nor behind it
+    beside = np.abs(beyond_m) < 2 * CELL_M  # and neither before the path nor behind it
     even = spread < GATE * np.sqrt(noise + COARSE_M**2)
     bearing = np.column_stack(
         [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
@@ -333,7 +349,8 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
         elevation_rad = np.arcsin(np.clip(ray @ axes.up / np.linalg.norm(ray, axis=1), -1.0, 1.0))
         layer = np.bincount(cell, elevation_rad) / count / LASER_RAD
     elif len(count):
-        # An offset of all disparities, whatever the texture: a plane is seen as another plane, raised as depth is.
+        # An offset of all disparities, whatever the texture: a plane appears as another plane, raised in proportion to
+        # depth.
         forward = T_level_sensor[:3, :3] @ axes.forward
         depth_m = middle @ forward[:2] - sensor @ forward
         common_m = depth_m * np.median(common_m / depth_m)
@@ -341,9 +358,10 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
 
 
 def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: float) -> Cells:
-    """Move cells along their lines of sight from the plane to a height, shape (n,): a crown is seen from aside.
+    """Move cells along their lines of sight from the plane to a given height, shape (n,), such as that of a crown.
 
-    Where a surface is not known it may be anywhere, above the sensor as well, and cells would be at no place.
+    Heights are limited: where a surface is not known it may come out anywhere, even above the sensor, and the cells
+    would have no position. ``sensor_m`` is the height of the sensor above the plane.
     """
     most_m = min(2 * LOW_M, sensor_m / 2)
     xy = cells.xy * (1.0 - height.clip(-most_m, most_m) / sensor_m)[:, None]
@@ -351,7 +369,7 @@ def _at_height(cells: Cells, height: FloatArray, way: FloatArray, sensor_m: floa
 
 
 def _beside(way: FloatArray, xy: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return which place of a way is nearest to others, and how far to the left of it and beyond it they are."""
+    """Return the index of the path's place nearest to each point, and the point's distances to its left and ahead."""
     nearest = np.asarray(cKDTree(way).query(xy)[1])
     forward, off = _directions(way)[nearest], xy - way[nearest]
     return nearest, dot_xy(perpendicular(forward), off), dot_xy(forward, off)
@@ -366,7 +384,7 @@ def _medians(values: FloatArray, group: IntArray) -> FloatArray:
 
 
 def _directions(way: FloatArray) -> FloatArray:
-    """Return the direction of a way at each of its places, shape (n, 2)."""
+    """Return the unit vector of the path's direction at each of its places, shape (n, 2)."""
     number, reach = np.arange(len(way)), round(TURN_M / CELL_M)
     along = way[np.minimum(number + reach, len(way) - 1)] - way[np.maximum(number - reach, 0)]
     directions: FloatArray = along / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
@@ -374,15 +392,15 @@ def _directions(way: FloatArray) -> FloatArray:
 
 
 def _along_rad(way: FloatArray) -> float:
-    """Return the direction of a way, but for quarters of a turn: before and behind a turn it is the same."""
+    """Return the mean direction of a path modulo 90 deg, which is the same before and after a right-angled turn."""
     x, y = _directions(way).T
     return float(np.angle(((x + 1j * y) ** 4).mean())) / 4
 
 
 def _below(lane: Cells, xy: FloatArray, before: FloatArray) -> FloatArray:
-    """Return the height, at places of shape (n, 2), of a plane through most of a lane's cells: some are raised.
+    """Return the height, at places of shape (n, 2), of a robust plane through the cells of a lane.
 
-    Reweighted least squares, as for Cauchy's distribution.
+    Some cells may be raised, so the plane is fitted by iteratively reweighted least squares with Cauchy's weights.
     """
     if not len(lane):
         return height_of(before, xy)
@@ -397,18 +415,19 @@ def _below(lane: Cells, xy: FloatArray, before: FloatArray) -> FloatArray:
 
 
 def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> FloatArray:
-    """Return how far to its side each piece of the road goes on, shape (k,): at most a step farther than before.
+    """Return the distance from the path at which each piece of the road ends, shape (k,): at most a step farther.
 
-    That is a cell before where the evidence that cells are road, summed from the way on over it and the next pieces, is
-    largest: the last of these may be on the edge and show some of both, and the surface that bends up there would take
-    the next step for the road.
+    The evidence that cells are road is summed from the path outwards, over the piece and the next ones. The limit is
+    one cell inside the place where the sum is largest: the last cell may be on the edge and contain points of both
+    sides, and a surface that bends up there would include the next step.
 
     Parameters
     ----------
     cells : Cells
     off_m, variance : ndarray, shape (n,)
-        How far each is above the surface, and the variance of that if it is road.
+        Height of each cell above the surface, and its variance if the cell is road.
     limit_m : ndarray, shape (k,)
+        The previous limits.
     """
     evidence = _evidence(off_m, variance)
     away_m = np.abs(cells.left_m)
@@ -424,10 +443,11 @@ def _limits(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: Floa
 
 
 def _ends(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatArray) -> tuple[float, float]:
-    """Return how far to the left of the way the road was seen to end on its right and on its left.
+    """Return the distances to the left of the path at which the road was seen to end on its right and on its left.
 
-    That is where what is beyond is surely none and higher, in the middle of all pieces; infinitely far where that is
-    nowhere. What is lower may be the other side of a crown. Parameters are those of `_limits`.
+    An end is seen where the cells beyond a piece's limit are clearly not road, and higher; lower ones may be the other
+    side of a crown. The result is the median over all pieces of a side, and infinite if there is no such end.
+    Parameters are those of `_limits`.
     """
     evidence, away_m = _evidence(off_m, variance), np.abs(cells.left_m)
     ends: tuple[list[float], list[float]] = ([], [])
@@ -440,12 +460,12 @@ def _ends(cells: Cells, off_m: FloatArray, variance: FloatArray, limit_m: FloatA
 
 
 def _with_next(cells: Cells, piece: int) -> BoolArray:
-    """Tell which cells are on a piece of the road or on the next ones on its side, shape (n,)."""
+    """Return which cells are on a piece of the road or on the next ones on its side, shape (n,)."""
     return np.isin(cells.piece, (piece - 2, piece, piece + 2))
 
 
 def _evidence(off_m: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return how likely it is that cells are road and no kerb or bank, shape (n,), as a logarithm of odds."""
+    """Return the log odds that cells are road rather than a kerb or bank, shape (n,), limited to `MOST_LIKELY`."""
     other = variance + NO_ROAD_M**2
     evidence = ((off_m - KERB_M) ** 2 / other + np.log(other) - off_m**2 / variance - np.log(variance)) / 2
     return np.clip(evidence, -MOST_LIKELY, MOST_LIKELY)

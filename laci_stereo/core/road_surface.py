@@ -1,13 +1,17 @@
-"""The surface of a road along a way: a plane that is bent a little, falls to both sides of a crown, and is uneven.
+"""The surface of a road along a vehicle's path: a plane with a slight curvature, a crown, and unevenness.
 
-A lane is tilted against its carriageway by up to 2.5 %, so that a plane through what is near a way is not the road's.
-Here the crown is a part of the model: where only one of its sides is seen, how far the road falls stays as open as it
-was. An edge of the road is another part of it: what is behind one is no longer the road. Heights are those above a
-plane that was found before.
+A lane is tilted relative to its carriageway by up to 2.5 %, so a plane through the surface near the path is not the
+plane of the road. The model therefore includes the crown: where only one of its sides is seen, the fall of the road
+remains as uncertain as a priori. It also includes an edge of the road, behind which the surface is no longer road. All
+heights are relative to a plane that was found before.
 
-What is asked for is the plane that fits best, by least squares, to all of the road that a camera sees, with its bends
-and waves, and is between both falls of its crown. That is what heights above the road are to be told from. The plane of
-the model, which is bent, is another one where what is seen is no rectangle, or where the crown is not what was thought.
+The wanted result is the *best plane*: the least-squares plane of all of the road that a camera sees, with its bends and
+waves, and midway between both falls of its crown. Heights above the road refer to this plane. It differs from the plane
+of the model, which is bent, if the visible area is not rectangular or if the crown is not as modelled.
+
+Terms: the *fall* is the slope of a road away from its crown, the *bends* are its second derivatives, its *waves* are
+the unevenness, and the *even surface* is the surface without waves. The *target* quantities are the plane and bends of
+the model and the best plane.
 """
 
 from __future__ import annotations
@@ -28,70 +32,76 @@ from laci_stereo.core.road_crowns import Crowns
 from laci_stereo.core.road_edges import EDGES, LANES_M, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards
 
 FALL = 0.025 / np.sqrt(3.0)
-"""How a road falls to either side of its crown, so that it drains: by anything up to 2.5 %, one standard deviation."""
+"""Standard deviation of the fall of a road to either side of its crown, for drainage: anything up to 2.5 %."""
 
 OTHER = (0.3, 2.0 * FALL, 2.0 * FALL)
-"""Height and slopes of a plane that is the land's beside a road, from the road's, standard deviations: it is a foot
-higher or lower, and falls by twice as much."""
+"""Standard deviations of the height and slopes of the terrain beside a road, relative to the road's plane: it is 0.3 m
+higher or lower, and its slopes are twice the fall of a road."""
 
 _FALLS = np.arange(0.0, 0.031, 0.0025)
 _FALL_LIKELY = np.append(1.0 / 3.0, np.full(len(_FALLS) - 1, 2.0 / 3.0 / (len(_FALLS) - 1)))
-"""How much a road falls from its crown. One in three has none, as it falls to one side; any fall is as likely."""
+"""Values of the fall of a road from its crown, and their prior probabilities. One road in three has no crown, as it
+falls to one side; all other falls are equally likely."""
 
 WAVES_M = 1.0 / (2.0 * np.pi * 0.011)
-"""Over how much of a road its unevenness is alike: ISO 8608 gives the spectrum of waves of up to 1 / 0.011 m, of which
-those that are longer than what is seen of it pass for its slope. That it falls to its gutters is the crown's here."""
+"""Correlation length of a road's unevenness: ISO 8608 gives the spectrum of waves up to a length of 1 / 0.011 m; waves
+longer than the visible road appear as its slope. The fall to the gutters, which limits the correlation in
+`laci_stereo.core.ground_uneven`, is part of the crown here."""
 
 UNEVEN_M = CLASS_B_M * float(np.sqrt(WAVES_M / REACH_M))
-"""Standard deviation of a road's height above its even surface, if it is of class B."""
+"""Standard deviation of the height of a class B road above its even surface."""
 
 SMOOTH_M = UNEVEN_M * float(np.sqrt(2.0 / np.pi * np.hypot(1.0, 2.0 * np.pi * N0_PER_M * WAVES_M)))
-"""The same of a road that is smooth, but has long waves: its spectrum is ISO 8608's at the wave number 0.1 / m."""
+"""The same standard deviation for a road that is smooth but has long waves: its spectrum equals that of ISO 8608 at the
+wave number 0.1 / m."""
 
 AREA_M, RINGS_M = LANES_M / 2, 1e4
-"""Over so much what is seen of a road is blurred for the plane that fits it best. A camera sees an area, but no road is
-narrower than a lane. A scanner sees rings, which are where its lasers point and not where road is, and each errs by
-itself: its plane is that of the model."""
+"""Side of the square over which the visible road is blurred for the best plane: of a camera, and of a scanner. A camera
+sees an area, but no road is narrower than a lane. A scanner sees rings, whose places depend on the directions of its
+lasers rather than on the road, and each of which has an error of its own: its best plane is that of the model."""
 
 _PRIOR = np.square([*OTHER, BENT_PER_M, BENT_PER_M / 2, BENT_PER_M])
 _BENDS, _BEST, _CROWNS = slice(3, 6), slice(6, 9), slice(9, None)
-"""What is told of a road: a plane, how it is bent, as roads that cross are so in both directions, the plane that fits
-the surface best but for its crown, and the fall from each crown."""
+"""Slices of the state vector of a road: after the three numbers of the plane come its bends, in both directions since
+roads that cross are bent in both, the best plane without the crown, and the fall from each crown."""
 
 _CLASSES = np.array([-1.0, 0.0, 1.0])
-"""Of unevenness, against ISO 8608's class B: with each it is twice as large; as much is one standard deviation."""
+"""Classes of unevenness relative to class B of ISO 8608: each class doubles it, and one class is one standard
+deviation."""
 
 _NEVER = 25.0
-"""What is so much less likely than the likeliest, as a logarithm, is not looked at: all of some 10^5 pairs of an edge
-and a crown together are one in a million."""
+"""Difference in log-likelihood from the most likely pair of an edge and a crown beyond which a pair is ignored: all of
+about 10^5 pairs together then have a probability of one in a million."""
 
 
 class Surface:
-    """The distribution of a road's surface, given cells on it.
+    """The posterior distribution of a road's surface, given cells on it.
 
-    The plane, how the road is bent, how high what is behind an edge is, and how uneven the road is are normal, a
-    Gaussian process with explicit basis functions (Rasmussen and Williams 2006, section 2.7). The fall and the place of
-    the crown or crowns, the edge, and the kind and class of unevenness are summed over by their evidence.
+    The plane, the bends, the height of the surface behind an edge, and the waves are Gaussian: a Gaussian process with
+    explicit basis functions (Rasmussen and Williams 2006, section 2.7). The fall and the place of the crown or crowns,
+    the edge, and the kind and class of unevenness are marginalised by summation, weighted by their evidence.
 
     Parameters
     ----------
     cells : Cells
     shared_noise_share : float
-        Of each point's standard deviation, the part that errs for all points alike, and again for all of one laser.
+        Fraction of each point's standard deviation that is an error shared by all points; a second error of this size
+        is shared by all points of one laser.
     before : ndarray, shape (3,)
-        Height at the origin, and slopes, of the ground near which the road is beforehand, by `OTHER`.
+        Prior mean of the road's plane: height at the origin, and slopes, of the ground; its standard deviations are
+        `OTHER`.
     along_rad : float
-        Direction of the way: crowns and edges that are straight are looked for along it, across, and in between.
+        Direction of the path: straight crowns and edges are searched along it, across it, and in between.
     ends_m : tuple of float
-        How far to the left of the way the road was seen to end on its right and on its left.
+        Distances to the left of the path at which the road was seen to end on its right and on its left.
     edges : bool
-        Some of the cells may be behind an edge of the road, another one may cross it there, and it may be smooth: long
-        waves on a road that were thought to be rough pass for an edge.
+        Whether cells may be behind an edge of the road, another road may cross it, and the road may be smooth with long
+        waves, which the spectrum of a rough road would explain as an edge.
 
     Attributes
     ----------
     behind : ndarray, shape (n,)
-        How likely each cell is behind an edge.
+        Probability that each cell is behind an edge.
     """
 
     def __init__(
@@ -144,23 +154,25 @@ class Surface:
         self.behind: FloatArray = (raised != 0.0).any(axis=2) @ (likely @ np.array([each.of_edge for each in given]))
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
-        """Return the height of the even surface at some cells, and its variance, each of shape (n,)."""
+        """Return the height of the even surface at given cells and its variance, each of shape (n,)."""
         shapes = self._shapes(cells)
         variance = ((shapes @ self._covariance) * shapes).sum(axis=1)
         return height_of(self.before, cells.xy) + shapes @ self._mean, np.maximum(variance, 0.0)
 
     def plane(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the plane that fits the road best: its height at the middle, and its slopes along x and y.
+        """Return the best plane of the road: its height at the middle of the cells, and its slopes along x and y.
 
-        Its slopes are those of what is seen of the road, with its waves, and of the other side of its crown, its height
-        that of what is seen. A bent road has other slopes where it goes on, by as much as it is bent over what is seen.
+        The slopes are those of the visible road, with its waves, and of the other side of its crown; the height is that
+        of the visible road. A bent road has other slopes beyond its visible part; the covariance includes the change of
+        slope over the visible part.
 
         Returns
         -------
         value : ndarray, shape (3,)
         covariance : ndarray, shape (3, 3)
         by_crown : ndarray, shape (3, 3)
-            The part of it that is due to the crown, of which nobody knows who does not see both of its sides.
+            The part of the covariance that is due to the crown, which is not determined unless both of its sides are
+            seen.
         """
         to_plane = np.zeros((3, len(self._mean)))
         to_plane[:, _BEST], to_plane[:, _CROWNS] = np.eye(3), self._by_crowns
@@ -183,10 +195,10 @@ class Surface:
         return offset + to_plane @ self._mean, covariance, by_crown
 
     def _shapes(self, cells: Cells) -> FloatArray:
-        """Return what a road is made of at some places, shape (n, 9 + crowns).
+        """Return the basis functions of the even surface at given places, shape (n, 9 + crowns).
 
-        That are a plane, its bends, and by how much each crown raises them if roads fall by 1. Of the plane that fits
-        best, which follows from these, there is nothing.
+        These are the plane, the bends, and the height that each crown adds per unit fall. The columns of the best plane
+        are zero, since it follows from the others.
         """
         off = cells.xy - self.middle
         best = np.zeros((len(off), 3))
@@ -195,14 +207,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is asked of a road that is as uneven as some class: plane and bends, and the plane that fits it best.
+    """Prior of the target quantities for one class of unevenness: plane and bends, and the best plane.
 
     Attributes
     ----------
     with_heights : ndarray, shape (n, 9)
-        Covariance with the heights that are seen, beforehand.
+        Prior covariance of the n measured heights with the target quantities.
     prior : ndarray, shape (9, 9)
-        Covariance of what is asked, beforehand.
+        Prior covariance of the target quantities.
     """
 
     with_heights: FloatArray
@@ -210,18 +222,18 @@ class _Asked:
 
     @staticmethod
     def of(own: FloatArray, waves: FloatArray, best: FloatArray, best_own: FloatArray) -> _Asked:
-        """Return it for some waves.
+        """Return the prior for a given covariance of the waves.
 
         Parameters
         ----------
         own : ndarray, shape (n, 6)
-            By how much plane and bends raise each height.
+            Derivative of each height by plane and bends.
         waves : ndarray, shape (n, n)
             Covariance of the waves' heights.
         best : ndarray, shape (3, n)
-            What of the heights makes the best plane.
+            Derivative of the best plane by the heights.
         best_own : ndarray, shape (3, 6)
-            What of plane and bends makes it.
+            Derivative of the best plane by plane and bends.
         """
         by_own, by_waves = own * _PRIOR, best @ waves
         corner = best_own * _PRIOR
@@ -234,19 +246,19 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Given:
-    """What is known if the road is as uneven as some class.
+    """The posterior for one class of unevenness.
 
     Attributes
     ----------
     log_likely : float
-        Logarithm of the evidence.
+        Log evidence of the class.
     mean, products : ndarray, shape (k,) and (k, k)
-        Mean, and mean products, of what is expected of what is asked, and of the fall from each crown: none if it is
-        another.
+        Mean and mean products, over crowns, falls and edges, of the target quantities' expectations given these,
+        followed by the fall from each crown, which is 0 if another crown exists.
     within : ndarray, shape (9, 9)
-        Covariance of what is asked about what is expected, whatever crown and edge there is.
+        Covariance of the target quantities about their conditional expectations, averaged over the edges.
     of_edge : ndarray, shape (edges,)
-        Probability of each edge.
+        Posterior probability of each edge.
     """
 
     log_likely: float
@@ -265,18 +277,21 @@ def _given(
     behind: FloatArray,
     edges: Edges,
 ) -> _Given:
-    """Sum over falls, crowns and edges: one crown is there, and one edge or none.
+    """Return the posterior, summed over falls, crowns and edges: one crown exists, and one edge or none.
 
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
-        Of the heights, with neither a crown nor an edge.
+        Covariance of the heights without a crown and without an edge.
     z : ndarray, shape (n,)
+        The measured heights.
     asked : _Asked
     crowns : ndarray, shape (n, crowns)
-        By how much each raises the heights if roads fall by 1.
+        Height that each crown adds per unit fall.
     crown_likely : ndarray, shape (crowns,)
+        Prior probability of each crown.
     behind : ndarray, shape (n, edges, 2)
+        Derivatives of the heights by the two parameters of each edge; see `behind_edges`.
     edges : Edges
     """
     count, known = len(edges), asked.with_heights.shape[1]
@@ -285,7 +300,7 @@ def _given(
     by_z, by_columns, by_behind = np.split(
         cho_solve(factor, np.column_stack([z, columns, flat_behind])), [1, 1 + columns.shape[1]], axis=1
     )
-    # What is behind an edge adds to the covariance: its inverse becomes less by that much (Woodbury).
+    # The two parameters of an edge add a term of rank 2 to the covariance, which is inverted by Woodbury's identity.
     crossed = (flat_behind.T @ by_columns).reshape(count, 2, -1)
     inside = np.einsum("nei,nej->eij", behind, by_behind.reshape(behind.shape))
     precision = edges.sigma[:, :, None] ** -2 * np.eye(2)
@@ -301,7 +316,7 @@ def _given(
     log_edge += np.linalg.slogdet(spread @ precision)[1] / 2
     log_crown = np.log(crown_likely, where=crown_likely > 0.0, out=np.full_like(crown_likely, -np.inf))
     together, with_fall = log_edge[:, None] + log_crown, with_z[:, known:]
-    # Most pairs of an edge and a crown need no look, as the likeliest of all falls up to the steepest tells.
+    # Most pairs of an edge and a crown are ruled out by an upper bound: their evidence at the most likely fall.
     likeliest = np.divide(with_fall, crown_square, out=np.zeros_like(with_fall), where=crown_square > 0.0)
     likeliest = likeliest.clip(0.0, _FALLS[-1])
     best = together + likeliest * (with_fall - crown_square * (likeliest / 2))
@@ -315,7 +330,7 @@ def _given(
     likely, fall, square = chance.sum(axis=1), chance @ _FALLS, chance @ _FALLS**2
     of_edge = np.bincount(edge, weights=likely, minlength=count).astype(np.float64)
 
-    # Of each pair, what is asked is expected + by_fall fall.
+    # For each pair, the conditional expectation of the target quantities is expected + by_fall * fall.
     expected = with_z[edge, :known]
     edge_crown = (crossed[edge, :, :known] * lessened[edge, :, known + crown][:, :, None]).sum(axis=1)
     by_fall = edge_crown - (asked.with_heights.T @ by_columns[:, known:]).T[crown]
@@ -333,9 +348,10 @@ def _given(
 
 
 def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray) -> FloatArray:
-    """Return how likely heights of shape (n,) are with each of some crowns, shape (n, crowns), as a logarithm.
+    """Return the log-likelihood of heights, shape (n,), with each of the crowns, shape (crowns,), up to a constant.
 
-    ``factor`` is that of their covariance without a crown, see `scipy.linalg.cho_factor`.
+    The falls are summed over. ``factor`` is the Cholesky factor of the heights' covariance without a crown, see
+    `scipy.linalg.cho_factor`; ``crowns``, shape (n, crowns), are the heights that each crown adds per unit fall.
     """
     by_crowns = cho_solve(factor, crowns)
     square = (crowns * by_crowns).sum(axis=0)
@@ -346,19 +362,20 @@ def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray
 
 
 def rough(apart_m: FloatArray) -> FloatArray:
-    """Return the covariance of a road's heights, if it is of class B, by how far apart they are (any shape).
+    """Return the covariance of the heights of a class B road as a function of their distance (any shape).
 
-    Its spectrum falls with the square of the wave number, as that of ISO 8608.
+    Its spectrum falls with the square of the wave number, as in ISO 8608.
     """
     covariance: FloatArray = UNEVEN_M**2 * np.exp(-apart_m / WAVES_M)
     return covariance
 
 
 def smooth(apart_m: FloatArray) -> FloatArray:
-    """Return the same for a road whose spectrum falls with the cube of the wave number.
+    """Return the covariance of heights of a smooth road as a function of their distance (any shape).
 
-    Of roads that were measured it falls with powers of 1.7 to 3.3 (Mitschke and Wallentowitz, Dynamik der
-    Kraftfahrzeuge). This is Matern's covariance for the smoothness 1 (Rasmussen and Williams 2006, equation 4.14).
+    Its spectrum falls with the cube of the wave number; for measured roads the powers range from 1.7 to 3.3 (Mitschke
+    and Wallentowitz, Dynamik der Kraftfahrzeuge). This is Matern's covariance for the smoothness 1 (Rasmussen and
+    Williams 2006, equation 4.14).
     """
     waves = np.maximum(apart_m / WAVES_M, 1e-9)
     covariance: FloatArray = SMOOTH_M**2 * waves * k1(waves)
@@ -366,12 +383,12 @@ def smooth(apart_m: FloatArray) -> FloatArray:
 
 
 def _bent(off: FloatArray) -> FloatArray:
-    """Return what planes and their bends are made of at some places, shape (n, 6)."""
+    """Return the basis functions of plane and bends at given places, shape (n, 6)."""
     x, y = off.T
     return np.column_stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
 
 
 def height_of(plane: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return the height of a plane, given as that at the origin and its slopes, at places of shape (..., 2)."""
+    """Return the heights of a plane, given by its height at the origin and two slopes, at places of shape (..., 2)."""
     height: FloatArray = plane[0] + xy @ plane[1:]
     return height

@@ -1,4 +1,4 @@
-"""Every setting of the core, its default, and why it has that value. The command line only overrides."""
+"""Every setting of the core with its default and the reason for it. The command line only overrides these."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Literal, get_args
 from laci_stereo.core.errors import SettingError
 
 UNKNOWN_CLOCK_S = 1.0
-"""Standard deviation of the offset between clocks of which nothing is known but that people set them."""
+"""Standard deviation of the offset between clocks that people set by hand and about which nothing else is known."""
 
 EVEN_CELLS = 12
-"""So many cells at least: nine beyond a plane's three numbers tell how uneven it is to within a quarter."""
+"""Least number of cells of a ground plane: with nine degrees of freedom beyond the plane's three parameters, its
+unevenness is estimated to within a quarter."""
 
 
 @dataclass(frozen=True)
@@ -22,27 +23,29 @@ class GroundSettings:
     Attributes
     ----------
     max_tilt_deg : float
-        Largest angle between the plane's normal and the sensor's own up axis. Sensors are pitched by up to 35 deg
-        and rolled by a few; a wall that faces a sensor pitched by 35 deg appears 55 deg from up.
+        Largest angle between the plane's normal and the sensor's own up axis. Sensors are pitched by up to 35 deg and
+        rolled by a few degrees; a wall that faces a sensor pitched by 35 deg appears 55 deg from up.
     min_height_m, max_height_m : float
-        Between these the sensor hangs over the ground.
+        Range of the sensor's mounting height above the ground.
     unevenness_m : float
-        Largest standard deviation of a road about its plane (crown, ruts). The fit estimates what it really is; what
-        is farther away, such as a pavement behind its kerb of 10 to 15 cm, is not the ground.
+        Largest standard deviation of a road about its plane (crown, ruts). The fit estimates the actual value; points
+        farther from the plane, such as those of a pavement behind its kerb of 10 to 15 cm, are not ground.
     min_points : int
-        Fewer points than this are no cloud.
+        A cloud with fewer points is rejected.
     min_cells : int
-        Cells of bearing (0.05 rad wide) that must support the plane: as many as a patch of 0.3 rad square has.
+        Least number of cells of bearing (0.05 rad wide) that must support the plane: that of a patch of 0.3 rad square.
     min_support_share : float
-        Of the cells with a free view of the plane so many must support it; else what lies low is mostly something else,
-        such as hills. Of less than both it takes a road where the sender drives to know that the plane is the ground.
+        Least fraction of the cells with a free view of the plane that must support it; below it, most of the low points
+        belong to something else, such as hills. A plane with less support than both limits is accepted as the ground
+        only where a road that the sender drives on confirms it.
     max_tilt_sigma_deg : float
-        Where the normal is known less well than this, the points do not span a plane.
+        Largest standard deviation of the normal; above it, the points do not span a plane.
     shared_noise_share : float
-        Of each point's standard deviation along its line of sight, the part that errs for all points alike, and on the
-        road as much again for all of one laser of a scanner. No residual shows it, but it moves the plane. A matcher
-        and a rectification leave a bias of 0.03 to 0.05 px where a pixel is known to 0.1 to 0.2 px; of a LiDAR's offset
-        of range makers only promise that it is no larger than the scatter of its points, and this is a quarter of that.
+        Fraction of each point's standard deviation along its line of sight that is one error shared by all points; on
+        the road, a second error of the same size is shared by all points of one laser of a scanner. No residual shows
+        this error, but it moves the plane. A matcher and a rectification leave a bias of 0.03 to 0.05 px where the
+        noise of a pixel is 0.1 to 0.2 px; for the range offset of a LiDAR, makers only promise that it is no larger
+        than the noise of its points, and this is a quarter of that.
     """
 
     max_tilt_deg: float = 48.0
@@ -57,7 +60,7 @@ class GroundSettings:
 
     @property
     def any_support(self) -> GroundSettings:
-        """The same, but by them a plane may be the ground that hardly more supports than tells how even it is."""
+        """These settings with the least support that still determines a plane and its unevenness (`EVEN_CELLS`)."""
         return replace(self, min_support_share=0.0, min_cells=min(self.min_cells, EVEN_CELLS))
 
 
@@ -68,16 +71,17 @@ class BoxSettings:
     Attributes
     ----------
     light_bin_m : float
-        Width dx of the bins of the light beams. The shortest side, 1.6 m, gets five beams when it is lit in full, and a
-        beam is hit by some points of the near sides even where a vehicle has only 60.
+        Width dx of the bins of the light beams. The shortest side, 1.6 m, gets five beams when it is lit in full, and
+        each beam holds some points of the near sides even if a vehicle has only 60 points.
     bar_bin_m : float
-        Width of the bins of the histogram along the line, whose densest is the bar P. Never narrower than the
-        tolerance, or noise would spread a bar over several bins.
+        Width of the bins of the histogram along the line, the densest of which is the bar P. The bins are never
+        narrower than the tolerance, or noise would spread a bar over several bins.
     line_tolerance_m : float
-        theta_thresh: points this near to the line are its points Q. It must cover the noise, and the error of a line
-        through few lit points; it widens to two standard deviations where the noise is larger.
+        theta_thresh: points within this distance of the line are its points Q. It must cover the noise and the error of
+        a line through few lit points; it widens to two standard deviations where the noise is larger.
     max_tolerance_m : float
-        Where that widening ends: at half the width of a narrow car, where one line takes up two parallel sides.
+        Largest tolerance after widening: half the width of a narrow car, beyond which one line covers two parallel
+        sides.
     """
 
     light_bin_m: float = 0.3
@@ -93,12 +97,12 @@ class ClusterSettings:
     Attributes
     ----------
     cell_m : float
-        Side of the cells in which points are counted; well below `reach_m`, so that it does not matter.
+        Side of the cells in which points are counted; well below `reach_m`, so that the discretisation has no effect.
     reach_m : float
-        Points nearer than this belong together: more than the gap that a car's windows or an eight-layer scanner's
-        beams leave, less than the 1 m that traffic keeps at least.
+        Points nearer to one another than this belong together: more than the gap that a car's windows or an eight-layer
+        scanner's beams leave, less than the least distance of 1 m that traffic keeps.
     min_points : int
-        Points within reach that make a cluster rather than noise.
+        Least number of points within reach that make a cluster rather than noise.
     """
 
     cell_m: float = 0.1
@@ -113,18 +117,19 @@ class BackgroundSettings:
     Attributes
     ----------
     min_height_m : float
-        theta_g: what is higher above the ground plane is not ground.
+        theta_g: points higher above the ground plane are not ground.
     max_height_m : float
-        What is higher hangs above the traffic (EU directive 96/53/EC: vehicles are at most 4 m high).
+        Points higher than this hang above the traffic (EU directive 96/53/EC: vehicles are at most 4 m high).
     cell_m : float
         Side of the cells in which frames are compared.
     tight_share : float
-        A box is split in two while points cover less than this share of it: the box of an L-shaped building would
-        cover the street before it.
+        A box is split in two while points cover less than this fraction of it: the box of an L-shaped building would
+        cover the street in front of it.
     smallest_box_m : float
         Boxes no longer than this are not split.
     margin_m : float
-        Boxes are grown by this much before they are tested against, for foliage and the noise of their outline.
+        Margin by which boxes are enlarged before points are tested against them, for foliage and the noise of their
+        outline.
     """
 
     min_height_m: float = 0.5
@@ -137,28 +142,28 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class VehicleSettings:
-    """Which clusters can be a vehicle, and which frames of it are used.
+    """Which clusters can be a vehicle, and which of their frames are used.
 
     Attributes
     ----------
     min_height_m : float
-        Points higher above the ground plane are the vehicle's: above kerbs (up to 0.15 m) and lawns, and below the
+        Points higher above the ground plane belong to the vehicle: above kerbs (up to 0.15 m) and lawns, and below the
         bumpers, where a car is longest.
     ground_sigmas : float
         A point must also be above the plane by this many of its own standard deviations.
     max_sigma_m : float
-        Points whose noise along the line of sight is larger are too far away: a quarter of a lane (3.5 m), beyond which
-        a vehicle would be in the next one at two sigma.
+        Points with larger noise along the line of sight are too far away: a quarter of a lane (3.5 m), beyond which two
+        standard deviations would put a vehicle into the next lane.
     min_points : int
-        A cluster with fewer is too thin for a box.
+        A cluster with fewer points is too sparse for a box.
     min_extent_m : float
-        A cluster whose box is shorter is too small: the narrowest side of a car that can be seen is 1.4 m.
+        A cluster whose box is shorter than this is too small: the narrowest visible side of a car is 1.4 m.
     density_cell_m : float
         Side of the cells in which the density of a cluster is counted.
     density_share : float
-        Points where the cluster is thinner than this share of its median density are noise.
+        Points at which the cluster's density is below this fraction of its median density are noise.
     max_edge_share : float
-        A cluster with more of its points at the border of the field of view is cut off there.
+        A cluster with a larger fraction of its points at the border of the field of view is cut off there.
     """
 
     min_height_m: float = 0.25
@@ -178,16 +183,17 @@ class TrackSettings:
     Attributes
     ----------
     max_speed_mps : float
-        Of a vehicle whose speed is not known yet.
+        Largest speed of a vehicle whose speed is not known yet.
     max_acceleration_mps2 : float
-        Emergency braking on dry asphalt is 9 m/s^2.
+        Largest acceleration: emergency braking on dry asphalt is 9 m/s^2.
     jitter_m : float
-        By how much the middle of what is visible of a vehicle jumps from frame to frame.
+        Largest jump, from frame to frame, of the median of the visible points of a vehicle.
     max_lost_s : float
-        A track that was not seen for longer is over: what hides a car at 8 m/s is a lorry of 16 m.
+        A track that is not seen for longer than this has ended: a lorry of 16 m hides a car at 8 m/s for this time.
     fixture_share : float
-        What is seen at one place in this share of the frames of each third of a recording stands there. At a lane's
-        capacity a vehicle passes every 2 s, and its middle is within three cells of half a metre for 0.3 s at 5 m/s.
+        An object that is seen at one place in this fraction of the frames of each third of a recording is stationary.
+        At a lane's capacity a vehicle passes every 2 s, and its middle is within three cells of half a metre for 0.3 s
+        at 5 m/s.
     """
 
     max_speed_mps: float = 40.0
@@ -204,33 +210,34 @@ class MatchSettings:
     Attributes
     ----------
     min_vector_m : float
-        theta_beta: shorter location vectors, relative to the last point of the trace, are left out. A box's centre may
-        be off by half a car's width, which turns a vector of this length by 5 deg.
+        theta_beta: location vectors relative to the last point of the trace are left out if they are shorter than this.
+        A box's centre may be off by half a car's width, which rotates a vector of this length by 5 deg.
     min_frames : int
-        Frames in which the vehicle must be seen and its position be known.
+        Least number of frames in which the vehicle is seen and its position is known.
     min_path_m : float
-        The vehicle must move by this much while it is seen, a car's length: what stands wanders by less.
+        Least distance that the vehicle must travel while it is seen, a car's length: the measured position of a
+        stationary object wanders by less.
     min_explained : float
-        Of the frames of a track that is the vehicle's, at least this share is explained; what else moves is explained
-        where the tracks happen to cross.
+        Least fraction of the frames of the vehicle's own track that a match must explain; for any other object, only
+        those frames are explained in which the tracks happen to cross.
     clear_log_odds : float
-        By less than this over the second hypothesis, or over chance, there is a warning: of a hundred that are chosen
-        without one, at most one may be wrong.
+        With smaller log odds against the second hypothesis, or against chance, a warning is given: of a hundred matches
+        that are chosen without a warning, at most one may be wrong.
     least_log_odds : float
-        By less than this over the second hypothesis nothing is chosen: of the matches that are just taken, all with a
-        warning, one in ten is another vehicle.
+        With smaller log odds against the second hypothesis, no match is chosen: of the matches just above this limit,
+        all of which have a warning, one in ten is another vehicle.
     least_seen_log_odds : float
-        By less than this over chance, if senders are seen as usual, which is nineteen of twenty times, nothing is
-        chosen either: were they seen as often as not, it would rather be a stranger.
+        With smaller log odds against chance, no match is chosen either. The limit applies at the usual prior that a
+        sender is seen, nineteen times in twenty; at even prior odds a match below it would more likely be a stranger.
     clock_sigma_s : float
-        Standard deviation of the offset between the sensor's clock and the CAMs': 10 ms where both are synchronised
-        (by NTP or GNSS), 1 s where nothing is known. Searched is up to three times that.
+        Standard deviation of the offset between the sensor's clock and that of the CAMs: 10 ms where both are
+        synchronised (by NTP or GNSS), 1 s where nothing is known. The search covers three times this.
     position_sigma_m : float
-        Of a position relative to those around it: GNSS wanders by 0.2 to 0.3 m during a passage, and a complete box is
-        known as well.
+        Standard deviation of a position relative to those around it: GNSS wanders by 0.2 to 0.3 m during a passage, and
+        the position of a complete box is known equally well.
     stretch_m : float
-        A vehicle must drive so far until its sightings err independently: at 20 m from the sensor it has then turned by
-        30 deg, and shows another side.
+        Distance that a vehicle must travel until the errors of its sightings are independent: at 20 m from the sensor
+        its aspect has then turned by 30 deg, and it shows another side.
     """
 
     min_vector_m: float = 10.0
@@ -246,17 +253,17 @@ class MatchSettings:
 
     @property
     def any_fit(self) -> MatchSettings:
-        """The same, but by them whatever fits best is chosen, however likely others are."""
+        """These settings with which the best match is chosen, however likely the other hypotheses are."""
         return replace(self, least_log_odds=-math.inf, least_seen_log_odds=-math.inf)
 
 
 def above_zero(option: str, value: float, unit: str) -> float:
-    """Return what an option says.
+    """Return the value of an option unchanged.
 
     Raises
     ------
     SettingError
-        If it is not a positive number.
+        If it is not a positive finite number.
     """
     if not 0 < value < math.inf:
         raise SettingError(f"{option} is {value} {unit}; needed is a number above 0")
@@ -264,48 +271,53 @@ def above_zero(option: str, value: float, unit: str) -> float:
 
 
 def with_turn(clock_sigma_s: float, turn_s: float) -> float:
-    """Return how well the clocks' offset is known where a scanner turns and does not tell the points' times.
+    """Return the standard deviation of the clock offset for a scanner that turns but does not report its points' times.
 
-    It stamps a scan at any moment of a turn, and sees the vehicle at any other: two uniform distributions add to the
-    offset, with a variance of a twelfth of a turn's square each.
+    The scanner stamps a scan at any moment of a turn and sees the vehicle at any other: two uniform distributions add
+    to the offset, each with a variance of a twelfth of the square of a turn's duration.
     """
     return math.hypot(clock_sigma_s, turn_s / math.sqrt(6.0))
 
 
 @dataclass(frozen=True)
 class JointSettings:
-    """What the joint estimate takes as known beforehand, each as one standard deviation.
+    """The priors of the joint estimate, each as one standard deviation, and the correlation of its errors.
 
     Attributes
     ----------
     clock_sigma_s : float
-        Of the offset between the sensor's clock and the messages': both follow a GNSS or NTP.
+        Standard deviation of the offset between the sensor's clock and that of the messages: both follow GNSS or NTP.
     heading_sigma_deg : float
-        Of the messages' heading against the vehicle's body, constant over a drive: how a receiver is fitted into a car.
+        Standard deviation of the messages' heading relative to the vehicle's body, constant over a drive: the mounting
+        error of the receiver in the car.
     lever_sigma_m : float
-        Of the reference point's place on the vehicle: it was measured by hand, to 5 cm.
+        Standard deviation of the reference point's place on the vehicle (the lever arm), which was measured by hand to
+        5 cm.
     size_sigma_m : float
-        Of length and width: messages round to 0.1 m, some senders upwards, and some count the mirrors.
+        Standard deviation of length and width: messages round to 0.1 m, some senders round up, and some include the
+        mirrors.
     position_sigma_m : float
-        Of positions whose accuracy the messages do not tell: that of a receiver with carrier-phase corrections, the
-        only kind that a calibration is worth being made with.
+        Standard deviation of positions for which the messages report no accuracy: that of a receiver with carrier-phase
+        corrections, the only kind that is good enough for a calibration.
     bias_time_s : float
-        Time over which a receiver's error decays, moving or not: satellites move on, and with them what reaches an
-        antenna through the air and by way of walls, in minutes (Rankin, ION GPS-94).
+        Correlation time of a receiver's error, whether the vehicle moves or not: satellites move, and with them the
+        atmospheric delays and the multipath from walls change within minutes (Rankin, ION GPS-94).
     bias_way_m : float
-        Way over which what walls reflect is another thing: 10 s in a town's traffic, as receivers' filters hold it.
+        Correlation length of the multipath error along the path: 10 s in town traffic, for which receivers' filters
+        hold it.
     shared_variance_share : float
-        Of the variance of points, what those on one side in one frame have in common: half of the standard deviation,
-        more than on the road (`GroundSettings`), of which more windows of a matcher or more layers tell.
+        Fraction of the points' variance that is one error shared by the points on one side in one frame: half of the
+        standard deviation, more than on the road (`GroundSettings`), which more matching windows or more layers sample.
     bias_noise_share : float
-        Of each point's standard deviation, the part that errs alike all the way: the rectification's or the scanner's,
-        which is the same on the road.
+        Fraction of each point's standard deviation that is one error shared over the whole drive: the rectification's
+        or the scanner's, which is the same on the road.
     optics_sigma : float
-        Of a stereo camera's focal length and of its baseline, as a share: these are taken for exact, unless the points
-        contradict them. What boards leave, 0.1 to 0.2 %, moves what is seen 10 m from the middle of a drive by 2 cm,
-        while left free it looks like an offset of all disparities, and is known no better than that.
+        Relative standard deviation of a stereo camera's focal length and of its baseline: both are taken as exact
+        unless the points contradict them. The error that a calibration with boards leaves, 0.1 to 0.2 %, moves objects
+        10 m from the middle of a drive by 2 cm; as a free parameter it resembles an offset of all disparities and is
+        known no better than that offset.
     block_s : float
-        What so many seconds of frames say is one statement when the scatter of the residuals is weighed.
+        Frames within this time count as one independent sample when the dispersion of the residuals is estimated.
     """
 
     clock_sigma_s: float = 0.010
@@ -328,17 +340,18 @@ class QualitySettings:
     Attributes
     ----------
     max_sigma_m : float
-        Up to this standard deviation along the track the verdict is a pass: half a lane's width would put a vehicle
-        into the wrong lane, and three sigma must stay below it.
+        Largest standard deviation along the track for the verdict "pass": an error of half a lane's width would put a
+        vehicle into the wrong lane, and three standard deviations must stay below it.
     max_sigma_deg : float
-        The same for the yaw: three sigma shift an object 60 m away by half a lane. A tilt may be known half as well: it
-        lifts objects, and moves them by its share of the sensor's height only.
+        Largest standard deviation of the yaw for the verdict "pass": three standard deviations shift an object 60 m
+        away by half a lane. The limit of a tilt is twice as large: a tilt raises or lowers objects, and moves them
+        horizontally only by the tilt times the sensor's height.
     fail_factor : float
-        Beyond this multiple of a limit the verdict is a fail, in between a warning.
+        Beyond this multiple of a limit the verdict is "fail", between the limit and the multiple it is "warn".
     open_m : float
-        A direction that is known no better than this is open, and no result is given: one side of a car could be taken
-        for the other. Where the messages tell that their positions are worse than a third of it, three times what they
-        tell is the limit.
+        A direction with a standard deviation of at least this is open, and no result is given: one side of a car could
+        be mistaken for the other. Where the messages report a standard deviation of their positions above a third of
+        this, the limit is three times the reported value.
     """
 
     max_sigma_m: float = 0.5
@@ -353,7 +366,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings of the core; ``method`` is the estimator: the joint one, or the paper's."""
+    """All settings of the core; ``method`` is the estimator: the joint estimator or the paper's."""
 
     method: Method = "joint"
     ground: GroundSettings = field(default_factory=GroundSettings)

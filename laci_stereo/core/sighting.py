@@ -1,4 +1,4 @@
-"""What of a frame can be the vehicle: points above ground and outside of the background, in clusters with boxes."""
+"""Candidates for the vehicle in one frame: clusters of points above ground and outside the background, with boxes."""
 
 from __future__ import annotations
 
@@ -22,27 +22,29 @@ from laci_stereo.core.settings import Settings, VehicleSettings
 from laci_stereo.core.subsampling import evenly
 
 Flaw = Literal["cut", "far", "thin"]
-"""Why a sighting is left out: cut by the border of the field of view, too far away, too thin for a box."""
+"""Reason for which a sighting is left out: cut by the border of the field of view, too far away, too sparse for a
+box."""
 
 KEPT_POINTS, KEPT_LOW = 800, 1200
-"""Points of a cluster that are kept, and of what may be of it below them or of the road around it, so that memory does
-not grow with the sensor's density: as many of both as neither is exceeded, but so many that they can be a vehicle.
-Which are kept moves a result by millimetres, and by centimetres where it is half as many."""
+"""Largest numbers of a cluster's points, and of the low points below or around it, that are kept, so that memory does
+not grow with the sensor's density. The same fraction of both is kept, such that neither number is exceeded, but at
+least as many points as a vehicle needs. The choice of the kept points moves a result by millimetres, and by centimetres
+with half of these numbers."""
 
 STRAY = 0.02
-"""So many in a hundred of a cluster's points, at either end of it, may be something else's."""
+"""Fraction of a cluster's points at either end of it that may be outliers of another object."""
 
 
 @dataclass(frozen=True)
 class Low(Columns):
-    """Points below a cluster, or on the road around it: the noise of their heights does not tell.
+    """Points below a cluster or on the road around it; the noise of their heights is too large to distinguish the two.
 
     Attributes
     ----------
     points : ndarray, shape (n, 3)
-        Level frame, metres.
+        Points in the level frame, metres.
     sigma_along_m, sigma_across_m : ndarray, shape (n,)
-        Their noise along and across the line of sight.
+        Standard deviations of their noise along and across the line of sight.
     """
 
     points: FloatArray
@@ -61,36 +63,36 @@ class Sighting:
     Attributes
     ----------
     stamp_s : float
-        When its points were taken, seconds since the recording's first stamp.
+        Time at which its points were measured, seconds since the recording's first stamp.
     frame_s : float
-        The stamp of its frame, which sightings in one frame share.
+        Stamp of its frame, in the same seconds; all sightings in a frame share it.
     points : ndarray, shape (n, 3)
-        Some of its points, level frame, metres; none where a detector gave the box.
+        A subset of its points, level frame, metres; empty where a detector gave the box.
     sigma_along_m, sigma_across_m : ndarray, shape (n,)
-        Their noise along and across the line of sight.
+        Standard deviations of these points along and across the line of sight.
     count : int
-        How many it has in all.
+        Number of all its points.
     middle : ndarray, shape (2,)
-        The median of all its points on the ground plan: biased towards the sensor, but steadier than the box.
+        Median of all its points on the ground plan: biased towards the sensor, but less noisy than the box.
     box : Box
-        On the ground plan of the level frame.
+        Box on the ground plan of the level frame.
     flaw : {"cut", "far", "thin"} or None
-        Why its box is not to be trusted.
+        Reason for which its box is unreliable.
     sigma_m : float
-        Typical noise of its points along the line of sight.
+        Median noise of its points along the line of sight.
     radial_mps : float or None
-        How fast it moves away from the sensor, where that was measured.
+        Measured speed away from the sensor; None where it was not measured.
     late_s : ndarray, shape (n,), or None
-        By how much later than its stamp each point was taken; None: not at all.
+        Delay of each point's measurement after ``stamp_s``; None if all were measured at that time.
     turn_s, window_rad : float
         See `PointCloud`.
     begin_rad : float
-        Azimuth in the level frame, as far up or down as it is seen, where a turning scanner's scans begin.
+        Azimuth in the level frame at which the scans of a turning scanner begin, at the elevation of the sighting.
     low : Low
-        The same share of them is kept as of its points.
+        Points below or around it, the same fraction of which is kept as of its points.
     borders : ndarray, shape (2, 3)
-        Its outermost points, right and left, as seen from the sensor; of cameras only, whose bearings are as exact as a
-        matcher's window. NaN where the field of view ends there, the background is near, or nothing is seen below the
+        Its outermost points, right and left as seen from the sensor; only for cameras, whose bearings are exact to a
+        matching window. NaN where the field of view ends there, the background is near, or nothing is seen below the
         mirrors.
     """
 
@@ -113,7 +115,7 @@ class Sighting:
     borders: FloatArray = field(default_factory=lambda: NO_BORDERS)
 
     def without_points(self) -> Sighting:
-        """Return its box only."""
+        """Return the sighting with its box but without points."""
         points, along, across = NOTHING_LOW.points, NOTHING_LOW.sigma_along_m, NOTHING_LOW.sigma_across_m
         bare = replace(self, points=points, sigma_along_m=along, sigma_across_m=across, late_s=None)
         return replace(bare, low=NOTHING_LOW, borders=NO_BORDERS)
@@ -127,13 +129,13 @@ def find_vehicles(
     settings: Settings,
     land: Land = FLAT,
 ) -> list[Sighting]:
-    """Find what may be a vehicle in a frame (paper section III-C).
+    """Find the clusters in a frame that may be vehicles (paper section III-C).
 
     Parameters
     ----------
     cloud : PointCloud
     frame_s : float
-        Its stamp, seconds since the recording's first stamp.
+        Stamp of the cloud, seconds since the recording's first stamp.
     T_level_sensor : ndarray, shape (4, 4)
     background : Background
     settings : Settings
@@ -174,10 +176,10 @@ def find_vehicles(
 
 
 def _below(points: FloatArray, members: FloatArray, sigma_m: float, height_m: float, settings: Settings) -> BoolArray:
-    """Tell which points, shape (n, 3), level frame, may be of a cluster below its members.
+    """Return which points, shape (n, 3), level frame, may belong to a cluster or to the road below it, shape (n,).
 
-    They are seen in its bearings, from its top to where it would end above the ground; and as far away as the members,
-    but for their noise.
+    These points are seen within the cluster's bearings, from its top down to the elevation at which it would end above
+    the ground, and at the distance of its members up to their noise.
     """
     xy, reach_m = np.median(members[:, :2], axis=0), settings.cluster.reach_m
     forward = (xy / max(float(np.hypot(*xy)), 1e-9))[None]
@@ -192,23 +194,23 @@ def _below(points: FloatArray, members: FloatArray, sigma_m: float, height_m: fl
 
 
 def _sight(points: FloatArray, forward: FloatArray, height_m: float) -> FloatArray:
-    """Return azimuth from a direction, range on the ground plan, and slope of the line of sight, shape (n, 3)."""
+    """Return the azimuth from ``forward``, the range on the ground plan, and the slope of the sight, shape (n, 3)."""
     range_m = np.maximum(np.hypot(*points[:, :2].T), 1e-9)
     return np.column_stack([_bearing(points, forward[0]), range_m, (points[:, 2] - height_m) / range_m])
 
 
 def sigma_z(sight: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray) -> FloatArray:
-    """Return the standard deviation of the height of points that the sensor sees along ``sight``, shape (n, 3)."""
+    """Return the standard deviation of points' heights, shape (n,), given the vectors to them, shape (n, 3)."""
     slope = sight[:, 2] / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
     sigma_m: FloatArray = np.hypot(slope * sigma_along_m, np.sqrt(1 - slope**2) * sigma_across_m)
     return sigma_m
 
 
 def dense(xy: FloatArray, settings: VehicleSettings) -> BoolArray:
-    """Tell which points, shape (n, 2), stand where the outline is dense.
+    """Return which points, shape (n, 2), lie where the outline is dense, shape (n,).
 
-    Upright sides stack their points on the ground plan; matches that bleed from them to the road behind are strewn
-    along the line of sight. With the few points of a sparse scanner this keeps everything.
+    The points of upright sides accumulate on the ground plan, whereas those of matches that bleed from these sides onto
+    the road behind are spread along the line of sight. All of the few points of a sparse scanner are kept.
     """
     cells = np.floor(xy / settings.density_cell_m).astype(np.int64)
     cells -= cells.min(axis=0)
@@ -225,13 +227,13 @@ def box_around(points: FloatArray, settings: Settings) -> Box:
     Raises
     ------
     BoxError
-        If nothing of it is dense enough.
+        If too little of the cluster is dense enough.
     """
     return fit_box(points[dense(points[:, :2], settings.vehicle), :2], settings.box)
 
 
 def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
-    """Return two sightings in one frame, which are pieces of one thing, as one."""
+    """Return the union of two sightings in one frame that are pieces of one object."""
     main, other = sorted((first, second), key=lambda one: one.count, reverse=True)
     count = main.count + other.count
     kept = [evenly(len(one.points), round(KEPT_POINTS * one.count / count) + 1) for one in (main, other)]
@@ -265,10 +267,10 @@ def together(first: Sighting, second: Sighting, settings: Settings) -> Sighting:
 
 
 def _outer(main: Sighting, other: Sighting) -> FloatArray:
-    """Return the borders, shape (2, 3), of two pieces of one thing."""
+    """Return the borders, shape (2, 3), of two pieces of one object."""
     both = np.stack([main.borders, other.borders])
     bearings = np.column_stack([_bearing(piece, main.middle) for piece in both])
-    right, left = bearings[0].argmin(), bearings[1].argmax()  # NaN, where one was cut, before all others
+    right, left = bearings[0].argmin(), bearings[1].argmax()  # a cut piece's NaN is chosen first
     return np.stack([both[right, 0], both[left, 1]])
 
 
@@ -292,7 +294,7 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
         return None
     if flaw is None and max(box.length_m, box.width_m) < limits.min_extent_m:
         flaw = "thin"
-    # Of both the same share, or more would seem to be nearer, or farther, than there is; and enough to tell anything.
+    # The same fraction of both is kept, to preserve their proportion, and enough points for a vehicle.
     share = min(KEPT_POINTS / len(points), KEPT_LOW / max(1, len(low.points)))
     share = min(1.0, max(share, limits.min_points / len(points)))
     kept, kept_low = (evenly(count, round(share * count)) for count in (len(points), len(low.points)))
@@ -317,7 +319,7 @@ def _sighting(points: FloatArray, cloud: PointCloud, low: Low, frame_s: float, s
 
 
 def _begin(points: FloatArray, turned_rad: FloatArray) -> float:
-    """Return where scans begin, azimuth in the level frame, as a tilted scanner has it beside what is seen."""
+    """Return the azimuth in the level frame at which scans begin; with a tilted scanner, at the points' elevation."""
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     return float(np.angle(np.exp(1j * (azimuth - turned_rad)).mean()))
 
@@ -325,17 +327,17 @@ def _begin(points: FloatArray, turned_rad: FloatArray) -> float:
 def _borders(points: FloatArray, cloud: PointCloud, beside: FloatArray, settings: Settings) -> FloatArray:
     """Return the outermost points of a cluster, shape (2, 3): see `Sighting.borders`.
 
-    A point or two may be something else's: the outermost has so many others within half a window farther in, where a
-    border may be anyhow, as make a cluster.
+    A few points may be outliers of another object, so the outermost point must have as many others as make a cluster
+    within half a matching window farther inside, the accuracy to which a border is known anyway.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3)
-        Of the cluster, level frame.
+        Points of the cluster, level frame.
     cloud : PointCloud
-        The same.
+        The same points with their noise, sensor frame.
     beside : ndarray, shape (m, 2)
-        What the background covers: within reach of it a border may be covered, too.
+        Points covered by the background: within reach of them a border may be hidden, too.
     settings : Settings
     """
     low = np.flatnonzero(points[:, 2] < SIDES_HIGHEST_M)
@@ -348,7 +350,7 @@ def _borders(points: FloatArray, cloud: PointCloud, beside: FloatArray, settings
 def _outermost(
     points: FloatArray, way: float, cloud: PointCloud, middle: FloatArray, beside: FloatArray, settings: Settings
 ) -> FloatArray:
-    """Return the outermost point, shape (3,), to the right (-1) or to the left (1); NaN where it is not known."""
+    """Return the outermost point, shape (3,), on the right (``way`` = -1) or the left (1); NaN where it is unknown."""
     inward = -way * _bearing(points, middle)
     order = np.argsort(inward)
     near = np.searchsorted(inward[order], inward[order] + cloud.window_rad / 2) - np.arange(len(order))
@@ -363,7 +365,7 @@ def _outermost(
 
 
 def _bearing(points: FloatArray, middle: FloatArray) -> FloatArray:
-    """Return how far to the left of a place, shape (2,), points, shape (n, 3), are seen, shape (n,), rad."""
+    """Return the bearings of points, shape (n, 3), counter-clockwise from that of ``middle``, shape (n,), rad."""
     forward = (middle / max(float(np.hypot(*middle)), 1e-9))[None]
     xy = points[:, :2]
     bearing: FloatArray = np.arctan2(dot_xy(perpendicular(forward), xy), dot_xy(forward, xy))

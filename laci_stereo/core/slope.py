@@ -1,4 +1,4 @@
-"""Whether the road slopes, by the altitudes of drives, and what that does to distances on the map."""
+"""The slope of the road, estimated from the altitudes of drives, and its effect on distances on the map."""
 
 from __future__ import annotations
 
@@ -12,43 +12,45 @@ from laci_stereo.core.frames import FloatArray, rigid
 from laci_stereo.core.robust import NORMAL
 
 ALONG_SIGMA, ACROSS_SIGMA = 0.10, 0.025
-"""What slopes are usual: 10 % along a road is steep; across it falls by 2.5 % to drain. Altitudes in which as much
-would not show do not tell that a road is level."""
+"""Prior standard deviations of the slope along and across a road: 10 % along it is steep; across it falls by 2.5 % to
+drain. A road is taken as level only if the altitudes would show a slope of the latter size along it."""
 
 ALTITUDE_SIGMA_M = 0.05
-"""Of altitudes against those around them, at the least: receivers with corrections."""
+"""Least standard deviation of an altitude relative to those around it: that of receivers with corrections."""
 
 HEIGHT_SIGMA_M = 1000.0
-"""Of a receiver's own height: nothing is known of it."""
+"""Prior standard deviation of the offset of a receiver's altitudes: nothing is known about it."""
 
 STRETCH_M = 10.0
-"""Altitudes nearer to one another than that err together."""
+"""Correlation length of the errors of altitudes along the path."""
 
 FALSE_ALARM = 0.003
-"""So seldom is a level road taken for a slope: three sigma."""
+"""Probability that a level road is mistaken for a slope: three standard deviations."""
 
 HUBER, TUKEY = 1.345, 4.685
-"""Standard deviations at which 95 % of least squares' exactness is left where nothing strays (Huber 1981, Tukey)."""
+"""Tuning constants in standard deviations, with 95 % of the efficiency of least squares without outliers (Huber 1981,
+Tukey)."""
 
 HUBER_STEPS, TUKEY_STEPS = 30, 10
-"""Each of the former takes a stray's pull down by a factor at least, from hundreds of metres to Huber's few sigma."""
+"""Numbers of reweighting steps: each Huber step reduces the influence of outliers at least by a factor, from hundreds
+of metres down to a few standard deviations."""
 
 
 @dataclass(frozen=True)
 class Slope:
     """A ground plane, sloping or level.
 
-    The world's x and y are true along the ground. On the map, which is level, what lies uphill is nearer by the cosine
-    of the slope's angle: 7 cm in 60 m at 5 %. Both agree at ``pivot``.
+    The world's x and y are true distances along the ground. On the map, which is horizontal, distances uphill are
+    shorter by the cosine of the slope's angle: 7 cm in 60 m at 5 %. Both agree at ``pivot``.
 
     Attributes
     ----------
     gradient : ndarray, shape (2,)
         Metres of altitude per metre on the map, towards grid east and north; 0 where the road is level.
     covariance : ndarray, shape (2, 2)
-        Of the gradient.
+        Covariance of the gradient.
     pivot : ndarray, shape (2,)
-        In the world: the middle of the vehicle's track, once that is known.
+        Position in the world: the middle of the vehicle's track, once that is known.
     """
 
     gradient: FloatArray
@@ -62,27 +64,27 @@ class Slope:
 
     @property
     def _longer(self) -> float:
-        """By what a metre on the map is longer along the ground, straight uphill."""
+        """Ratio of a distance along the ground, straight uphill, to the same distance on the map."""
         return float(np.hypot(1.0, self.steepness))
 
     def along_ground(self, xy_map: FloatArray) -> FloatArray:
-        """Return where positions on the map, shape (n, 2), metres, are along the ground."""
+        """Return positions along the ground, shape (n, 2), from those on the map, shape (n, 2), metres."""
         rise = (xy_map - self.pivot) @ self.gradient
         along: FloatArray = xy_map + rise[:, None] * self.gradient / (1.0 + self._longer)
         return along
 
     def on_map(self, xy_ground: FloatArray) -> FloatArray:
-        """Return where positions along the ground, shape (n, 2), metres, are on the map."""
+        """Return positions on the map, shape (n, 2), from those along the ground, shape (n, 2), metres."""
         rise = (xy_ground - self.pivot) @ self.gradient
         on_map: FloatArray = xy_ground - rise[:, None] * self.gradient / (self._longer * (1.0 + self._longer))
         return on_map
 
     def yaw_along_ground(self, yaw_map_rad: FloatArray) -> FloatArray:
-        """Return directions on the map, shape (n,), as they are along the ground, unwrapped as they were."""
+        """Return yaws along the ground from those on the map, shape (n,), without changing how they are unwrapped."""
         return self._turned(yaw_map_rad, self.along_ground)
 
     def yaw_on_map(self, yaw_ground_rad: FloatArray) -> FloatArray:
-        """Return directions along the ground, shape (n,), as they are on the map, unwrapped as they were."""
+        """Return yaws on the map from those along the ground, shape (n,), without changing how they are unwrapped."""
         return self._turned(yaw_ground_rad, self.on_map)
 
     def _turned(self, yaw_rad: FloatArray, lay: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -96,7 +98,8 @@ class Slope:
     def T_enu_world(self) -> FloatArray:
         """The transform, shape (4, 4), into grid east, grid north and up against gravity, with the world's origin.
 
-        It turns about the pivot, where z is 0 on the ground. On the ground it leads back to the map.
+        It rotates about the pivot, where z is 0 on the ground. Points on the ground are mapped to their positions on
+        the map.
         """
         R = np.eye(3)
         R[:2, :2] -= np.outer(self.gradient, self.gradient) / (self._longer * (1.0 + self._longer))
@@ -106,15 +109,15 @@ class Slope:
 
 
 def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
-    """Return the slope of the ground below some drives, which may be level; None where their altitudes tell none.
+    """Return the slope of the ground below the given drives, 0 if it is level; None if their altitudes leave it open.
 
-    A drive tells the slope along itself; across, what is usual holds unless it turns. Each receiver's altitudes count
-    from a height of its own, and those that do not follow from the others count little, then nothing.
+    A drive determines the slope along itself; across it the prior remains, unless the drive turns. The altitudes of
+    each receiver have an offset of their own, and outliers are given a small weight (Huber), then none (Tukey).
 
     Parameters
     ----------
     drives : sequence of (ndarray, shape (n, 2); ndarray, shape (n,))
-        Where each was, metres on the map, and its altitudes there, metres; NaN where not told.
+        Positions of each drive, metres on the map, and the altitudes there, metres; NaN where not reported.
     """
     told = [(xy[known], z[known]) for xy, z in drives if (known := np.isfinite(z)).any()]
     if not told:
@@ -124,7 +127,7 @@ def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
     drive = np.repeat(np.arange(len(told)), counts)
     driven_m = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each, _ in told])
     worth = np.minimum(1.0, np.maximum(driven_m / STRETCH_M, 1.0) / counts)[drive]
-    spare = float(worth.sum()) - len(told) - 1.0  # beyond what the receivers' heights and the slope along take up
+    spare = float(worth.sum()) - len(told) - 1.0  # beyond the receivers' offsets and the slope along
     if spare <= 0.0:
         return None
     pivot = xy.mean(axis=0)

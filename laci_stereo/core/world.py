@@ -1,4 +1,4 @@
-"""The world frame: true metres around a whole-metre UTM point, and the way into it from latitude and longitude."""
+"""The world frame, in true metres around a whole-metre UTM point, and conversions from and to geodetic positions."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from laci_stereo.core.errors import CamError, SettingError
 from laci_stereo.core.frames import BoolArray, FloatArray
 
 MAX_ZONES_APART = 2
-"""A grid may be continued into the zone beside its own, which on Svalbard has a number two away."""
+"""Largest difference of zone numbers: a grid may be extended into a neighbouring zone, whose number differs by two on
+Svalbard."""
 
 BAND_DEG = 8.0
-"""It may be continued across the equator, too, by one of its bands."""
+"""Height of a latitude band, by which a grid may be extended across the equator."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +27,9 @@ class World:
     Attributes
     ----------
     crs : str
-        The UTM zone, as ``EPSG:32632``.
+        The UTM zone, for example ``EPSG:32632``.
     origin_utm : tuple of float
-        East and north of the origin, whole metres.
+        Easting and northing of the origin, whole metres.
     grid_scale : float
         UTM's point scale at the origin (0.9996 to 1.0010): grid metres per true metre.
     """
@@ -39,15 +40,15 @@ class World:
 
     @classmethod
     def around(cls, latitude_deg: float, longitude_deg: float, crs: str | None = None) -> World:
-        """Lay the frame around a position, in its own UTM zone and hemisphere unless ``crs`` names another.
+        """Return the frame around a position, in its own UTM zone and hemisphere unless ``crs`` names another.
 
         Raises
         ------
         CamError
             If UTM is not defined there (beyond 84 deg north or 80 deg south).
         SettingError
-            If ``crs`` is not a UTM zone known to PROJ, or neither the position's zone nor within two of it, or of the
-            other hemisphere.
+            If ``crs`` is not a UTM zone known to PROJ, if its number differs from that of the position's zone by more
+            than two, or if it is of the other hemisphere and the position is more than `BAND_DEG` from the equator.
         """
         code = _own_utm(latitude_deg, longitude_deg) if crs is None else _checked_utm(crs, latitude_deg, longitude_deg)
         proj = Proj(code)
@@ -55,7 +56,7 @@ class World:
         scale = float(proj.get_factors(longitude_deg, latitude_deg).meridional_scale)
         return cls(code, (float(round(east)), float(round(north))), scale)
 
-    # PROJ's Python side takes arrays of one element for scalars before its version 3.7.2; lists it takes as they are.
+    # Before its version 3.7.2, pyproj treats arrays of one element as scalars; lists are not affected.
 
     @cached_property
     def _transformer(self) -> Transformer:
@@ -71,12 +72,12 @@ class World:
         return self.from_utm(np.column_stack([east, north]))
 
     def from_utm(self, utm: FloatArray) -> FloatArray:
-        """Map UTM east and north, shape (n, 2), to the world frame."""
+        """Map UTM easting and northing, shape (n, 2), to x and y in the world frame, shape (n, 2)."""
         xy: FloatArray = (utm - np.array(self.origin_utm)) / self.grid_scale
         return xy
 
     def to_utm(self, xy: FloatArray) -> FloatArray:
-        """Map x and y in the world frame, shape (n, 2), to UTM east and north."""
+        """Map x and y in the world frame, shape (n, 2), to UTM easting and northing, shape (n, 2)."""
         utm: FloatArray = np.array(self.origin_utm) + self.grid_scale * xy
         return utm
 
@@ -88,7 +89,7 @@ class World:
         return np.column_stack([latitude, longitude])
 
     def holds(self, latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
-        """Tell which positions are in the world, shape (n,): not those that are missing, or half the Earth away."""
+        """Return which positions can be mapped, shape (n,): not those that are missing or half the Earth away."""
         told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
         latitude, longitude = np.where(told, latitude_deg, 0.0), np.where(told, longitude_deg, 0.0)
         yaw = self.yaw_from_heading(np.zeros(len(told)), latitude, longitude)
@@ -98,22 +99,22 @@ class World:
     def yaw_from_heading(
         self, heading_deg: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
     ) -> FloatArray:
-        """Turn headings (clockwise from true north, deg) into yaw (counter-clockwise from grid east, rad)."""
+        """Convert headings (clockwise from true north, deg) to yaw (counter-clockwise from grid east, rad), as (n,)."""
         convergence_deg = self._proj.get_factors(longitude_deg.tolist(), latitude_deg.tolist()).meridian_convergence
         yaw: FloatArray = np.radians(90.0 - heading_deg + np.asarray(convergence_deg))
         return yaw
 
     def grid_from_sensor(self, T_world_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
-        """Return the transform into grid metres from the origin, shape (4, 4): rigid, and exact at one place.
+        """Return the transform into grid metres from the origin, shape (4, 4): rigid, and exact at ``centre_world``.
 
-        The grid's scale cannot be part of a rigid transform, so it is spent where it matters: around the track.
+        The grid's scale cannot be part of a rigid transform, so it is exact only where that matters: around the track.
         """
         T: FloatArray = T_world_sensor.copy()
         T[:2, 3] += (self.grid_scale - 1.0) * centre_world[:2]
         return T
 
     def utm_from_sensor(self, T_world_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:
-        """Return the same with UTM coordinates, shape (4, 4)."""
+        """Return the transform of `grid_from_sensor` into UTM coordinates, shape (4, 4)."""
         T = self.grid_from_sensor(T_world_sensor, centre_world)
         T[:2, 3] += self.origin_utm
         return T
@@ -126,7 +127,7 @@ def _own_utm(latitude_deg: float, longitude_deg: float) -> str:
 
 
 def _utm_zone(latitude_deg: float, longitude_deg: float) -> int:
-    """Return the zone: 6 deg wide from 180 deg west, but for the south of Norway and Svalbard."""
+    """Return the zone's number: zones are 6 deg wide from 180 deg west, except in southern Norway and Svalbard."""
     longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
     if 56.0 <= latitude_deg < 64.0 and 3.0 <= longitude_deg < 6.0:
         return 32
@@ -136,12 +137,12 @@ def _utm_zone(latitude_deg: float, longitude_deg: float) -> int:
 
 
 def utm_code(crs: str) -> str:
-    """Return a UTM zone's code, as ``EPSG:32632``.
+    """Return the EPSG code of a UTM zone, for example ``EPSG:32632``.
 
     Raises
     ------
     SettingError
-        If it is none that PROJ knows.
+        If ``crs`` is not a UTM zone known to PROJ.
     """
     return f"EPSG:{_utm(crs).to_epsg()}"
 

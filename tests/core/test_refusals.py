@@ -156,7 +156,7 @@ def test_a_stranger_on_the_senders_way_at_nearly_its_speed(last_s: float) -> Non
     with pytest.raises(MatchError, match=r"station 42 fits one of 1 moving objects, .* but that may be by chance"):
         calibrate(stranger.recording, messages)
     untold = replace(messages, length_m=np.full(len(messages), np.nan))
-    with pytest.raises(MatchError, match=r"by chance .* the messages tell no length of the vehicle: taken as a car's"):
+    with pytest.raises(MatchError, match=r"by chance .* the messages report no length of the vehicle: taken as a c"):
         calibrate(stranger.recording, untold)
 
 
@@ -204,7 +204,7 @@ def test_dimensions_that_were_not_told() -> None:
 def test_an_accuracy_that_was_not_told() -> None:
     untold, told = (calibrate(TURNING.recording, log) for log in (TURNING.messages, accurate(TURNING.messages)))
     (remark,) = untold.remarks
-    assert "the messages tell no accuracy of their positions: taken as 0.02 m" in remark
+    assert "the messages report no accuracy of their positions: taken as 0.02 m" in remark
     assert told.remarks == ()
     assert np.array_equal(told.T_world_sensor, untold.T_world_sensor)
 
@@ -259,7 +259,7 @@ def test_positions_of_another_part_of_the_vehicle_are_told_and_put_right() -> No
     """Of its middle, where those of the middle of its front were said."""
     found = calibrate(TURNING.recording, cam_log(ULM, TURNING.vehicle, 6.0, reference=(0.0, 0.0)))
     words = reason(found, "the messages' positions are")
-    assert "behind where on the vehicle --cam-reference puts them" in words
+    assert "behind the point that --cam-reference gives" in words
     assert float(words.split()[4]) == pytest.approx(TURNING.vehicle.length / 2, abs=0.15)
     covered(TURNING, found)
     assert errors(TURNING, found).track_xy_m < 0.05
@@ -268,7 +268,7 @@ def test_positions_of_another_part_of_the_vehicle_are_told_and_put_right() -> No
 def test_positions_of_the_rear_axle_do_no_harm() -> None:
     """How far behind they are and how late looks nearly alike: where the sensor is does not depend on it."""
     found = calibrate(TURNING.recording, cam_log(ULM, TURNING.vehicle, 6.0, reference=(-1.4, 0.0)))
-    assert "behind where on the vehicle --cam-reference puts them" in reason(found, "the messages' positions are")
+    assert "behind the point that --cam-reference gives" in reason(found, "the messages' positions are")
     covered(TURNING, found)
     assert errors(TURNING, found).track_xy_m < 0.05
 
@@ -291,14 +291,14 @@ def test_positions_that_their_sender_hardly_knows() -> None:
 @pytest.mark.parametrize("begin_deg", [180.0, 0.0, -10.0])
 @pytest.mark.parametrize(
     ("turn_s", "how"),
-    [(-0.1, "turning clockwise"), (0.1, "turning counter-clockwise")],
+    [(-0.1, "spinning clockwise"), (0.1, "spinning counter-clockwise")],
 )
 def test_a_scanner_that_turns_and_does_not_tell_the_points_times(turn_s: float, how: str, begin_deg: float) -> None:
     """Where its scans begin in the middle of the drive, what is seen of the vehicle jumps by a turn's way."""
     made = scene(STRAIGHT, replace(lidar(), turn_s=turn_s, begin_rad=np.radians(begin_deg)))
     found = calibrate(made.recording, accurate(made.messages))
     (remark,) = found.remarks
-    assert remark.startswith(f"by the drive, the scanner takes a scan's points {how} (probability 100%)")
+    assert remark.startswith(f"by the drive, the scanner measures a scan's points {how} (probability 100%)")
     covered(made, found)
 
 

@@ -71,9 +71,7 @@ def test_one_sender_that_turns_tells_it_where_nothing_fits_otherwise() -> None:
     tracks = [seen()]
     found = clocks_apart(Case(tracks, late, SYNCHRONISED), None, exactly)
     assert found is not None
-    assert re.match(
-        r"with the clocks 1\.[12]\d s apart, station 42 would match its messages: ", found.words
-    )
+    assert re.match(r"with the clocks 1\.[12]\d s apart, station 42 would match its messages: ", found.words)
     # By boxes alone it may be by chance, and by clocks that are set there is nothing to be said.
     assert clocks_apart(Case(tracks, late, SYNCHRONISED), None, no_likeness) is None
     assert clocks_apart(Case(tracks, {42: vehicle()}, SYNCHRONISED), None, exactly) is None
