@@ -12,8 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
     from laci_stereo.core.errors import CalibrationError, InputError, LaciError
+    from laci_stereo.core.messages.cam import CENTRE, FRONT, ReferencePoint
     from laci_stereo.core.settings import Settings
     from laci_stereo.job import Result
     from laci_stereo.run import Options, calibrate
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "laci_stereo.core.cam": ("CENTRE", "FRONT", "ReferencePoint"),
+    "laci_stereo.core.messages.cam": ("CENTRE", "FRONT", "ReferencePoint"),
     "laci_stereo.core.errors": ("CalibrationError", "InputError", "LaciError"),
     "laci_stereo.core.settings": ("Settings",),
     "laci_stereo.job": ("Result",),

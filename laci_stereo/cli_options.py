@@ -15,10 +15,10 @@ from typing import Any
 
 import click
 
-from laci_stereo.core.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.errors import GroundError, SettingError, VerdictError
 from laci_stereo.core.frames import Axes
+from laci_stereo.core.messages.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.settings import (
     METHODS,
     UNKNOWN_CLOCK_S,

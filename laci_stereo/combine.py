@@ -10,8 +10,8 @@ from pathlib import Path
 from laci_stereo.core.combine import Combined
 from laci_stereo.core.combine import combine as estimate
 from laci_stereo.core.errors import CombineError, EvidenceError
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Raster
-from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.calibration_file import Provenance

@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from laci_stereo.core.box_ground import HEIGHT_SIGMA_M, LEVEL_SIGMA_DEG, SLOPE_SIGMA, Below, ground_below
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import DetectionError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
+from laci_stereo.core.ground.box_ground import HEIGHT_SIGMA_M, LEVEL_SIGMA_DEG, SLOPE_SIGMA, Below, ground_below
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import above_zero
 from laci_stereo.io.calibration_file import Provenance

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray, rotate_xy
+from laci_stereo.core.messages.cam import CamLog
 from tests.simulated import ULM, Drive, Mover, Place, Scene, Solid, cam_log, scene
 
 LENGTH_M, WIDTH_M, FRONT_M = 16.5, 2.5, 5.0

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.detections import DetectionLog
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, invert, rotate_xy, transform
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
 from tests.simulated import EPOCH_NS, ULM, Drive, Place, cam_log, car, lidar, mounted
 

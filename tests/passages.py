@@ -10,9 +10,9 @@ import numpy as np
 
 from laci_stereo.combine import Origin
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import CamLog
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import FloatArray, invert, transform
-from laci_stereo.core.passage import Passage
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.job import Result

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, BoolArray, FloatArray
-from laci_stereo.core.ground_uneven import CLASS_B_M, REACH_M
+from laci_stereo.core.ground.uneven import CLASS_B_M, REACH_M
 
 MAX_RANGE_M = 80.0
 ABOVE_GROUND_SHARE = 0.6
@@ -106,7 +106,7 @@ def wavy_road(seed: int) -> Road:
 def rough_road(seed: int) -> Road:
     """Draw a random field of waves of all lengths: a paved road of class A to C by ISO 8608.
 
-    The field has the covariance u^2 exp(-distance / l), see `laci_stereo.core.ground_uneven`. In two dimensions its
+    The field has the covariance u^2 exp(-distance / l), see `laci_stereo.core.ground.uneven`. In two dimensions its
     waves' numbers k have the density k l^2 / (1 + (k l)^2)^1.5, of which 1 - 1 / sqrt(1 + (k l)^2) lie below k.
     """
     rng = np.random.default_rng([seed, 2])

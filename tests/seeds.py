@@ -10,7 +10,7 @@ import cv2
 import ezdxf
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.calibration_file import to_text
 from laci_stereo.io.exports import FORMATS as EXPORTS
 from laci_stereo.io.exports import export_as

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from pyproj import Geod, Proj
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import (
     FORWARD_LEFT_UP_AXES,
@@ -23,6 +22,7 @@ from laci_stereo.core.frames import (
     rigid,
     rotate_xy,
 )
+from laci_stereo.core.messages.cam import CamLog
 
 EPOCH_NS = 1_700_000_000_123_456_789
 R_FLU_OPENCV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

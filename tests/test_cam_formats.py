@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.run import prepare

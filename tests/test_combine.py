@@ -16,7 +16,7 @@ from jsonschema import Draft202012Validator
 
 from laci_stereo.combine import CombineOptions, combine
 from laci_stereo.core.errors import EvidenceError
-from laci_stereo.core.passage import Passage
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.io.calibration_file import schema
 from laci_stereo.io.evidence_file import read_evidence, write_evidence
 from laci_stereo.match import match

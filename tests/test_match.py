@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import GroundError, InputError
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from laci_stereo.io.calibration_file import schema
 from laci_stereo.job import Result

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from laci_stereo.core.box import fit_box
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy
+from laci_stereo.core.tracking.box import fit_box
 
 SHAPES = ("L", "I", "box")
 COUNTS = (60, 200, 2000)

@@ -13,7 +13,7 @@ import numpy as np
 
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.core.ground import GroundPlane, fit_ground
+from laci_stereo.core.ground.plane import GroundPlane, fit_ground
 from laci_stereo.core.settings import GroundSettings
 from tests.scenes import GroundScene, ground_scene, rough_road, wavy_road, with_shared_error
 

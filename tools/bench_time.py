@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.passage import Passage
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.io.evidence_file import read_evidence, write_evidence
 from laci_stereo.io.output import EVIDENCE_FILE
 from tools.bench_run import run, tool

@@ -8,21 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
-from laci_stereo.core.choice import Choice, Other
+from laci_stereo.core.association.choice import Choice, Other
+from laci_stereo.core.association.pieces import whole
+from laci_stereo.core.association.repeated_frames import repeats_of
+from laci_stereo.core.association.vehicle_choice import choose_vehicle
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import CamError, MatchError, TrackError
+from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.observe import Observation, observe, on_the_road
-from laci_stereo.core.passage import Passage
-from laci_stereo.core.pieces import whole
 from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly, ridden_doubts
-from laci_stereo.core.repeated_frames import repeats_of
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread
-from laci_stereo.core.vehicle_choice import choose_vehicle
 from laci_stereo.core.world import World
 
 log = logging.getLogger(__name__)

@@ -8,13 +8,13 @@ from itertools import combinations
 
 import numpy as np
 
-from laci_stereo.core.agreement import LeftOut, all_agree, fit_together
 from laci_stereo.core.common_ground import along_ground, lay, merge_grounds
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import EvidenceError, MatchError
-from laci_stereo.core.evidence import Evidence, evidence_of
-from laci_stereo.core.joint import HELD_ROWS, JointFit, fit_jointly
-from laci_stereo.core.passage import Passage
+from laci_stereo.core.estimation.agreement import LeftOut, all_agree, fit_together
+from laci_stereo.core.estimation.evidence import Evidence, evidence_of
+from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.placement import place
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings

@@ -11,16 +11,21 @@ from itertools import combinations
 
 import numpy as np
 
-from laci_stereo.core.agreement import weighted_mean
-from laci_stereo.core.cam import MAX_GAP_S
 from laci_stereo.core.errors import CombineError
+from laci_stereo.core.estimation.agreement import weighted_mean
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import FloatArray, invert, planar
-from laci_stereo.core.ground import GroundPlane
-from laci_stereo.core.ground_merge import Chart
+from laci_stereo.core.ground.merge import Chart
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.passage import Passage
-from laci_stereo.core.reframing import moved_vehicle, reported_on_map, transformed_background, transformed_track
-from laci_stereo.core.slope import slope_of
+from laci_stereo.core.messages.cam import MAX_GAP_S
+from laci_stereo.core.messages.slope import slope_of
+from laci_stereo.core.tracking.reframing import (
+    moved_vehicle,
+    reported_on_map,
+    transformed_background,
+    transformed_track,
+)
 from laci_stereo.core.world import World
 
 GROUND_GATE = 5.0

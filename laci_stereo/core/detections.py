@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from laci_stereo.core.background import Background
-from laci_stereo.core.box import Box
-from laci_stereo.core.box_ground import level_ground, plane_below
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform, wrap
-from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground.box_ground import level_ground, plane_below
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.observe import Observation
 from laci_stereo.core.settings import Settings, TrackSettings
-from laci_stereo.core.sighting import Sighting
-from laci_stereo.core.tracking import Track, link_tracks
+from laci_stereo.core.tracking.background import Background
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Sighting
+from laci_stereo.core.tracking.tracks import Track, link_tracks
 
 log = logging.getLogger(__name__)
 

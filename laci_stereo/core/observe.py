@@ -11,29 +11,29 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from laci_stereo.core.association import HALF_LANE_M, choose_track
-from laci_stereo.core.background import Background, learn_background
-from laci_stereo.core.box import Box
-from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.choice import Choice
+from laci_stereo.core.association.choice import Choice
+from laci_stereo.core.association.hypotheses import HALF_LANE_M, choose_track
+from laci_stereo.core.association.pieces import whole
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
-from laci_stereo.core.deskew import deskewed
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, rotate_xy, transform
-from laci_stereo.core.ground import GroundPlane, check_support, fit_farther_ground, fit_ground_beside
-from laci_stereo.core.ground_axes import ground_below
-from laci_stereo.core.ground_road import FARTHEST, road_ground, standing
-from laci_stereo.core.ground_uneven import ONE_SURFACE_M
-from laci_stereo.core.land import learn_land
-from laci_stereo.core.outline import SIDES_HIGHEST_M
-from laci_stereo.core.pieces import whole
-from laci_stereo.core.reframing import transformed_background, transformed_track, transformed_xy
-from laci_stereo.core.road_extent import places, prolonged
-from laci_stereo.core.road_surface import OTHER
+from laci_stereo.core.ground.axes import ground_below
+from laci_stereo.core.ground.plane import GroundPlane, check_support, fit_farther_ground, fit_ground_beside
+from laci_stereo.core.ground.road import FARTHEST, road_ground, standing
+from laci_stereo.core.ground.road_extent import places, prolonged
+from laci_stereo.core.ground.road_surface import OTHER
+from laci_stereo.core.ground.uneven import ONE_SURFACE_M
+from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import Sighting, find_vehicles
 from laci_stereo.core.threads import in_one_thread
-from laci_stereo.core.tracking import Track, link_tracks
+from laci_stereo.core.tracking.background import Background, learn_background
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.deskew import deskewed
+from laci_stereo.core.tracking.land import learn_land
+from laci_stereo.core.tracking.reframing import transformed_background, transformed_track, transformed_xy
+from laci_stereo.core.tracking.sighting import Sighting, find_vehicles
+from laci_stereo.core.tracking.tracks import Track, link_tracks
+from laci_stereo.core.vehicle.outline import SIDES_HIGHEST_M
 
 log = logging.getLogger(__name__)
 

@@ -8,23 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core import outline
-from laci_stereo.core.agreement import agreeing, fit_together
-from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.choice import Choice
-from laci_stereo.core.drive_prior import Correction
+from laci_stereo.core.association.choice import Choice
+from laci_stereo.core.association.pieces import LEAST_UNSEEN_M, unseen_m
+from laci_stereo.core.association.riders import ridden_frames
 from laci_stereo.core.errors import CombineError, MatchError, OpenError
-from laci_stereo.core.evidence import Evidence, evidence_of
+from laci_stereo.core.estimation.agreement import agreeing, fit_together
+from laci_stereo.core.estimation.drive_prior import Correction
+from laci_stereo.core.estimation.evidence import Evidence, evidence_of
+from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
+from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.estimation.split_check import compare_halves, with_doubt
 from laci_stereo.core.frames import FloatArray, rotate_xy
-from laci_stereo.core.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.matching import PlanarMatch, match_track
-from laci_stereo.core.passage import Passage
-from laci_stereo.core.pieces import LEAST_UNSEEN_M, unseen_m
+from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
-from laci_stereo.core.riders import ridden_frames
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
-from laci_stereo.core.split_check import compare_halves, with_doubt
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.tracks import Track
+from laci_stereo.core.vehicle import outline
 
 LEAST_EXPLAINED = 0.5
 """Of the points; where the outline stands for fewer, it is something else that was registered."""

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtri
 
-from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_prior import Correction
+from laci_stereo.core.estimation.drive_prior import Correction
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch, match_track
+from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.result import Quality, Verdict
 from laci_stereo.core.settings import MatchSettings, QualitySettings
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.tracks import Track
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from laci_stereo.core.background import Background
-from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.drive_prior import Correction
+from laci_stereo.core.estimation.drive_prior import Correction
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Axes, FloatArray, wrap
-from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.passage import Passage
+from laci_stereo.core.messages.cam import VehicleTrack
+from laci_stereo.core.messages.slope import Slope
 from laci_stereo.core.settings import Method
-from laci_stereo.core.slope import Slope
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.background import Background
+from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
 
 Verdict = Literal["pass", "warn", "fail"]

@@ -16,8 +16,8 @@ from jsonschema import Draft202012Validator
 
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, planar, rotate_xy
+from laci_stereo.core.messages.slope import Slope
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.slope import Slope
 from laci_stereo.io.text_file import shortened
 
 Document: TypeAlias = dict[str, Any]

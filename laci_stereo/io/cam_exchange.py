@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from laci_stereo.core.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.messages.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
 
 _MOVING_MPS = 2.0
 _FEWEST_STEPS = 5

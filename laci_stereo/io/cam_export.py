@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.cam_columns import (
     ALTITUDE,
     ANTENNA,

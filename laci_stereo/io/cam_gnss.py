@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from laci_stereo.core.cam import ELLIPSE_SIGMAS, MAX_GAP_S
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.messages.cam import ELLIPSE_SIGMAS, MAX_GAP_S
 from laci_stereo.io.cam_columns import (
     ELLIPSE_ORIENTATION,
     HEADING,

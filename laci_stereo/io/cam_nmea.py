@@ -10,8 +10,8 @@ from functools import reduce
 from operator import xor
 from pathlib import Path
 
-from laci_stereo.core.cam import ELLIPSE_SIGMAS
 from laci_stereo.core.errors import CamError
+from laci_stereo.core.messages.cam import ELLIPSE_SIGMAS
 from laci_stereo.io.cam_columns import (
     ALTITUDE,
     ELLIPSE_ORIENTATION,

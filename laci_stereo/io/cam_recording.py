@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, IntArray
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.cam_columns import (
     ALTITUDE,
     AXES,

@@ -20,19 +20,19 @@ import numpy.typing as npt
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from laci_stereo.core.background import Background, BackgroundBox
-from laci_stereo.core.box import Box
-from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.errors import EvidenceError
+from laci_stereo.core.estimation.joint import TURNS
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Axes, FloatArray
-from laci_stereo.core.ground import GroundPlane
-from laci_stereo.core.joint import TURNS
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.passage import Passage
+from laci_stereo.core.messages.cam import VehicleTrack
+from laci_stereo.core.messages.slope import Slope
 from laci_stereo.core.settings import METHODS
-from laci_stereo.core.sighting import Flaw, Low, Sighting
-from laci_stereo.core.slope import Slope
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.background import Background, BackgroundBox
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Flaw, Low, Sighting
+from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import CamError
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.stamps import iso_text
 
 _S = 10**9

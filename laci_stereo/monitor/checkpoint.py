@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from laci_stereo.core.box import Box
 from laci_stereo.core.errors import OutputError
 from laci_stereo.core.frames import IntArray
 from laci_stereo.core.settings import TrackSettings
-from laci_stereo.core.sighting import Sighting
-from laci_stereo.core.tracking import Moving
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Sighting
+from laci_stereo.core.tracking.tracks import Moving
 from laci_stereo.io.output import write_file
 from laci_stereo.monitor.linking import Kept, Linker, Live
 from laci_stereo.monitor.tally import StripTally, Tally

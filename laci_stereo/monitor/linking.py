@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import Settings, TrackSettings
-from laci_stereo.core.sighting import NOTHING_LOW, Sighting, dense
-from laci_stereo.core.tracking import FILTERED, STRAY, Moving, assign, backwards, blind_s, strain
+from laci_stereo.core.tracking.sighting import NOTHING_LOW, Sighting, dense
+from laci_stereo.core.tracking.tracks import FILTERED, STRAY, Moving, assign, backwards, blind_s, strain
 
 REMEMBERED = 5
 """Number of sightings at the end of a track whose sizes the assignment considers."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.deskew import WINDOW_S, motion
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
 from laci_stereo.core.settings import TrackSettings
+from laci_stereo.core.tracking.deskew import WINDOW_S, motion
 from laci_stereo.monitor.linking import UNIT_M, Kept
 from laci_stereo.monitor.settings import MonitorSettings
 

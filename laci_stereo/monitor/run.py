@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.background import Background, learn_background
 from laci_stereo.core.errors import ImageError, LaciError, OutputError
 from laci_stereo.core.frames import FloatArray, planar, transform
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import find_vehicles
+from laci_stereo.core.tracking.background import Background, learn_background
+from laci_stereo.core.tracking.sighting import find_vehicles
 from laci_stereo.core.world import World
 from laci_stereo.monitor.checkpoint import State, check_same, read_state, sha256_of, write_state
 from laci_stereo.monitor.frames import Frames, Scene

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from laci_stereo.core.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
 from laci_stereo.core.frames import FloatArray, Raster
+from laci_stereo.core.messages.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
 from laci_stereo.io.cam_recording import CamRecording
 from laci_stereo.report.canvas import TEXT, Canvas, Entry
 from laci_stereo.report.mapview import MARGIN_SHARE, MapView, draw_bar

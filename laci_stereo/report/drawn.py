@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.box import Box
 from laci_stereo.core.frames import FloatArray, invert, transform
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.report.lines import runs
 
 SAME_STAMP_S = 1e-4

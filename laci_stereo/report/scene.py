@@ -6,7 +6,7 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray, transform
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.report.drawn import (
     T_world_level,
     background_corners,

@@ -14,7 +14,7 @@ import numpy as np
 from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import OPENCV_AXES, Axes, BoolArray, FloatArray, IntArray, Raster
-from laci_stereo.core.ground import fit_ground
+from laci_stereo.core.ground.plane import fit_ground
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.subsampling import spread
 from laci_stereo.io.ahead import map_ahead, workers

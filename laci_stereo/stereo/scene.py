@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster
-from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.robust import NORMAL
 from laci_stereo.stereo.disparity import Region
 from laci_stereo.stereo.rectify import Rectification

@@ -10,8 +10,8 @@ from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from laci_stereo.core.frames import Axes, FloatArray, IntArray
-from laci_stereo.core.ground import GroundPlane
-from laci_stereo.core.ground_axes import ground_below
+from laci_stereo.core.ground.axes import ground_below
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.robust import NORMAL
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.subsampling import evenly

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from laci_stereo.core.cam import VehicleTrack
-from laci_stereo.core.evidence import Evidence
+from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.messages.cam import VehicleTrack
 from tests.simulated import Drive
 
 SIZE = (4.6, 1.8)

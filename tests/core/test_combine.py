@@ -9,8 +9,8 @@ import pytest
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.combine import Combined, combine
 from laci_stereo.core.errors import CombineError, EvidenceError
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Axes, FloatArray
-from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, Settings
 from laci_stereo.core.world import World

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.box_ground import level_ground
 from laci_stereo.core.common_ground import lay, merge_grounds
 from laci_stereo.core.errors import CombineError
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import OPENCV_AXES, FloatArray
-from laci_stereo.core.ground import GroundPlane
-from laci_stereo.core.passage import Passage
-from laci_stereo.core.sighting import Low
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.ground.box_ground import level_ground
+from laci_stereo.core.ground.plane import GroundPlane
+from laci_stereo.core.tracking.sighting import Low
+from laci_stereo.core.tracking.tracks import Track
 from tests.report.support import calibration
 
 TILT = np.radians(15.0)

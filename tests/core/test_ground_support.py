@@ -11,12 +11,12 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, FloatArray
-from laci_stereo.core.ground import GroundPlane
-from laci_stereo.core.ground_axes import ground_below
-from laci_stereo.core.ground_road import road_ground
-from laci_stereo.core.road_extent import places
+from laci_stereo.core.ground.axes import ground_below
+from laci_stereo.core.ground.plane import GroundPlane
+from laci_stereo.core.ground.road import road_ground
+from laci_stereo.core.ground.road_extent import places
 from laci_stereo.core.settings import GroundSettings, Settings
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.tracks import Track
 from tests.core.tracks import sighting
 from tests.passages import recorded
 from tests.simulated import LEFT_TURN, lidar, scene

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.errors import MatchError
+from laci_stereo.core.estimation.joint import fit_jointly
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
-from laci_stereo.core.joint import fit_jointly
 from laci_stereo.core.placement import place, place_by_paper
 from laci_stereo.core.settings import MatchSettings, Settings
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.tracks import Track
 from tests.core import outlines
 from tests.core.tracks import DRIVE, TRUTH, sighting, vehicle
 

@@ -13,7 +13,7 @@ from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.quality import Doubt, Placement, covariance_of, doubt_of, judge
 from laci_stereo.core.result import Quality
 from laci_stereo.core.settings import MatchSettings, QualitySettings
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.tracks import Track
 from tests.core.tracks import DRIVE, sighting, vehicle
 from tests.simulated import Drive
 

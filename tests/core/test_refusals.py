@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cam import CENTRE, ELLIPSE_SIGMAS, CamLog
 from laci_stereo.core.errors import CamError, MatchError, OpenError, TrackError
+from laci_stereo.core.messages.cam import CENTRE, ELLIPSE_SIGMAS, CamLog
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from tests.core.test_calibrate import errors

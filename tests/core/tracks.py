@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from laci_stereo.core.box import Box
-from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import Flaw, Sighting, box_around
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Flaw, Sighting, box_around
+from laci_stereo.core.tracking.tracks import Track
 from tests.simulated import Drive
 
 DRIVE = Drive((10.0, -20.0), 80.0, ((15.0, 0.0), (16.0, 90.0)), ((0.0, 8.0),))

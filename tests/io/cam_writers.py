@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from laci_stereo.core.cam import CamLog
+from laci_stereo.core.messages.cam import CamLog
 from tests.io.cam_asn1 import encode, vehicle_cam
 
 EPOCH_NS = 1_072_915_200 * 10**9

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from laci_stereo.core.cam import CamLog
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.cam_export import to_csv, to_geojson
 from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.cam_recording import CamRecording

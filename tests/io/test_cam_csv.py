@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import CamError
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.cam_csv import read_cam_csv
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.core.cam import ELLIPSE_SIGMAS, CamLog
 from laci_stereo.core.errors import CamError
+from laci_stereo.core.messages.cam import ELLIPSE_SIGMAS, CamLog
 from laci_stereo.io.cam_columns import ELLIPSE_ORIENTATION, LATITUDE, LONGITUDE, SEMI_MAJOR, SEMI_MINOR
 from laci_stereo.io.cam_gnss import ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam_log import read_cam_log

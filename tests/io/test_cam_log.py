@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import CamError
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io import file_content
 from laci_stereo.io.cam_log import read_cam_log
 from laci_stereo.io.cam_recording import CamRecording

@@ -15,12 +15,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.core.box import Box
 from laci_stereo.core.errors import EvidenceError, InputError
-from laci_stereo.core.passage import Passage
-from laci_stereo.core.sighting import NOTHING_LOW, Low
-from laci_stereo.core.slope import Slope
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.messages.slope import Slope
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import NOTHING_LOW, Low
+from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.io.evidence_file import LAYOUT, Kept, read_evidence, write_evidence
 from tests.report.support import calibration
 

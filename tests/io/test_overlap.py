@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.errors import CamError
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.overlap import check_overlap
 
 S = 10**9

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.box import Box
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.sighting import Sighting
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.monitor.linking import Linker
 
 PERIOD_S = 0.2

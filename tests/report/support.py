@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.background import Background, BackgroundBox
-from laci_stereo.core.box import Box
-from laci_stereo.core.cam import VehicleTrack
 from laci_stereo.core.frames import OPENCV_AXES, Axes, FloatArray, invert, planar, rotate_xy, transform
-from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
+from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.result import Calibration, Quality
-from laci_stereo.core.sighting import Sighting
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.background import Background, BackgroundBox
+from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Sighting
+from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
 from laci_stereo.io.lane_map import LaneLine, LaneMap
 from laci_stereo.io.stereo_calibration import Lens

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.frames import Raster
-from laci_stereo.core.tracking import Track
+from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.style import SKY_BLUE, VERMILLION, YELLOW, Colour
 from tests.report.support import BESIDE_M, calibration, drive, lane, lane_map, lens, pixel, with_another

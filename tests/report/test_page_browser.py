@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from laci_stereo.core.passage import Passage
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.match import match
 from tests.cli_support import Site, link_recording
 from tests.detections import cam_rows, detection_rows, traffic

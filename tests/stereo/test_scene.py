@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.core.ground import GroundPlane
+from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.stereo.scene import SHRINK, Look, RoadDisparity, learn_look, regions, shrink
 from tests.stereo.render import Box, Mounting, trace, turned
 from tests.stereo.rigs import RIGS

@@ -8,8 +8,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
+from laci_stereo.core.messages.cam import CamLog
 from tools.scenes.places import Place
 from tools.scenes.traffic import Mover
 

@@ -16,7 +16,6 @@ from laci_lidar.scan import Scan
 from laci_lidar.settings import LidarSettings
 from scipy.spatial.transform import Rotation
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.frames import (
     FORWARD_LEFT_UP_AXES,
@@ -30,6 +29,7 @@ from laci_stereo.core.frames import (
     rotation_z,
     transform,
 )
+from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.quality import Doubt
 from laci_stereo.core.result import Calibration, Quality
 from laci_stereo.stereo.recording import surveyed

@@ -10,8 +10,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from laci_stereo.core.cam import CamLog
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.messages.cam import CamLog
 from tools.scenes.cameras import mistold, raw_rig
 from tools.scenes.cams import EPOCH_NS
 from tools.scenes.disparity import StereoCamera

@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 
 import numpy as np
 
-from laci_stereo.core.drive_prior import Correction
+from laci_stereo.core.estimation.drive_prior import Correction
 from laci_stereo.core.frames import FloatArray, planar
 from laci_stereo.core.placement import CONTRADICTED
 from laci_stereo.core.result import Calibration, viewing_angles

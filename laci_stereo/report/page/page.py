@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined, Template
 
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Raster
-from laci_stereo.core.passage import Passage
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.threads import in_one_thread

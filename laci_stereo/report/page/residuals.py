@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core import outline
-from laci_stereo.core.drive_model import BIAS, FIRST_OWN, DriveModel
-from laci_stereo.core.drive_prior import CLOCK, Correction
-from laci_stereo.core.evidence import evidence_of
+from laci_stereo.core.estimation.drive_model import BIAS, FIRST_OWN, DriveModel
+from laci_stereo.core.estimation.drive_prior import CLOCK, Correction
+from laci_stereo.core.estimation.evidence import evidence_of
+from laci_stereo.core.estimation.joint import SOFTENING_M
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
-from laci_stereo.core.joint import SOFTENING_M
-from laci_stereo.core.passage import Passage
 from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.vehicle import outline
 
 MOST_ROWS = 5_000
 """Number of points to which a drive is thinned, up to a factor of two: more would take longer and show the same."""

@@ -1,0 +1,87 @@
+"""Whether one half of a drive contradicts the other: the sensor was moved meanwhile, or what is told changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from laci_stereo.core.errors import MatchError
+from laci_stereo.core.estimation.evidence import evidence_of
+from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
+from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.frames import FloatArray, wrap
+from laci_stereo.core.settings import Settings
+from laci_stereo.core.tracking.sighting import Sighting
+from laci_stereo.core.tracking.tracks import Track
+
+SURELY = 5.0
+"""Standard deviations by which halves may differ, on three axes: of 60 000 drives without a fault one is beyond. What
+both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
+
+
+@dataclass(frozen=True)
+class Apart:
+    """By how much the second half of a drive puts the sensor elsewhere than the first.
+
+    Attributes
+    ----------
+    off : ndarray, shape (3,)
+        Yaw [rad], and x and y of the world at the middle of the vehicle's points.
+    sigmas : float
+        The same in standard deviations (Mahalanobis distance).
+    since_s : float
+        When the second half begins, in the recording.
+    """
+
+    off: FloatArray
+    sigmas: float
+    since_s: float
+
+    def __str__(self) -> str:
+        turn_deg, shift_m = np.degrees(abs(self.off[0])), float(np.hypot(*self.off[1:]))
+        return (
+            f"what is seen before and after {self.since_s:.1f} s in the recording differs by {turn_deg:.2f} deg and "
+            f"{shift_m:.2f} m ({self.sigmas:.1f} sigma): the sensor was moved meanwhile, or one half of the messages "
+            "is wrong"
+        )
+
+
+def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | None:
+    """Hold the halves of a drive against each other, each by itself; None where they agree, or one tells too little.
+
+    Parameters
+    ----------
+    own : Passage
+    fit : JointFit
+        Of the whole.
+    settings : Settings
+    """
+    sightings = own.track.sightings
+    middle = len(sightings) // 2
+    try:
+        first, second = (_alone(own, part, fit) for part in (sightings[:middle], sightings[middle:]))
+    except MatchError:
+        return None
+    if min(first.frames, second.frames) < settings.match.min_frames:
+        return None
+    place = fit.centre_level[None]
+    off = np.array(
+        [wrap(second.match.yaw_rad - first.match.yaw_rad), *(second.match(place) - first.match(place))[0]],
+        dtype=np.float64,
+    )
+    covariance = first.covariance_about(fit.centre_level) + second.covariance_about(fit.centre_level)
+    sigmas = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
+    return Apart(off, sigmas, sightings[middle].stamp_s) if sigmas > SURELY else None
+
+
+def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
+    """Return a fit that is as unsure as its halves are apart: it is between them, and either may be right."""
+    return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
+
+
+def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:
+    """Fit a half as the whole was, whose mistakes it has."""
+    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(HELD_ROWS)
+    return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)

@@ -1,0 +1,55 @@
+"""Fit of the ground with the sensor's given axes, and a search for other axes where these lead to no ground."""
+
+from __future__ import annotations
+
+from laci_stereo.core.errors import GroundError
+from laci_stereo.core.frames import OPENCV_AXES, Axes, FloatArray
+from laci_stereo.core.ground.plane import GroundPlane, fit_ground
+from laci_stereo.core.settings import GroundSettings
+
+UPS = {
+    "z up": (0.0, 0.0, 1.0),
+    "z down": (0.0, 0.0, -1.0),
+    "y up": (0.0, 1.0, 0.0),
+    "y down": (0.0, -1.0, 0.0),
+    "y forward, x up": (1.0, 0.0, 0.0),
+    "y forward, x down": (-1.0, 0.0, 0.0),
+}
+"""The up vector of each choice of axes, named as `--axes` takes it."""
+
+
+def ground_below(
+    points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, axes: Axes, settings: GroundSettings
+) -> GroundPlane:
+    """Fit the ground plane (see `fit_ground`), if need be with little support, which a road must confirm later.
+
+    Raises
+    ------
+    GroundError
+        If there is no ground in the direction that the axes define. If there is one in another direction, as for a
+        sensor that hangs upside down, the message names the axes that lead to it; a camera's axes are fixed, so no
+        others are tried.
+    """
+    cloud = points, sigma_along_m, sigma_across_m
+    try:
+        return fit_ground(*cloud, axes.up, settings)
+    except GroundError as error:
+        areas_m2 = {} if axes == OPENCV_AXES else _elsewhere(cloud, axes, settings)
+        if not areas_m2:
+            return fit_ground(*cloud, axes.up, settings.any_support)
+        likeliest = max(areas_m2, key=lambda name: areas_m2[name])
+        raise GroundError(f"{error}; there is a ground with --axes '{likeliest}'") from error
+
+
+def _elsewhere(
+    cloud: tuple[FloatArray, FloatArray, FloatArray], axes: Axes, settings: GroundSettings
+) -> dict[str, float]:
+    """Return the areas of the grounds that are found with other axes, in square metres, by the names of the axes."""
+    areas_m2 = {}
+    for name, up in UPS.items():
+        if up != tuple(axes.up):
+            try:
+                areas_m2[name] = fit_ground(*cloud, up, settings).support_area_m2
+            except GroundError:
+                continue
+    return areas_m2

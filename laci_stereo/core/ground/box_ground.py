@@ -1,0 +1,365 @@
+"""The ground plane below the boxes of a detector, on the assumption that the boxes stand on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from laci_stereo.core.errors import GroundError
+from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform
+from laci_stereo.core.ground.plane import GroundPlane
+from laci_stereo.core.ground.start import can_be_ground, where_it_can_be
+from laci_stereo.core.robust import NORMAL, weighted_median
+from laci_stereo.core.settings import GroundSettings
+
+MIN_SPREAD_M = 0.9
+"""Least standard deviation of the boxes' places across the line of their largest spread: half a car's width, by which a
+box's centre may be off. The traffic of one straight lane has 0.3 m, that of two lanes 1.7 m."""
+
+MIN_STRETCHES = 6
+"""Least number of independent stretches of road: twice the number of a plane's unknowns, below which the residuals do
+not determine its error."""
+
+LEVEL_SIGMA_DEG = 0.25
+"""Standard deviation of a vertical axis about each horizontal axis: half a graduation of a circular bubble, 30 minutes
+of arc for 2 mm."""
+
+HEIGHT_SIGMA_M = 0.05
+"""Standard deviation of a sensor's height as given by the user: measured from its middle, by tape, to the decimetre."""
+
+SLOPE_SIGMA = 0.03
+"""Standard deviation of a road's slope relative to a level sensor: 6 % are two standard deviations."""
+
+BENT_PER_M = 1.0 / 2100.0
+"""Standard deviation of a road's vertical curvature along its course: the tightest crest for 50 km/h has a radius of
+700 m, which is taken as three standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m
+for each percent of slope)."""
+
+_GATE = 3.0
+"""Boxes within this many standard deviations of the plane stand on it: all but 0.3 % of Gaussian noise."""
+
+_CELL_M = 1.0
+"""Side of the cells in which all boxes of one object count once, so that a waiting vehicle does not outweigh the
+rest."""
+
+_START_SCALE_M = 0.01
+"""Scale of the robust loss of the start, less than any detector's noise, so that distances rather than squares are
+minimised."""
+
+_EXACT_M = 1e-3
+"""Least noise of a box's height: no detector is more exact, so a deviation of this size is never an outlier."""
+
+_STEPS = 20
+"""Largest number of steps: each leaves a fraction of the error, the ratio of noise to spread, so a few reach any
+precision."""
+
+
+def level_ground(height_m: float, axes: Axes) -> GroundPlane:
+    """Return the ground below a sensor whose up axis is vertical.
+
+    Parameters
+    ----------
+    height_m : float
+        Height of the sensor above the ground.
+    axes : Axes
+    """
+    up = np.asarray(axes.up, dtype=np.float64)
+    tilt = np.radians(LEVEL_SIGMA_DEG) ** 2
+    ground = GroundPlane(up / np.linalg.norm(up), height_m, np.zeros((4, 4)), 0.0, 0, 0.0, 0.0, 0.0)
+    return replace(ground, covariance_sensor=_in_sensor(np.diag([tilt, tilt, HEIGHT_SIGMA_M**2]), ground, axes))
+
+
+@dataclass(frozen=True)
+class Below:
+    """The ground according to the boxes' own heights, below a sensor that the user states to be level.
+
+    Attributes
+    ----------
+    height_m, height_sigma_m : float
+        Height of the sensor above the ground, and its standard deviation.
+    slope, slope_sigma : float
+        Slope of the ground in its steepest direction, and its standard deviation: 0 where the sensor's up axis is
+        perpendicular to the ground.
+    """
+
+    height_m: float
+    height_sigma_m: float
+    slope: float
+    slope_sigma: float
+
+
+def ground_below(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> Below:
+    """Return the ground according to the boxes' own heights, below a sensor that the user states to be level.
+
+    The standard deviations allow for a slope of the road, for its curvature between the sensor and the boxes, and for
+    an error of the size of one box's noise that all boxes share.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Reference point of each box, sensor frame, metres; at least one.
+    above_ground_m : ndarray, shape (n,)
+        Height of that point above the ground.
+    axes : Axes
+    """
+    up = np.asarray(axes.up, dtype=np.float64)
+    up /= np.linalg.norm(up)
+    below_m = above_ground_m - points @ up
+    across = np.linalg.svd(up[None])[2][1:]
+    plan = np.column_stack([np.ones(len(points)), points @ across.T])
+    prior = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
+    value = np.array([np.median(below_m), 0.0, 0.0])
+    for _ in range(_STEPS):
+        off_m = np.abs(below_m - plan @ value)
+        noise_m = max(float(np.median(off_m)) * NORMAL, _EXACT_M)
+        near = off_m <= _GATE * noise_m
+        information = plan[near].T @ plan[near] / noise_m**2 + prior
+        value = np.linalg.solve(information, plan[near].T @ below_m[near] / noise_m**2)
+    far_m2 = float(np.median((plan[:, 1:] ** 2).sum(axis=1)))
+    covariance, slope = np.linalg.inv(information), float(np.hypot(*value[1:]))
+    sigma_m = float(np.sqrt(noise_m**2 + (BENT_PER_M / 2 * far_m2) ** 2 + covariance[0, 0]))
+    steepest = value[1:] / max(slope, 1e-12)
+    variance = float(steepest @ covariance[1:, 1:] @ steepest) + BENT_PER_M**2 / 4 * far_m2
+    return Below(float(value[0]), sigma_m, slope, float(np.sqrt(variance)))
+
+
+def plane_below(
+    points: FloatArray, above_ground_m: FloatArray, objects: Sequence[IntArray], axes: Axes, settings: GroundSettings
+) -> GroundPlane:
+    """Fit the plane on which the boxes stand.
+
+    After a robust start, the heights of the boxes near the plane are fitted by a correction of the plane, step by step
+    until it converges. The errors of one object's boxes persist for a while, so the boxes are not independent; the
+    effective number of independent boxes is estimated from the correlation of the residuals along the tracks.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Reference point of each box, sensor frame, metres.
+    above_ground_m : ndarray, shape (n,)
+        Height of that point above the ground.
+    objects : sequence of ndarray of int64
+        Indices of the boxes of each object, in the order of time.
+    axes : Axes
+    settings : GroundSettings
+
+    Raises
+    ------
+    GroundError
+        If there are too few boxes, or if they do not span a plane, or one that cannot be the ground.
+    """
+    if len(points) < settings.min_points:
+        raise GroundError(
+            f"boxes with z and height: {len(points)} found, at least {settings.min_points} needed to find the ground; "
+            "or say --level HEIGHT"
+        )
+    ground = _start(points, above_ground_m, axes)
+    boxes = _counted(points, above_ground_m, objects, ground, axes)
+    for _ in range(_STEPS):
+        ground = _turned(ground, _heights(boxes, ground, axes).correction(), axes)
+    heights = _heights(boxes, ground, axes)
+    _check(heights, ground, axes, settings)
+    covariance = heights.covariance(settings.shared_noise_share)
+    tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
+    if tilt_deg > settings.max_tilt_sigma_deg:
+        raise GroundError(
+            f"standard deviation of the tilt of the plane below the boxes: {tilt_deg:.2f} deg found, at most "
+            f"{settings.max_tilt_sigma_deg:g} deg needed; record more traffic, or say --level HEIGHT"
+        )
+    near = float(heights.near.mean())
+    return replace(
+        ground,
+        covariance_sensor=_in_sensor(covariance, ground, axes),
+        inlier_share=near,
+        support_cells=int(heights.stretches()),
+        support_share=near,
+        support_area_m2=12 * float(np.prod(heights.spread_m())),  # of a rectangle with this spread
+        unevenness_m=heights.sigma_m(),
+    )
+
+
+@dataclass(frozen=True)
+class _Boxes:
+    """Boxes, ordered by object: point in the sensor frame, its height above ground, index of the object, weight."""
+
+    points: FloatArray
+    above_m: FloatArray
+    label: IntArray
+    weight: FloatArray
+
+
+@dataclass(frozen=True)
+class _Heights:
+    """Heights of the boxes above a plane on which they should stand, and their places on it (level frame)."""
+
+    xy: FloatArray
+    above_m: FloatArray
+    label: IntArray
+    weight: FloatArray
+    near: BoolArray
+
+    @property
+    def design(self) -> FloatArray:
+        """Derivative of the heights by small rotations about level x and y and a vertical shift, shape (n, 3)."""
+        return np.column_stack([self.xy[:, 1], -self.xy[:, 0], np.ones(len(self.xy))])
+
+    @property
+    def information(self) -> FloatArray:
+        """Information matrix for heights with a standard deviation of 1 m, shape (3, 3)."""
+        information: FloatArray = (self.design * self.weight[:, None]).T @ self.design
+        return information
+
+    def correction(self) -> FloatArray:
+        """Return the rotations and vertical shift, shape (3,), that move the plane below the boxes."""
+        found: FloatArray = -np.linalg.pinv(self.information) @ (self.design.T @ (self.weight * self.above_m))
+        return found
+
+    def spread_m(self) -> FloatArray:
+        """Return the standard deviations of the places across and along the line of largest spread, shape (2,)."""
+        return self._spread()[0]
+
+    def _spread(self) -> tuple[FloatArray, FloatArray]:
+        """Return the standard deviations of `spread_m`, and their directions as columns, shape (2, 2)."""
+        squares, axes = np.linalg.eigh(np.cov(self.xy.T, aweights=self.weight, ddof=0))
+        return np.sqrt(squares.clip(0.0)), axes
+
+    def sigma_m(self) -> float:
+        """Return the weighted root mean square of the heights."""
+        return float(np.sqrt(np.average(self.above_m**2, weights=self.weight)))
+
+    def stretches(self) -> float:
+        """Return the effective number of independent boxes, from the correlation of their heights along the tracks.
+
+        The sum over lags ends where the correlation is no longer positive (Geyer's initial positive sequence), since
+        with few tracks the degrees of freedom of the fit would otherwise count as correlation. Heights below `_EXACT_M`
+        count as independent noise.
+        """
+        weighted = self.weight * self.above_m
+        squares = float((weighted * self.above_m).sum() + self.weight.sum() * _EXACT_M**2)
+        total = squares
+        for lag in range(1, len(weighted)):
+            same = self.label[lag:] == self.label[:-lag]
+            pairs = float((weighted[lag:] * weighted[:-lag])[same].sum())
+            if pairs <= 0.0:
+                break
+            total += 2 * pairs
+        return float(self.weight.sum()) * squares / total
+
+    def covariance(self, shared_share: float) -> FloatArray:
+        """Return the covariance of (rotation about level x, about level y, height), shape (3, 3).
+
+        ``shared_share`` is the fraction of the heights' standard deviation that is an error shared by all boxes.
+        """
+        stretches = self.stretches()
+        inflation = self.weight.sum() / (stretches - 3)
+        variance = self.sigma_m() ** 2 * inflation
+        covariance: FloatArray = np.linalg.inv(self.information) * variance + self._bent(variance)
+        covariance[2, 2] += (shared_share * self.sigma_m()) ** 2
+        return covariance
+
+    def _bent(self, variance_m2: float) -> FloatArray:
+        """Return the covariance of the plane due to the road's curvature, shape (3, 3).
+
+        On a bent road the slope changes over one standard deviation of the boxes' places, along and across. The
+        curvature is estimated from the heights, with the prior for roads (`BENT_PER_M`).
+
+        Parameters
+        ----------
+        variance_m2 : float
+            Variance of a height with the weight 1.
+        """
+        middle = np.average(self.xy, axis=0, weights=self.weight)
+        spread_m, axes = self._spread()
+        along = (self.xy - middle) @ axes
+        design = np.column_stack([self.design, along**2 / 2.0])
+        prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * variance_m2 / BENT_PER_M**2
+        inverse = np.linalg.pinv((design * self.weight[:, None]).T @ design + prior)
+        bend = inverse @ (design.T @ (self.weight * self.above_m))
+        squared = bend[3:] ** 2 + variance_m2 * np.diag(inverse)[3:]
+        # A slope along (x, y) is a rotation about (-y, x).
+        about = np.stack([-axes[1], axes[0]])
+        unknown = np.zeros((3, 3))
+        unknown[:2, :2] = (about * squared * spread_m**2) @ about.T
+        return unknown
+
+
+def _start(points: FloatArray, above_m: FloatArray, axes: Axes) -> GroundPlane:
+    """Return the plane with the least sum of distances from the boxes' bottoms, measured along the sensor's up axis."""
+    level = GroundPlane(np.asarray(axes.up, dtype=np.float64), 0.0, np.zeros((4, 4)), 0.0, 0, 0.0, 0.0, 0.0)
+    x, y, z = transform(level.T_level_sensor(axes), points).T
+    bottom = z - above_m
+    design = np.column_stack([x, y, np.ones(len(x))])
+
+    def off(plane: FloatArray) -> FloatArray:
+        distance: FloatArray = design @ plane - bottom
+        return distance
+
+    begin = np.array([0.0, 0.0, float(np.median(bottom))])
+    fitted = least_squares(off, begin, loss="soft_l1", f_scale=_START_SCALE_M, x_scale="jac")
+    a, b, c = fitted.x
+    # z = a x + b y + c is rotated by b about x and by -a about y; c is the negative height.
+    return _turned(level, np.array([-b, a, -c]), axes)
+
+
+def _counted(
+    points: FloatArray, above_m: FloatArray, objects: Sequence[IntArray], ground: GroundPlane, axes: Axes
+) -> _Boxes:
+    """Order boxes by object, with weights by which each object counts once in each cell of the road."""
+    rows = np.concatenate(objects)
+    label = np.repeat(np.arange(len(objects)), [len(one) for one in objects])
+    cells = np.floor(transform(ground.T_level_sensor(axes), points[rows])[:, :2] / _CELL_M).astype(np.int64)
+    _, where, counts = np.unique(np.column_stack([label, cells]), axis=0, return_inverse=True, return_counts=True)
+    return _Boxes(points[rows], above_m[rows], label, 1.0 / counts[where.reshape(-1)])
+
+
+def _heights(boxes: _Boxes, ground: GroundPlane, axes: Axes) -> _Heights:
+    """Return the boxes' heights above a plane; boxes far above or below it do not stand on it and get the weight 0."""
+    level = transform(ground.T_level_sensor(axes), boxes.points)
+    above_m = level[:, 2] - boxes.above_m
+    middle = weighted_median(above_m, boxes.weight)
+    sigma_m = NORMAL * weighted_median(np.abs(above_m - middle), boxes.weight)
+    near = np.abs(above_m - middle) <= _GATE * sigma_m + _EXACT_M
+    return _Heights(level[:, :2], above_m, boxes.label, np.where(near, boxes.weight, 0.0), near)
+
+
+def _turned(ground: GroundPlane, by: FloatArray, axes: Axes) -> GroundPlane:
+    """Rotate a plane about level x and y by small angles, and raise the sensor above it."""
+    x, y, lift_m = by
+    normal = ground.T_level_sensor(axes)[:3, :3].T @ np.array([-y, x, 1.0])
+    length = float(np.linalg.norm(normal))
+    return replace(ground, normal=normal / length, height_m=(ground.height_m + float(lift_m)) / length)
+
+
+def _in_sensor(covariance: FloatArray, ground: GroundPlane, axes: Axes) -> FloatArray:
+    """Convert a covariance of (rotation about level x, about level y, height) to `GroundPlane.covariance_sensor`."""
+    to_sensor = np.zeros((4, 3))
+    to_sensor[:3, :2] = ground.T_level_sensor(axes)[:2, :3].T
+    to_sensor[3, 2] = 1.0
+    carried: FloatArray = to_sensor @ covariance @ to_sensor.T
+    return carried
+
+
+def _check(heights: _Heights, ground: GroundPlane, axes: Axes, settings: GroundSettings) -> None:
+    spread_m = float(heights.spread_m()[0])
+    if spread_m < MIN_SPREAD_M:
+        raise GroundError(
+            f"the boxes lie on one line: {spread_m:.2f} m of spread across it found, at least {MIN_SPREAD_M:g} m "
+            "needed to tell how the ground is tilted; record traffic on other lanes or a turn, or say --level HEIGHT"
+        )
+    stretches = heights.stretches()
+    if stretches < MIN_STRETCHES:
+        raise GroundError(
+            f"independent stretches of road under the boxes: {stretches:.1f} found, at least {MIN_STRETCHES} needed to "
+            "find the ground; record more traffic, or say --level HEIGHT"
+        )
+    up = np.asarray(axes.up, dtype=np.float64)
+    too_near = ground.height_m < settings.min_height_m
+    if too_near or not can_be_ground((-ground.normal / ground.height_m)[None], up / np.linalg.norm(up), settings)[0]:
+        tilt_deg = np.degrees(np.arccos(np.clip(ground.normal @ up, -1.0, 1.0)))
+        raise GroundError(
+            f"plane below the boxes: {tilt_deg:.1f} deg from up, {ground.height_m:.2f} m below found, "
+            f"{where_it_can_be(settings)}; or say --level HEIGHT"
+        )

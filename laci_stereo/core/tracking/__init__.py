@@ -1,0 +1,1 @@
+"""From point clouds to tracks of moving objects: background, clusters, boxes, sightings, tracks."""
