@@ -87,9 +87,9 @@ def test_the_right_calibration_passes(matched: Callable[[str], Matched], name: s
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("axis", AXES)
 def test_a_camera_that_has_turned_is_found_and_named(matched: Callable[[str], Matched], name: str, axis: str) -> None:
-    """The images are of a right camera that has turned by +0.3 deg since it was calibrated."""
+    """The images are of a right camera that has rotated by +0.3 deg since it was calibrated."""
     check = check_rig(turned(RIGS[name], axis, -0.3), matched(name))
-    assert check.outcome == ("warn" if axis == "y" else "fail")  # a turn sideways hardly moves rows
+    assert check.outcome == ("warn" if axis == "y" else "fail")  # a yaw hardly moves rows
     assert check.fit is not None
     assert check.fit.parallax is not None
     turn = check.fit.parallax.turn

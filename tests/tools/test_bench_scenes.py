@@ -172,7 +172,7 @@ def test_a_trailer_whose_cab_is_seen_only_when_it_is_not_is_warned_of() -> None:
         pytest.param(
             {"focal_error": 0.03}, r"depths are [23]\.\d \+- \d\.\d % smaller .* focal length", id="focal length"
         ),
-        pytest.param({"baseline_error": -0.03}, r"breadths [23]\.\d \+- \d\.\d % larger: .* baseline", id="baseline"),
+        pytest.param({"baseline_error": -0.03}, r"widths [23]\.\d \+- \d\.\d % larger: .* baseline", id="baseline"),
     ],
 )
 def test_a_stereo_calibration_that_is_wrong_is_a_warning(error: dict[str, float], told: str) -> None:
