@@ -103,7 +103,7 @@ def test_positions_of_another_place_on_the_vehicle_are_told_whether_drives_agree
     position_m, angle_deg = misplaced(found.calibration)
     assert position_m < 3 * found.calibration.quality.track_xy_sigma_m < 0.15
     assert angle_deg < 0.06
-    told = [reason for reason in found.calibration.quality.reasons if "behind where on the vehicle" in reason]
+    told = [reason for reason in found.calibration.quality.reasons if "behind the point that --cam-reference" in reason]
     assert [reason.split(":")[0] for reason in told] == (["run 0", "run 5"] if alike else ["run 0"])
 
 

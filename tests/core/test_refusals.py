@@ -59,7 +59,7 @@ def reason(found: Calibration, part: str) -> str:
 
 
 def test_a_steady_drive_does_not_tell_the_clock() -> None:
-    with pytest.raises(OpenError, match=r"weakest along the drive .* the clocks' offset, known to \d+ ms"):
+    with pytest.raises(OpenError, match=r"weakest along the drive .* the clock offset, known to \d+ ms"):
         calibrate(STEADY.recording, STEADY.messages, UNKNOWN_CLOCK)
 
 
@@ -252,7 +252,7 @@ def test_positions_of_which_more_are_wrong_than_may_be() -> None:
 def test_positions_of_another_point_than_was_said(side: float) -> None:
     told = cam_log(ULM, TURNING.vehicle, 6.0, reference=(0.0, 0.7 * side))
     found = calibrate(TURNING.recording, told, reference=CENTRE)
-    assert f"to the {'left' if side > 0 else 'right'} of where" in reason(found, "the messages' positions are 0.")
+    assert f"to the {'left' if side > 0 else 'right'} of the point" in reason(found, "the messages' positions are 0.")
 
 
 def test_positions_of_another_part_of_the_vehicle_are_told_and_put_right() -> None:
