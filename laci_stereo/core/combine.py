@@ -1,4 +1,4 @@
-"""Several drives past one sensor: one ground, one level frame, one estimate."""
+"""Combines several drives past one sensor into one ground, one level frame and one estimate."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from laci_stereo.core.threads import in_one_thread
 
 @dataclass(frozen=True)
 class Share:
-    """What a drive has of its own in the estimate.
+    """A drive's own part of the combined estimate.
 
     Attributes
     ----------
     name : str
     station_id : int
     frames : int
-        In which it was seen.
+        Number of frames in which its vehicle was seen.
     time_offset_s, time_sigma_s : float
+        To be added to the sensor's stamps to get the CAMs' time, and its standard deviation.
     """
 
     name: str
@@ -52,7 +53,7 @@ class Combined:
     Attributes
     ----------
     calibration : Calibration
-        Its own drive is the one that tells most; ``others`` are the rest.
+        Its own drive is the most informative one; ``others`` are the rest.
     shares : tuple of Share
         In the order of the calibration's passages.
     left_out : tuple of LeftOut
@@ -65,14 +66,14 @@ class Combined:
 
 @in_one_thread
 def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Combined:
-    """Estimate where a sensor is from several drives, of one vehicle or several.
+    """Estimate the pose of a sensor from several drives, of one vehicle or several.
 
     Parameters
     ----------
     passages : sequence of Passage
         At least one; of one sensor, in one UTM zone.
     settings : Settings
-        The clocks are taken for as loosely tied as in the loosest of the drives.
+        Its prior of the clock offset is replaced by the widest of the drives.
 
     Raises
     ------
@@ -132,7 +133,10 @@ def _in_words(passage: Passage) -> str:
 
 
 def _fit_alone(passages: Sequence[Passage], drives: Sequence[Evidence], settings: Settings) -> list[JointFit]:
-    """Estimate from each drive by itself; whose messages are mistaken is only asked where drives contradict."""
+    """Return the estimate from each drive by itself.
+
+    With several drives, mistakes in the messages are considered only if the drives disagree.
+    """
     if len(drives) == 1:
         return [_fit_one(passages[0], drives[0], settings, mistakes=True)]
     held = [(passage, drive.thinned(HELD_ROWS)) for passage, drive in zip(passages, drives, strict=True)]
@@ -143,7 +147,7 @@ def _fit_alone(passages: Sequence[Passage], drives: Sequence[Evidence], settings
 
 
 def _fit_one(passage: Passage, drive: Evidence, settings: Settings, *, mistakes: bool) -> JointFit:
-    """Estimate from one drive; where that was done before, it is near there, on another ground."""
+    """Return the estimate from one drive; if its passage has one, the new one is close to it, on another ground."""
     start, offsets_s, close = passage.match, [passage.time_offset_s], passage.method == "joint"
     try:
         return fit_jointly([drive], start, offsets_s, settings.joint, close=close, mistakes=mistakes)

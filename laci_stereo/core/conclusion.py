@@ -1,4 +1,4 @@
-"""From an estimate to a result: the drives that it was made from, where it puts the sensor, and how sure that is."""
+"""From an estimate to a result: the drives that it was made from, the pose of the sensor, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from laci_stereo.core.settings import Settings
 
 
 def conclude(passages: Sequence[Passage], placement: Placement, settings: Settings) -> Calibration:
-    """Return the result of an estimate, and what the paper's method says of its own drive beside it.
+    """Return the result of an estimate, including that of the paper's method for the result's own drive.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
 
 
 def _agreeing_with_the_map(passages: Sequence[Passage], placement: Placement) -> tuple[Sequence[Passage], Placement]:
-    """Let a sloping ground agree with the map in the middle of what the estimate was made from.
+    """Make a sloping ground agree with the map in the middle of the data that the estimate was made from.
 
-    Along the ground another pivot is another origin, so that all positions move alike.
+    Along a sloping ground another pivot is another origin, so that all positions shift by the same vector.
     """
     slope = passages[0].vehicle.slope
     if slope is None:

@@ -66,11 +66,11 @@ class CalibrationFileError(InputError):
 
 
 class EvidenceError(InputError):
-    """What a result keeps of its drive is unusable, or is not of the same sensor as the rest."""
+    """The evidence that a result keeps of its drive is unusable, or is not of the same sensor as the rest."""
 
 
 class OutputError(InputError):
-    """The result cannot be written where it should go."""
+    """The result cannot be written to its destination."""
 
 
 class CalibrationError(LaciError):
@@ -100,7 +100,7 @@ class MatchError(CalibrationError):
     ----------
     message : str
     nearer_per_m : float
-        It surely would if all inverse distances were larger by that, 1/m; 0 where not.
+        The correction of all inverse distances, 1/m, with which the tracks certainly would fit; 0 if there is none.
     """
 
     def __init__(self, message: str, nearer_per_m: float = 0.0) -> None:
@@ -109,7 +109,7 @@ class MatchError(CalibrationError):
 
 
 class OpenError(CalibrationError):
-    """The drive leaves a direction open, so there is no number to give."""
+    """The drive leaves a direction undetermined, so that there is no number to give."""
 
 
 class CombineError(CalibrationError):
@@ -117,4 +117,4 @@ class CombineError(CalibrationError):
 
 
 class VerdictError(CalibrationError):
-    """The result's own verdict is that it must not be used."""
+    """The result's verdict is that it must not be used."""

@@ -32,7 +32,7 @@ Raster: TypeAlias = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class Axes:
-    """Which way a sensor frame's axes point when the sensor hangs upright.
+    """The directions of a sensor frame's axes when the sensor is mounted upright.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ FORWARD_LEFT_UP_AXES = Axes(forward=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
 
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """Put a rotation, shape (3, 3), and a translation, shape (3,), into a transform, shape (4, 4)."""
+    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a translation, shape (3,)."""
     T = np.eye(4)
     T[:3, :3] = rotation
     T[:3, 3] = translation
@@ -71,7 +71,7 @@ def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
 
 
 def planar(yaw_rad: float, xy: FloatArray) -> FloatArray:
-    """Return the transform, shape (4, 4), that turns by yaw about z and then shifts by xy, shape (2,)."""
+    """Return the transform, shape (4, 4), that rotates by yaw about z and then translates by xy, shape (2,)."""
     return rigid(rotation_z(yaw_rad), np.array([xy[0], xy[1], 0.0]))
 
 
@@ -82,7 +82,7 @@ def rotation_z(yaw_rad: float) -> FloatArray:
 
 
 def rotate_xy(yaw_rad: FloatArray | float, xy: FloatArray) -> FloatArray:
-    """Turn points in the plane, shape (..., 2), counter-clockwise by yaw."""
+    """Rotate points in the plane, shape (..., 2), counter-clockwise by yaw."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     x, y = xy[..., 0], xy[..., 1]
     moved = np.empty((*np.broadcast_shapes(np.shape(c), x.shape), 2))
@@ -97,25 +97,25 @@ def dot_xy(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def perpendicular(xy: FloatArray) -> FloatArray:
-    """Return vectors, shape (n, 2), turned by a right angle to the left."""
+    """Return vectors, shape (n, 2), rotated by 90 deg counter-clockwise."""
     return np.column_stack([-xy[:, 1], xy[:, 0]])
 
 
 def along_line(xy: FloatArray) -> FloatArray:
-    """Return how far along a line each of its points lies, shape (n,); the points' shape is (n, d)."""
+    """Return the distance of each point along a line through all of them, shape (n,); the points' shape is (n, d)."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
 
 
 def between(at: FloatArray, along: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return places on a line, shape (m, d), of which points of shape (n, d) are known.
+    """Interpolate linearly on a line through points of shape (n, d), and return shape (m, d).
 
-    ``at`` and ``along``, shape (m,) and (n,), say how far along it, or when, each is; before its begin and behind its
-    end it stays there.
+    ``at`` and ``along``, shape (m,) and (n,), are the distances along the line, or the times, of the places returned
+    and of the points. Before the first point and after the last one the place stays that of the point.
     """
     return np.column_stack([np.interp(at, along, column) for column in xy.T])
 
 
 def wrap(angle_rad: FloatArray | float) -> FloatArray:
-    """Bring angles into [-pi, pi)."""
+    """Return angles wrapped to [-pi, pi)."""
     wrapped: FloatArray = (np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi
     return wrapped

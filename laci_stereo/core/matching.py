@@ -1,4 +1,4 @@
-"""Matching the vehicle's track in the sensor with its track in the world."""
+"""Matches the vehicle's track in the sensor with its track in the world."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from laci_stereo.core.settings import MatchSettings
 
 @dataclass(frozen=True)
 class PlanarMatch:
-    """The transform from the level into the world frame: turn by yaw, then shift.
+    """The transform from the level to the world frame: a rotation by yaw, then a translation.
 
     Attributes
     ----------
     yaw_rad : float
     shift : ndarray, shape (2,)
-        Metres, world.
+        Translation in the world frame, metres.
     """
 
     yaw_rad: float
     shift: FloatArray
 
     def __call__(self, xy_level: FloatArray) -> FloatArray:
-        """Map points on the ground plan, shape (n, 2), from level to world."""
+        """Map points on the ground plan, shape (n, 2), from the level to the world frame."""
         moved: FloatArray = rotate_xy(self.yaw_rad, xy_level) + self.shift
         return moved
 
@@ -35,7 +35,7 @@ def match_track(xy_level: FloatArray, xy_world: FloatArray, settings: MatchSetti
     """Match two tracks point by point (paper section III-D).
 
     Yaw is the circular mean of the angles between the location vectors of both tracks relative to the last point,
-    short vectors left out; the translation is the mean difference after rotation.
+    without short vectors; the translation is the mean difference after rotation.
 
     Parameters
     ----------

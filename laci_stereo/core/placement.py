@@ -1,4 +1,8 @@
-"""Both estimators, brought to one form: where the level frame is in the world, and how sure that is."""
+"""The placement of the level frame in the world by either estimator, its uncertainty, and the objections to it.
+
+An objection is a reason, in words, why the result may be wrong. The messages contradict the points where a correction
+to them exceeds its prior by far (`CONTRADICTED`).
+"""
 
 from __future__ import annotations
 
@@ -27,10 +31,10 @@ from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.vehicle import outline
 
 LEAST_EXPLAINED = 0.5
-"""Of the points; where the outline stands for fewer, it is something else that was registered."""
+"""Least fraction of the points that the outline must explain; below it something else was registered."""
 
 CONTRADICTED = 4.0
-"""Beyond so many standard deviations what was found is not what the messages tell."""
+"""Number of standard deviations beyond which a correction contradicts the messages."""
 
 ANOTHER_PIECE = (
     "what was seen may be another part of it, or its length wrong, and the position off by as much along the path"
@@ -40,13 +44,13 @@ ANOTHER_PIECE = (
 def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings) -> Placement:
     """Match the boxes' centres with the positions of the messages (paper section III-D).
 
-    A box whose longer side is nearer to the vehicle's width than to its length shows an end of it, and not where its
-    middle is; unless all are such, these are left out as too thin.
+    A box whose longer side is nearer to the vehicle's width than to its length shows one end of the vehicle, not its
+    middle. Such boxes are left out as too thin, unless too few others remain.
 
     Raises
     ------
     MatchError
-        If the drive is too short to tell the yaw.
+        If the drive is too short to determine the yaw.
     """
     xy_world, _, known = vehicle.at(track.stamps_s)
     longer = np.array([max(sighting.box.length_m, sighting.box.width_m) for sighting in track.usable])
@@ -69,12 +73,14 @@ def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings)
 def place_jointly(
     own: Passage, others: Sequence[Passage], choice: Choice, settings: Settings
 ) -> tuple[Placement, tuple[Passage, ...]]:
-    """Register the visible outline on the vehicle in all frames at once; on other senders' as well, where they agree.
+    """Register the visible outline on the vehicle in all frames at once.
+
+    Other senders' vehicles are registered as well, and used where they agree.
 
     Parameters
     ----------
     own : Passage
-        Of the sender that was chosen, where its boxes put it.
+        Of the sender that was chosen, as placed by its boxes.
     others : sequence of Passage
         Of other senders in the same recording.
     choice : Choice
@@ -84,12 +90,13 @@ def place_jointly(
     -------
     placement : Placement
     passages : tuple of Passage
-        Those that it was made from, the one that tells most first.
+        Those that were used, the most informative one first.
 
     Raises
     ------
     MatchError
-        If too few frames show anything of the outline, or an end of the vehicle is missing where something else is.
+        If too few frames show anything of the outline, or if an end of the vehicle was never seen and something else
+        moves there.
     OpenError
         If the drives leave a direction open.
     """
@@ -134,11 +141,11 @@ def _registered(
     Returns
     -------
     registered : list of tuple of Passage, Evidence and JointFit
-        Those that can be used, the first one among them.
+        Those that can be used, including the first one.
     remarks, doubts : list of str
-        Why others cannot. One whose messages are wrong by themselves does no harm as long as it has the sensor at the
-        same place, or more than one other sender has it there; else what is wrong may be the sensor's clock, and so the
-        first one's place.
+        Why the others cannot be used. A sender whose messages contradict its own points yields a remark if it places
+        the sensor where the usable ones place it, or if these are a majority against it. Otherwise it is an objection,
+        since the error may be the sensor's clock, and the first sender's placement wrong with it.
     """
     registered, contradicted, remarks, doubts = [(own, drive, fit)], [], [], []
     for other in others:
@@ -170,7 +177,7 @@ def _unused(other: Passage) -> str:
 def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -> tuple[Evidence, JointFit]:
     """Register another sender's outline, given the first one's; a direction that it leaves open does no harm.
 
-    It is sought by a clock that is so much later.
+    The search begins with a clock offset that is larger by ``late_s``.
 
     Raises
     ------
@@ -184,7 +191,7 @@ def _as_well(other: Passage, fit: JointFit, late_s: float, settings: Settings) -
 
 
 def _late(own: Passage, other: Passage) -> str:
-    """Say when another vehicle is seen, if not where its messages have it."""
+    """Return in words how much earlier or later than by its messages another vehicle is seen; empty if neither."""
     late_s = other.time_offset_s - own.time_offset_s
     if late_s == 0.0:
         return ""
@@ -195,7 +202,7 @@ def _late(own: Passage, other: Passage) -> str:
 def place(
     fit: JointFit, drives: Sequence[Evidence], sightings: int, settings: Settings, names: Sequence[str] = ("",)
 ) -> Placement:
-    """Say how sure a joint fit is, and what of the messages contradicts it.
+    """Return a joint fit with its uncertainty, and with what in the messages contradicts it.
 
     Parameters
     ----------
@@ -203,15 +210,15 @@ def place(
     drives : sequence of Evidence
         Those of the fit.
     sightings : int
-        In how many frames of all drives the vehicle was seen.
+        Number of frames of all drives in which the vehicle was seen.
     settings : Settings
     names : sequence of str
-        Of the drives, for messages.
+        Names of the drives, for messages.
 
     Raises
     ------
     MatchError
-        If too few frames show anything of the outline, or it explains too little of what they show.
+        If too few frames show anything of the outline, or if it explains too few of the points.
     OpenError
         If the drives leave a direction open.
     """
@@ -278,7 +285,7 @@ def _check_registered(fit: JointFit, drives: Sequence[Evidence], settings: Setti
 def _contradicted(
     fit: JointFit, drives: Sequence[Evidence], names: Sequence[str], missing: Sequence[Mapping[str, float]]
 ) -> list[tuple[str, str]]:
-    """Return what of the messages, or of the vehicle, the points contradict, each with its drive's name."""
+    """Return in words what the points contradict in the messages or in the vehicle, each with its drive's name."""
     found = []
     for name, drive, corrections, missing_m in zip(names, drives, fit.corrections, missing, strict=True):
         wrong = (_in_words(each, drive.vehicle) for each in _wrong(corrections))
@@ -289,7 +296,7 @@ def _contradicted(
 
 
 def doubts_of(choice: Choice) -> tuple[str, ...]:
-    """Say why what was chosen may not be the vehicle."""
+    """Return the objections to the choice of the vehicle."""
     doubts = [doubt for doubt in (choice.clocks, choice.doubt) if doubt]
     if choice.beside:
         doubts.append(_part_of_it(choice.beside))
@@ -299,7 +306,7 @@ def doubts_of(choice: Choice) -> tuple[str, ...]:
 def ridden_doubts(
     choice: Choice, passages: Sequence[Passage], tracks: Sequence[Track], placement: Placement
 ) -> tuple[str, ...]:
-    """Say where something rides along with a vehicle, if that was not seen beside it; see `ridden_frames`."""
+    """Return objections where something moves along with a vehicle, unless `choice` has it; see `ridden_frames`."""
     told = []
     for each, frames in zip(passages, ridden_frames(passages, tracks, placement.match), strict=True):
         if frames and not (choice.beside and each.station_id == choice.station):
@@ -319,22 +326,23 @@ def _besides(frames: int) -> str:
 
 
 def _missing_m(drive: Evidence, match: PlanarMatch, time_offset_s: float) -> dict[str, float]:
-    """Return how much of which end of the vehicle was never seen, if one was not."""
+    """Return the length of each end of the vehicle that was never seen, by the end's name."""
     least_m = LEAST_UNSEEN_M + 3.0 * drive.vehicle.guessed_m[0]
     ends_m = dict(zip(("rear", "front"), unseen_m(drive, match, time_offset_s), strict=True))
     return {end: end_m for end, end_m in ends_m.items() if end_m > least_m}
 
 
 def _lacks(missing_m: Mapping[str, float], vehicle: VehicleTrack) -> str:
-    """Say which end of a vehicle was never seen."""
+    """Return in words which end of a vehicle was never seen."""
     ends = " and ".join(f"the {end} {end_m:.1f} m" for end, end_m in missing_m.items())
     return f"{ends} of the vehicle's {vehicle.length_m:.1f} m were never seen, although its side was"
 
 
 def _with_doubt_along(fit: JointFit, drives: Sequence[Evidence], missing: Sequence[Mapping[str, float]]) -> JointFit:
-    """Return a fit that is as unsure along its vehicles as what was never seen of them is long.
+    """Return a fit with the uncertainty along its vehicles that results from the parts which were never seen.
 
-    As likely as not what was seen is another piece, and the position off by as much.
+    With a probability of one half, what was seen is another part of the vehicle, and the position is off by the length
+    that was never seen.
     """
     poses = [drive.vehicle.at(drive.stamps_s + s) for drive, s in zip(drives, fit.time_offsets_s, strict=True)]
     yaw = np.concatenate([yaw[known] for _, yaw, known in poses])
@@ -345,14 +353,15 @@ def _with_doubt_along(fit: JointFit, drives: Sequence[Evidence], missing: Sequen
 
 
 def _all_lack_m(missing: Sequence[Mapping[str, float]]) -> float:
-    """Return what every drive lacks of its vehicle: one that lacks nothing tells where the others' pieces are."""
+    """Return the least unseen length of all drives: a complete vehicle determines where the others' parts are."""
     return min(max(each.values(), default=0.0) for each in missing)
 
 
 def _missing(fit: JointFit, drives: Sequence[Evidence]) -> list[dict[str, float]]:
-    """Return what `_missing_m` does of each drive.
+    """Return the result of `_missing_m` for each drive.
 
-    Where the messages' positions are of another place along the vehicle, that is what is not seen of it.
+    It is empty where the messages' positions are those of another place along the vehicle, since that place explains
+    what seems to be missing.
     """
     elsewhere = (any(each.what == "ahead" for each in _wrong(corrections)) for corrections in fit.corrections)
     return [
@@ -362,12 +371,12 @@ def _missing(fit: JointFit, drives: Sequence[Evidence]) -> list[dict[str, float]
 
 
 def _wrong(corrections: Iterable[Correction]) -> list[Correction]:
-    """Return the corrections that the messages do not allow for."""
+    """Return the corrections that contradict the messages."""
     return [each for each in corrections if each.surprise > CONTRADICTED]
 
 
 def _in_words(correction: Correction, vehicle: VehicleTrack) -> str:
-    """Say what of the messages, or of what was assumed where they tell nothing, the points contradict."""
+    """Return in words what the points contradict in the messages, or in what was assumed where they report nothing."""
     value, sigma = correction.value, correction.sigma
     if correction.what == "clock":
         return f"the clocks are {1e3 * value:.0f} ms apart, where {1e3 * sigma:.0f} ms were expected: --clock unknown"
@@ -385,7 +394,7 @@ def _in_words(correction: Correction, vehicle: VehicleTrack) -> str:
 
 
 def _optics_in_words(fit: JointFit) -> str:
-    """Say what of a stereo calibration the points contradict."""
+    """Return in words what the points contradict in a stereo calibration."""
     shares = [each.value for each in fit.optics]
     off_m = float(np.hypot(*(fit.centre_level * shares)))
     depths, breadths = (
@@ -400,7 +409,7 @@ def _optics_in_words(fit: JointFit) -> str:
 
 
 def _perhaps_unset(clock: Correction) -> str:
-    """Say that a clock that nobody has set would explain what is seen better, where its offset is not known well."""
+    """Return in words that an unset clock would explain the points better, where its offset is not well known."""
     return (
         f"a clock offset of {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms would fit better; unless the clocks "
         "are known to be synchronised: --clock unknown"
@@ -408,7 +417,7 @@ def _perhaps_unset(clock: Correction) -> str:
 
 
 def _turning(fit: JointFit, turn_s: float) -> str:
-    """Say how the scanner turns, if it does that once in ``turn_s``."""
+    """Return in words how the scanner rotates, if at all; one revolution takes ``turn_s``."""
     how = {0.0: "all at once", 1.0: "spinning counter-clockwise", -1.0: "spinning clockwise"}[fit.turn]
     found = f"by the drive, the scanner measures a scan's points {how} (probability {fit.turn_probability:.0%})"
     if fit.turn == 0.0:
@@ -420,7 +429,7 @@ def _turning(fit: JointFit, turn_s: float) -> str:
 
 
 def _assumed_accuracies(drives: Sequence[Evidence], names: Sequence[str], settings: JointSettings) -> list[str]:
-    """Say how exact positions were taken for whose messages tell nothing of it."""
+    """Return in words the accuracy that was assumed for positions where the messages report none."""
     assumed = (
         f"the messages report no accuracy of their positions: taken as {settings.position_sigma_m:g} m, that of a "
         "receiver with carrier-phase corrections; with another the result is as far off as its positions: "
@@ -434,12 +443,12 @@ def _assumed_accuracies(drives: Sequence[Evidence], names: Sequence[str], settin
 
 
 def _told(vehicle: VehicleTrack) -> float:
-    """Return the standard deviation of the positions that the messages tell, 0 where they do not."""
+    """Return the standard deviation of positions that the messages report; 0 if they report none."""
     return vehicle.position_sigma_m if np.isfinite(vehicle.position_sigma_m) else 0.0
 
 
 def _blurred(drives: Sequence[Evidence]) -> str:
-    """Say that the matcher's window takes the outline and the road together, if that is so."""
+    """Return in words that the matching window mixes outline and road; empty if it does not, or without points."""
     blurs_m = np.concatenate([drive.blur_m for drive in drives])
     if not len(blurs_m):  # boxes of a detector
         return ""
@@ -457,14 +466,14 @@ def _blurred(drives: Sequence[Evidence]) -> str:
 
 
 def _advice(fit: JointFit, doubt: Doubt, drive: Evidence, missing_m: float = 0.0) -> str:
-    """Say in words where the result is weakest, why, and what would mend it."""
+    """Return in words where the result is weakest, why, and what would improve it."""
     sigma_m, yaw = doubt.weakest
     velocity = _velocity(drive, fit.time_offsets_s[0])
     by_clock = float(np.hypot(*velocity)) * fit.time_sigmas_s[0]
     by_yaw = doubt.yaw_rad * float(np.sqrt((doubt.arms**2).sum(axis=1).mean()))
     along = abs(np.cos(yaw - np.arctan2(velocity[1], velocity[0]))) > np.sqrt(0.5)
     direction = "along the drive" if along else "across the drive"
-    if along and missing_m > sigma_m:  # 0.7 of it is in the doubt
+    if along and missing_m > sigma_m:  # 0.7 of it is in the uncertainty
         why = "an end of the vehicle was never seen: the result may be shifted by as much; another vehicle shows both"
     elif along and by_clock > 0.7 * sigma_m:
         why = (
@@ -481,7 +490,7 @@ def _advice(fit: JointFit, doubt: Doubt, drive: Evidence, missing_m: float = 0.0
 
 
 def _velocity(drive: Evidence, offset_s: float) -> FloatArray:
-    """Return the mean velocity in the world, shape (2,)."""
+    """Return the mean velocity in the world frame, shape (2,), m/s."""
     xy, _, known = drive.vehicle.at(drive.stamps_s + offset_s)
     ends = np.flatnonzero(known)[[0, -1]]
     passed = max(float(np.diff(drive.stamps_s[ends])[0]), 1e-3)

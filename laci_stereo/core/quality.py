@@ -1,4 +1,4 @@
-"""How far an estimate can be trusted: its covariance, in which direction it is weak, and a verdict."""
+"""The uncertainty of an estimate: its covariance, the direction in which it is weakest, and a verdict."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from laci_stereo.core.tracking.tracks import Track
 
 @dataclass(frozen=True)
 class Doubt:
-    """What is not known of a transform in the plane.
+    """The uncertainty of a transform in the plane.
 
     Attributes
     ----------
     covariance : ndarray, shape (3, 3)
-        Of (yaw [rad], x, y [m]) in the world, about the track's middle.
+        Covariance of (yaw [rad], x, y [m]) in the world frame, about the track's middle.
     arms : ndarray, shape (n, 2)
-        From there to the points of the track, world, metres.
+        Vectors from the track's middle to its points, world frame, metres.
     """
 
     covariance: FloatArray
@@ -34,7 +34,7 @@ class Doubt:
 
     @property
     def yaw_rad(self) -> float:
-        """One standard deviation of the yaw."""
+        """Standard deviation of the yaw."""
         return float(np.sqrt(self.covariance[0, 0]))
 
     @cached_property
@@ -48,44 +48,47 @@ class Doubt:
 
     @property
     def track_xy_m(self) -> float:
-        """Root of the mean squared error in the plane along the track."""
+        """Root mean square error of positions in the plane along the track."""
         return float(np.sqrt(np.trace(self.along_track)))
 
     @property
     def weakest(self) -> tuple[float, float]:
-        """The direction in which an object's position is least known: its sigma in metres, and its yaw, rad."""
+        """The direction in which an object's position is least known: its standard deviation, metres, and yaw, rad."""
         values, vectors = np.linalg.eigh(self.along_track)
         return float(np.sqrt(values[-1])), float(np.arctan2(vectors[1, -1], vectors[0, -1]))
 
 
 @dataclass(frozen=True)
 class Placement:
-    """One estimate of where the level frame is in the world.
+    """An estimate of where the level frame is in the world frame.
 
     Attributes
     ----------
     match : PlanarMatch
     middle_level : ndarray, shape (2,)
-        The track's middle, about which the doubt is.
+        The track's middle in the level frame, to which the uncertainty refers.
     doubt : Doubt
+        Its uncertainty.
     residual_rms_m : float
     frames_used : int
     left_out : dict of str to int
-        Frames that were not, by reason.
+        Numbers of frames that were not used, by reason.
     time_offset_s, time_sigma_s : float
-        To be added to the sensor's stamps to get the CAMs' time; 0 where it is taken as known.
+        To be added to the sensor's stamps to get the CAMs' time, and its standard deviation; 0 where it is taken as
+        known.
     turn : float
-        How the scanner turns, see `JointFit`.
+        Rotation of the scanner, see `JointFit`.
     nearer : Correction or None
         See `JointFit`.
     remarks : tuple of str
-        What else was found.
+        Other findings.
     advice : str
-        Which drive would help where it is weakest.
+        Which drive would improve the weakest direction.
     contradictions : tuple of str
-        What of the messages the points contradict, so that the messages, or what was said of them, may be wrong.
+        Objections: what the points contradict in the messages or in what was stated about them, either of which may be
+        wrong.
     bodies : tuple of VehicleTrack
-        Of each drive, see `JointFit`; none where nothing was found of them.
+        One per drive, see `JointFit`; empty where they were not estimated.
     """
 
     match: PlanarMatch
@@ -107,12 +110,13 @@ class Placement:
 def doubt_of(
     match: PlanarMatch, track: Track, vehicle: VehicleTrack, used: BoolArray, settings: MatchSettings
 ) -> Doubt:
-    """Estimate the errors of the paper's match.
+    """Estimate the uncertainty of the paper's match.
 
-    A sensor sees the near sides of a vehicle, so its boxes lack what faces away. The match is repeated with boxes that
-    have grown away from the sensor to the vehicle's true size, and by how much that changes the result is its doubt.
-    To this comes what then remains between the tracks. It changes as slowly as the side in view, so it is not averaged
-    over frames; the yaw leans on the last point of the trace and on the mean of the others, each with that error.
+    A sensor sees the near sides of a vehicle, so that its boxes lack the sides that face away. The match is repeated
+    with boxes that were enlarged away from the sensor to the vehicle's true size; the change of the result is the first
+    part of the uncertainty. The second part is the remaining difference between the tracks. It changes as slowly as the
+    visible side, so that it is not averaged over frames; the yaw depends on the last point of the trace and on the mean
+    of the others, each with that error.
 
     Parameters
     ----------
@@ -122,7 +126,7 @@ def doubt_of(
     used : ndarray of bool, shape (n,)
         Which of the track's usable sightings were matched.
     settings : MatchSettings
-        Of the match.
+        Settings of the match.
     """
     xy_world, yaw_world, _ = vehicle.at(track.stamps_s)
     xy_level, xy_world = track.centres[used], xy_world[used]
@@ -137,7 +141,7 @@ def doubt_of(
 
 
 def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> FloatArray:
-    """Return from the boxes' middles to those that they would have with the vehicle's true size, shape (n, 2)."""
+    """Return the vectors from the boxes' middles to those of boxes of the true size, level frame, shape (n, 2)."""
     seen = track.usable
     sizes = np.array([(sighting.box.length_m, sighting.box.width_m) for sighting in seen])
     turned = np.array([sighting.box.yaw_rad for sighting in seen]) - yaw_level
@@ -166,7 +170,7 @@ def covariance_of(
         Of (rotation about level x, about level y, height), see `GroundPlane.covariance_level`.
     match : PlanarMatch
     middle_level : ndarray, shape (2,)
-        The track's middle in the level frame; there the tilt moves the ground by (d x p)_z = d_x p_y - d_y p_x.
+        The track's middle in the level frame, at which a tilt d moves the ground by (d x p)_z = d_x p_y - d_y p_x.
     """
     to_world = np.zeros((6, 3))
     to_world[:2, :2] = rotate_xy(match.yaw_rad, np.eye(2)).T
@@ -177,14 +181,14 @@ def covariance_of(
 
 
 def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int, settings: QualitySettings) -> Quality:
-    """Hold the doubt against the thresholds.
+    """Compare the uncertainty with the thresholds, and return the verdict with the values it is based on.
 
     Parameters
     ----------
     placement : Placement
     ground_covariance : ndarray, shape (3, 3)
     frames_seen : int
-        In which the vehicles were.
+        Number of frames in which the vehicles were seen.
     settings : QualitySettings
     """
     doubt = placement.doubt
@@ -223,5 +227,5 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
 
 
 def _beyond(value: float, limit: float) -> str:
-    """Return a number that is beyond a limit with so many digits that it reads so."""
+    """Format a number beyond a limit with as many digits as are needed to distinguish it from the limit."""
     return next(told for digits in range(3, 18) if (told := f"{value:.{digits}g}") != f"{limit:.{digits}g}")

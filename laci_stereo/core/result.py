@@ -1,4 +1,4 @@
-"""The result of a calibration, and how far it can be trusted."""
+"""The result of a calibration, and its quality."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ Verdict = Literal["pass", "warn", "fail"]
 
 @dataclass(frozen=True)
 class Quality:
-    """How far a calibration can be trusted.
+    """The quality of a calibration.
 
     Attributes
     ----------
     verdict : {"pass", "warn", "fail"}
     reasons : tuple of str
-        Why it is not a pass.
+        Why the verdict is not "pass".
     track_xy_sigma_m : float
-        By how much an object on the vehicle's track would be misplaced in the plane: the root of the mean square of
-        the two-dimensional error, one sigma.
+        Expected error, in the plane, of an object's position on the vehicle's track: the root mean square of the
+        two-dimensional error, one standard deviation.
     weakest_sigma_m, weakest_yaw_deg : float
-        The direction in which objects on the track are least well placed, counter-clockwise from grid east, and the
-        standard deviation there.
+        The standard deviation in the direction in which the positions of objects on the track are least certain, and
+        that direction, counter-clockwise from grid east.
     advice : str
-        Why that is, and which drive would mend it.
+        Why that is, and which drive would improve it.
     yaw_sigma_deg, tilt_sigma_deg, height_sigma_m : float
     residual_rms_m : float
         By the paper's method the distance between the two tracks, by the joint one that of the points from the outline.
     frames_used, frames_seen : int
-        Frames of the vehicle in the match, and frames in which it was seen at all.
+        Number of frames of the vehicle that were used, and number in which it was seen at all.
     left_out : dict of str to int
-        Frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time), standing (where it is seen
-        in enough others), bare (no point of the outline).
+        Numbers of frames that were left out, by reason: cut, far, thin, unknown (no CAM at that time), standing (the
+        vehicle is stationary and seen there in enough others), bare (no point of the outline).
     """
 
     verdict: Verdict
@@ -64,14 +64,14 @@ class Quality:
     left_out: dict[str, int]
 
     def doubted(self, *reasons: str) -> Quality:
-        """Return the same with what else may be wrong, if anything: it is then no pass."""
+        """Return this quality with additional reasons; with any, the verdict is no longer "pass"."""
         verdict: Verdict = "warn" if self.verdict == "pass" and reasons else self.verdict
         return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where a sensor stands and looks, and what that was concluded from.
+    """The pose of a sensor, and the data from which it was estimated.
 
     Attributes
     ----------
@@ -90,24 +90,24 @@ class Calibration:
     track : Track
         Of the vehicle, in the level frame.
     vehicle : VehicleTrack
-        In the world.
+        In the world frame.
     match : PlanarMatch
     paper : PlanarMatch or None
-        What the paper's method says; None where it says nothing.
+        The result of the paper's method; None where it has none.
     axes : Axes
         Of the sensor.
     quality : Quality
     method : {"joint", "paper"}
     clock_sigma_s : float
-        What was known of the clocks' offset beforehand, one standard deviation.
+        Prior standard deviation of the clock offset.
     turn : float
-        How the scanner turned, see `JointFit`.
+        Rotation of the scanner, see `JointFit`.
     nearer : Correction or None
         See `JointFit`.
     found : tuple of str
-        What else the estimate found.
+        Other findings of the estimate.
     others : tuple of Passage
-        Further drives that it was estimated from, in the same level frame and world.
+        Further drives from which it was estimated, in the same level and world frames.
     body : VehicleTrack or None
         See `Passage`.
     """
@@ -138,7 +138,7 @@ class Calibration:
 
     @property
     def passages(self) -> tuple[Passage, ...]:
-        """The drives that it was estimated from, its own first."""
+        """The drives from which it was estimated, its own first."""
         own = Passage(
             world=self.world,
             axes=self.axes,
@@ -158,30 +158,30 @@ class Calibration:
 
     @property
     def T_utm_sensor(self) -> FloatArray:
-        """The best rigid transform into UTM around the track, shape (4, 4)."""
+        """The best rigid transform to UTM around the track, shape (4, 4)."""
         return self.world.utm_from_sensor(self.T_world_sensor, self.centre_world)
 
     @property
     def slope(self) -> Slope | None:
-        """Of the ground, which may be level; None where the messages' altitudes do not tell it."""
+        """The slope of the ground, which may be level; None where the messages' altitudes do not determine it."""
         return self.vehicle.slope
 
     @property
     def T_enu_sensor(self) -> FloatArray | None:
-        """The transform into east, north and up against gravity, shape (4, 4); None where no slope is known.
+        """The transform to east, north and up against gravity, shape (4, 4); None where no slope is known.
 
-        Its origin is the world's. On a level road it is ``T_world_sensor``.
+        Its origin is that of the world frame. On a level road it equals ``T_world_sensor``.
         """
         return None if self.slope is None else self.slope.T_enu_world @ self.T_world_sensor
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was assumed of the messages, or left out of them, and what else was found."""
+        """Assumptions about the messages, what was left out of them, and other findings."""
         return (*self.vehicle.remarks, *self.found)
 
     @property
     def paper_differs(self) -> tuple[float, float] | None:
-        """By how much the paper's method differs: of objects on the track, metres (RMS), and in angle, degrees."""
+        """The difference of the paper's method: of objects on the track, metres (RMS), and in yaw, degrees, or None."""
         if self.paper is None:
             return None
         seen = np.array([sighting.middle for sighting in self.track.sightings])
@@ -190,27 +190,27 @@ class Calibration:
 
     @property
     def height_m(self) -> float:
-        """Of the sensor above the ground."""
+        """Height of the sensor above the ground."""
         return self.ground.height_m
 
     @property
     def viewing_angles(self) -> ViewingAngles:
-        """Where the sensor looks."""
+        """The viewing direction of the sensor."""
         return viewing_angles(self.T_world_sensor, self.axes)
 
 
 @dataclass(frozen=True)
 class ViewingAngles:
-    """Where a sensor looks, in words that a person on site can check.
+    """The viewing direction of a sensor, as angles that a person on site can check.
 
     Attributes
     ----------
     yaw_deg : float
         Of the forward axis, counter-clockwise from grid east.
     down_deg : float
-        By how much the forward axis points below the horizon.
+        Angle of the forward axis below the horizon (pitch).
     roll_deg : float
-        By how much the sensor is turned clockwise about the forward axis, seen from behind it.
+        Clockwise rotation of the sensor about the forward axis, as seen from behind it.
     """
 
     yaw_deg: float
@@ -219,7 +219,7 @@ class ViewingAngles:
 
 
 def viewing_angles(T_world_sensor: FloatArray, axes: Axes) -> ViewingAngles:
-    """Read the viewing direction off a transform, shape (4, 4)."""
+    """Return the viewing direction of a transform, shape (4, 4)."""
     forward = T_world_sensor[:3, :3] @ np.array(axes.forward)
     up = T_world_sensor[:3, :3] @ np.array(axes.up)
     right_level = np.cross(forward, [0.0, 0.0, 1.0])

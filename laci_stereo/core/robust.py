@@ -1,4 +1,4 @@
-"""What strays: how far it may, and medians, which it does not move."""
+"""Outliers: the limit beyond which values count as such, and robust statistics, which they do not affect."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from laci_stereo.core.frames import FloatArray
 
 NORMAL = 1.4826
-"""Standard deviation of normal noise over the median of its size."""
+"""Ratio of the standard deviation of normal noise to the median of its absolute value."""
 
 TAIL = 4.0
-"""So many sigma are what tolerances allow; what is beyond is a mistake, and as likely large as small."""
+"""Number of standard deviations that tolerances allow; what is beyond is a mistake, of any size."""
 
 
 def weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    """Return the value, of some of shape (n,), up to which the smallest ones have half of all the weight."""
+    """Return the weighted median of values, shape (n,): those up to it have half of the total weight."""
     order = np.argsort(values)
     share = np.cumsum(weight[order])
     return float(values[order][np.searchsorted(share, share[-1] / 2)])

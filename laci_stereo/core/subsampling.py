@@ -1,4 +1,4 @@
-"""Some of many, evenly spread."""
+"""Uniformly spaced subsets."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Item = TypeVar("Item")
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Return at most ``most`` of the indices below ``count``, ascending, both ends among them."""
+    """Return at most ``most`` uniformly spaced indices below ``count``, ascending, including both ends."""
     kept: IntArray = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
     return kept
 
 
 def spread(items: Sequence[Item], most: int) -> list[Item]:
-    """Take at most ``most`` items, both ends among them."""
+    """Return at most ``most`` uniformly spaced items, including both ends."""
     return [items[index] for index in evenly(len(items), most)]

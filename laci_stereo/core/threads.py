@@ -1,4 +1,4 @@
-"""How many threads linear algebra takes."""
+"""The number of threads that linear algebra uses."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ R = TypeVar("R")
 
 
 def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function's linear algebra run in one thread.
+    """Restrict a function's linear algebra to one thread.
 
-    Its matrices are so small that threads only wait for one another, the longer the more else the machine does.
+    Its matrices are so small that several threads only wait for one another, and the longer the more other work the
+    machine does.
     """
 
     @wraps(function)

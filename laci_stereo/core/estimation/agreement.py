@@ -1,4 +1,4 @@
-"""Which of several drives agree on where the sensor is, and which one contradicts the others."""
+"""Which of several drives agree on the pose of the sensor, and which one contradicts the others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from laci_stereo.core.frames import FloatArray, wrap
 from laci_stereo.core.settings import JointSettings
 
 FALSE_ALARM = 1e-3
-"""Probability that any of the drives is left out although all of them agree."""
+"""Probability that any drive is left out although all of them agree."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,11 @@ class LeftOut:
     ----------
     name : str
     shift_m, turn_deg : float
-        By how much it alone places objects elsewhere, in the middle of all drives.
+        Differences in position and yaw between its own estimate and that of the others, in the middle of all drives.
     sigmas : float
         The same in standard deviations (Mahalanobis distance of yaw, x and y).
     others : int
-        That agree.
+        Number of other drives, which agree.
     """
 
     name: str
@@ -50,14 +50,14 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Together:
-    """What several drives tell together.
+    """The joint estimate from several drives.
 
     Attributes
     ----------
     passages : tuple of Passage
-        Those that agree, the one that tells most first.
+        Those that agree, the most informative one first.
     drives : tuple of Evidence
-        Of the same.
+        Of the same drives.
     fit : JointFit
     left_out : tuple of LeftOut
     """
@@ -69,14 +69,14 @@ class Together:
 
     @property
     def sightings(self) -> int:
-        """In how many frames the vehicles were seen."""
+        """Number of frames in which the vehicles were seen."""
         return sum(len(each.track.sightings) for each in self.passages)
 
 
 def fit_together(
     passages: Sequence[Passage], drives: Sequence[Evidence], alone: Sequence[JointFit], settings: JointSettings
 ) -> Together:
-    """Estimate from all drives that agree.
+    """Return the joint estimate from all drives that agree.
 
     Parameters
     ----------
@@ -84,13 +84,13 @@ def fit_together(
         In one level frame.
     drives : sequence of Evidence
     alone : sequence of JointFit
-        What each of them says by itself.
+        The estimate from each drive by itself.
     settings : JointSettings
 
     Raises
     ------
     CombineError
-        As `agreeing` does.
+        See `agreeing`.
     """
     kept, left_out = agreeing([passage.name for passage in passages], alone)
     kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
@@ -104,12 +104,12 @@ def fit_together(
 
 
 def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int], tuple[LeftOut, ...]]:
-    """Return the drives that agree, and those that do not: the worst one is left out, and again.
+    """Return the drives that agree, and those that do not: the worst one is left out until the rest agree.
 
     Raises
     ------
     CombineError
-        If no majority agrees, or another choice would agree as well.
+        If no majority agrees, or another selection would agree as well.
     """
     kept = list(range(len(alone)))
     if all_agree(alone):
@@ -145,7 +145,7 @@ def all_agree(alone: Sequence[JointFit]) -> bool:
 
 
 def _at_one_place(alone: Sequence[JointFit]) -> tuple[FloatArray, FloatArray]:
-    """Return yaw, x and y of every drive's estimate, shape (n, 3), in the middle of all, and the covariances."""
+    """Return yaw, x and y by every drive, shape (n, 3), in the middle of all drives, and their covariances."""
     place = np.mean([fit.centre_level for fit in alone], axis=0)
     first = alone[0].match.yaw_rad
     values, covariances = [], []
@@ -156,21 +156,21 @@ def _at_one_place(alone: Sequence[JointFit]) -> tuple[FloatArray, FloatArray]:
 
 
 def _distances(values: FloatArray, covariances: FloatArray, chosen: Sequence[int]) -> FloatArray:
-    """Return how far each of the chosen is from all the others together, shape (len(chosen),), in sigma."""
+    """Return the Mahalanobis distance of each of the chosen from all the others together, shape (len(chosen),)."""
     if len(chosen) < 2:
         return np.zeros(len(chosen))
     return np.array([_apart(i, [j for j in chosen if j != i], values, covariances)[1] for i in chosen])
 
 
 def _apart(one: int, others: Sequence[int], values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, float]:
-    """Return the difference of one to all the others together, shape (3,), and the same in sigma."""
+    """Return the difference of one from all the others together, shape (3,), and its Mahalanobis distance."""
     mean, covariance = weighted_mean(values[list(others)], covariances[list(others)])
     off = values[one] - mean
     return off, float(np.sqrt(off @ np.linalg.solve(covariance + covariances[one], off)))
 
 
 def _gate(count: int) -> float:
-    """Return the distance, in sigma, that is beyond chance for any of so many drives (Bonferroni; yaw, x and y)."""
+    """Return the Mahalanobis distance that is significant for any of so many drives (Bonferroni; yaw, x and y)."""
     return float(np.sqrt(chdtri(3, FALSE_ALARM / count)))
 
 
@@ -180,7 +180,7 @@ def _left_out(name: str, one: int, kept: Sequence[int], values: FloatArray, cova
 
 
 def weighted_mean(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of independent estimates, shape (n, 3), weighed by their information, and its covariance."""
+    """Return the mean of independent estimates, shape (n, 3), weighted by their information, and its covariance."""
     information = np.linalg.inv(covariances)
     covariance: FloatArray = np.linalg.inv(information.sum(axis=0))
     mean: FloatArray = covariance @ np.einsum("nij,nj->i", information, values)

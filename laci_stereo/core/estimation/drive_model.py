@@ -1,4 +1,8 @@
-"""The model of one drive: how far its points are from the outline, and what every parameter does to that."""
+"""The model of one drive: the distances of its points from the outline, and their derivatives by every parameter.
+
+The wall is the part of the outline at heights where the body is upright; only points whose line of sight meets it are
+used. The surface is that of the body. "Face" is the part of the outline that a line of sight meets (`outline.FACES`).
+"""
 
 from __future__ import annotations
 
@@ -39,17 +43,18 @@ from laci_stereo.core.vehicle import outline
 
 BIAS, SWEEP, FOCAL, BASELINE = range(3, 7)
 FIRST_OWN = 7
-"""Yaw, x, y, the range bias, how it turns, and by which share a stereo camera's focal length and baseline are taken too
-short are the sensor's; what follows is each drive's own, see `drive_prior`."""
+"""Number of the sensor's parameters: yaw, x, y, range bias (in standard deviations of each point), rotation of a
+scanner, and the relative amounts by which the focal length and the baseline of a stereo camera are given too small.
+They are followed by each drive's own parameters, see `drive_prior`."""
 
 AHEAD = np.array([1.0, 0.0])
 """The sensor's forward axis on the ground plan."""
 
 _NORMAL = slice(1, 3)
-"""The derivatives by x and y: where the normal points on the map."""
+"""Columns of the derivatives by x and y, which are the normal in the world frame."""
 
 BY_OPTICS = slice(FOCAL, BASELINE + 1)
-"""The derivatives by both, and where they are among the parameters."""
+"""Focal length and baseline among the parameters and the columns of the derivatives."""
 
 _CLOCK, _HEADING, _LEVER, _BEGIN, _GROWTH, _KNOTS = (
     FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GROWTH, KNOTS)
@@ -59,37 +64,39 @@ _GLOSS = slice(FIRST_OWN + GLOSS.start, FIRST_OWN + GLOSS.stop)
 _PARTIAL = FIRST_OWN + PARTIAL
 
 GRAZING = 0.3
-"""Where rays touch a corner, its noise, not their angle, tells how ranges differ: about sqrt(2 x 0.03 m / 0.5 m)."""
+"""Least cosine of the angle of incidence in the likelihood of ranges: where a line of sight grazes a corner, not its
+angle but the noise of the outline determines how ranges differ, about sqrt(2 x 0.03 m / 0.5 m)."""
 
 
 @dataclass(frozen=True)
 class Fitness:
-    """How well a drive fits, at one point in the space of parameters.
+    """How well a drive fits, at one point in the space of the p parameters.
 
     Attributes
     ----------
     jacobian, precision : ndarray, shape (n, p) and (n,)
-        Of each point, as what is known is told by.
+        Derivatives of each point's distance, and its precision, from which the information is computed.
     curvature : ndarray, shape (p, p)
-        Of the negative log-likelihood; it takes the messages' noise for a manoeuvre that tells the clocks' offset.
+        Of the negative log-likelihood. It uses velocities at the moment itself, and so takes the messages' noise for a
+        manoeuvre that would determine the clock offset.
     gradient : ndarray, shape (p,)
         Of the negative log-likelihood.
     scores : ndarray, shape (n, p)
-        The gradient, by points.
+        Contribution of each point to the gradient.
     block : ndarray of int, shape (n,)
-        In which block of time each is.
+        Block of time that each point belongs to.
     log_likelihoods : ndarray, shape (n,)
-        Of the distances.
+        Log-likelihoods of the distances.
     log_likelihood : float
-        Of the ranges; it can be compared with that of the same points only.
+        Log-likelihood of all ranges, comparable only with that of the same points.
     shares : ndarray
-        See `mixture.Mixture`.
+        Fractions of the mixture, see `mixture.Mixture`.
     weight, squares : float
-        Of the points of the surface, and the sum of their squared distances.
+        Expected number of points of the surface, and the sum of their squared distances.
     explained, rows : float
-        Points that the outline explains, and all.
+        Expected number of points that the outline explains, and the number of all points.
     frames : int
-        With points of the surface.
+        Number of frames with points of the surface.
     """
 
     jacobian: FloatArray
@@ -109,12 +116,12 @@ class Fitness:
 
     @property
     def information(self) -> FloatArray:
-        """What is known, shape (p, p)."""
+        """The information about the parameters, shape (p, p)."""
         information: FloatArray = (self.jacobian * self.precision[:, None]).T @ self.jacobian
         return information
 
     def by_block(self) -> tuple[FloatArray, FloatArray]:
-        """Return of each block of time the sum of its scores, shape (b, p), and what it tells, shape (b, p, p)."""
+        """Return the sum of scores, shape (b, p), and the information, shape (b, p, p), of each of b blocks of time."""
         block = np.unique(self.block, return_inverse=True)[1].reshape(-1)
         count, size = int(block.max(initial=-1)) + 1, self.scores.shape[1]
         scores = np.zeros((count, size))
@@ -126,19 +133,19 @@ class Fitness:
 
 @dataclass(frozen=True)
 class Met(Columns):
-    """What the lines of sight of some points meet, and where the points are.
+    """What the lines of sight of some points meet on the outline, and where the points are.
 
     Attributes
     ----------
     points : ndarray of int, shape (n,)
-        Which of the drive's; behind them are the borders of each frame.
+        Indices of the drive's points; indices after the last point stand for the borders of each frame.
     hits : Hits
     arm : ndarray, shape (n, 2)
-        From ``centre``, in level axes.
+        Position relative to ``centre``, in the axes of the level frame.
     xy, origin : ndarray, shape (n, 2)
         Point and sensor in the vehicle frame.
     yaw : ndarray, shape (n,)
-        Of the body.
+        Yaw of the body in the world frame.
     """
 
     points: IntArray
@@ -151,16 +158,16 @@ class Met(Columns):
 
 @dataclass(frozen=True)
 class Chosen:
-    """The points that are held against the outline.
+    """The points that are compared with the outline.
 
     Attributes
     ----------
     points : ndarray of int, shape (n,)
-        Which of the drive's.
+        Indices of the drive's points.
     share : ndarray, shape (n,)
-        How much each weighs, since it shares its noise with others.
+        Weight of each point, below 1 as its noise is correlated with that of others.
     unsure : ndarray, shape (m,)
-        See `Poses`, of each frame: it must not change on the way, as weights must not.
+        For each frame, see `Poses`. Like the weights it must stay constant during a descent.
     """
 
     points: IntArray
@@ -170,24 +177,26 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Rows(Columns):
-    """Distances from the outline, borders' last, with their derivatives by the first parameters, up to the knots.
+    """Distances from the outline, those of borders last, with their derivatives by all parameters before the knots.
 
     Attributes
     ----------
     distance, variance : ndarray, shape (n,)
+        Signed distance from the outline, metres, and its variance.
     cos : ndarray, shape (n,)
-        By which ranges are longer than distances; 0 where there is no range.
-    jacobian : ndarray, shape (n, 24)
-        Of the range, times the cosine: what is measured is the range, while the line of sight is known.
+        Cosine of the angle of incidence, the ratio of distance to range; 0 where there is no range.
+    jacobian : ndarray, shape (n, FIRST_OWN + KNOTS)
+        Derivative of the range, multiplied by the cosine: the range is measured, while the line of sight is known.
     by_time : ndarray, shape (n,)
-        The same by the time of the messages, at that moment.
+        The same derivative by the time of the messages, at that moment.
     late_s : ndarray, shape (n,)
-        How much later than in the mean a scanner that turns counter-clockwise sees it.
+        Delay with which a scanner that rotates counter-clockwise sees it, relative to the mean.
     face, frame : ndarray of int, shape (n,)
+        Part of the outline, and index of the frame.
     share : ndarray, shape (n,)
-        How much each weighs, since it shares its noise with others.
+        Weight of each point, below 1 as its noise is correlated with that of others.
     point : ndarray of int, shape (n,)
-        Which of the drive's it is of; behind them are the borders of each frame.
+        Index of the drive's point; indices after the last point stand for the borders of each frame.
     """
 
     distance: FloatArray
@@ -203,16 +212,16 @@ class Rows(Columns):
 
 
 class DriveModel:
-    """One drive, with what does not change while the parameters do.
+    """One drive, with everything that does not depend on the parameters.
 
     Parameters
     ----------
     drive : Evidence
     centre : ndarray, shape (2,)
-        Level, about which yaw and position are meant.
+        Place of the level frame to which yaw and position refer.
     settings : JointSettings
     turns : bool
-        The scanner may turn without telling the points' times.
+        The scanner may rotate without reporting the points' times.
     """
 
     def __init__(self, drive: Evidence, centre: FloatArray, settings: JointSettings, *, turns: bool = False) -> None:
@@ -226,7 +235,8 @@ class DriveModel:
         knots = max(2, int(np.ceil(end * KNOTS_PER_TIME)) + 1)
         at = np.linspace(0.0, end, knots)
         self.hat = np.maximum(0.0, 1.0 - np.abs(course[:, None] - at) / at[1])
-        # What lasts for one frame stands on until then, so that no two knots are at one time.
+        # The last frame is extended to the end of the course, so that no two knots have the same time even in a drive
+        # of one frame.
         stays_s, until = (end - course[-1:]) * settings.bias_time_s, np.append(course, end)
         self.knots_s, self.knots_m = (
             np.interp(at, until, np.append(each, each[-1:] + more)) if len(drive) else np.zeros(knots)
@@ -249,9 +259,9 @@ class DriveModel:
         self.sight = drive.points[:, :2] / np.maximum(range_m, 1e-9)[:, None]
 
     def body(self, own: FloatArray) -> VehicleTrack:
-        """Return the vehicle's track with the yaw of its body, as the drive's own parameters have it.
+        """Return the vehicle's track with the yaw of its body, given the drive's own parameters.
 
-        What is told is that of its motion, often of its front's, which differs in a bend.
+        The messages report the direction of motion, often that of the front, which differs from the body's in a bend.
         """
         vehicle = self.drive.vehicle
         heading_error, lever, begin = own[[HEADING, LEVER, BEGIN]].tolist()
@@ -262,20 +272,23 @@ class DriveModel:
         return replace(vehicle, xy=xy, yaw_rad=yaw)
 
     def shares(self) -> FloatArray:
-        """Return the mixture's shares to begin with: of each frame's faces, then of the borders of all frames."""
+        """Return the initial fractions of the mixture: of each frame's faces, then of the borders over all frames."""
         of_borders = [mixture.first_shares(outline.BORDERS)] if self.bordered else []
         return np.concatenate([mixture.first_shares(len(self.drive) * outline.FACES), *of_borders])
 
     def mixed(self, rows: Rows, distance: FloatArray, sigma: FloatArray, shares: FloatArray) -> mixture.Mixture:
-        """Weigh distances by what they can come from; what hides a border is another thing than what is behind a face.
+        """Weigh distances by their possible sources, separately for faces and borders.
+
+        The mixtures are separate, since what occludes a border is not what lies behind a face.
 
         Parameters
         ----------
         rows : Rows
-            Whose distances they are.
+            The rows that the distances belong to.
         distance, sigma : ndarray, shape (n,)
+            Distances and their standard deviations.
         shares : ndarray
-            As `shares` has them.
+            Fractions, ordered as in the result of `shares`.
         """
         parts = [
             mixture.weigh(distance[part], sigma[part], group, its, rows.share[part])
@@ -286,7 +299,7 @@ class DriveModel:
         return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
 
     def _log_likelihoods(self, rows: Rows, distance: FloatArray, shares: FloatArray) -> FloatArray:
-        """Return how likely each of some distances of rows is, shape (n,), as `mixed` has it."""
+        """Return the log-likelihood of distances of rows, shape (n,), as defined by `mixed`."""
         sigma = np.sqrt(rows.variance)
         return np.concatenate(
             [
@@ -296,25 +309,26 @@ class DriveModel:
         )
 
     def _kinds(self, rows: Rows, shares: FloatArray) -> tuple[tuple[slice, IntArray, FloatArray], ...]:
-        """Return which rows are of faces and which of borders, in which group each is, and the shares of these."""
+        """Return the rows of faces and those of borders, each with the rows' groups and the groups' fractions."""
         faces, count = len(self.drive) * outline.FACES, int((rows.face < outline.FACES).sum())
         of_faces = slice(count), rows.frame[:count] * outline.FACES + rows.face[:count], shares[: faces + 1]
         of_borders = slice(count, None), rows.face[count:] - outline.FACES, shares[faces + 1 :]
         return (of_faces, of_borders) if self.bordered else (of_faces,)
 
     def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
-        """Return information and gradient, shape (5 + own,), where some distances were taken.
+        """Return how well the drive fits, given its distances at some parameters.
 
-        The gradient takes the noise and the angles of incidence as they are there: were they free to change, a side
-        would turn away from the sensor until its points' distances, which are shorter than their ranges, fit.
+        The gradient, of shape (FIRST_OWN + own,), treats the noise and the angles of incidence as constants: if they
+        were free to change, a side would rotate away from the sensor until its points fit, as their distances are
+        shorter than their ranges.
 
         Parameters
         ----------
         rows : Rows
         softening_m : float
-            Added to the noise.
+            Standard deviation that is added to the noise.
         shares : ndarray
-            See `mixture.Mixture`.
+            Fractions of the mixture, see `mixture.Mixture`.
         """
         sigma = np.sqrt(rows.variance + softening_m**2)
         mixed = self.mixed(rows, rows.distance, sigma, shares)
@@ -346,10 +360,10 @@ class DriveModel:
         )
 
     def lasting(self, rows: Rows, fitness: Fitness) -> FloatArray:
-        """Return what the gradient varies by, shape (p, p), because a matcher's errors last from frame to frame.
+        """Return the covariance of the gradient, shape (p, p), due to matching errors that persist from frame to frame.
 
-        What points on one side of a frame have in common decays with the way; what they have within the frame is in
-        their weights.
+        The error that the points on one side of a frame share decays with the distance travelled. Its correlation
+        within a frame is included in the points' weights.
         """
         size = fitness.jacobian.shape[1]
         total: FloatArray = np.zeros((size, size))
@@ -366,18 +380,20 @@ class DriveModel:
         return self.settings.shared_variance_share * total
 
     def gain(self, rows: Rows, before: Rows, here: FloatArray, shares: FloatArray) -> float:
-        """Return by how much likelier the ranges are than before, with noise and angles of incidence held as they were.
+        """Return the gain in log-likelihood of the ranges over the previous rows.
 
-        Of the points for which the messages tell the vehicle's place both times, and that stay on their side: where one
-        changes sides, the likelihood jumps, which no derivative tells. That is what `weigh` tells.
+        Noise and angles of incidence are held at their previous values. The gain is the quantity whose gradient `weigh`
+        returns. It is summed over the points for which the messages determine the vehicle's place both times and which
+        stay on their side: where a point changes sides, the likelihood jumps, which no derivative describes.
 
         Parameters
         ----------
         rows, before : Rows
+            Rows at the new and at the previous parameters.
         here : ndarray, shape (n,)
-            The `Fitness.log_likelihoods` of the rows before.
+            The `Fitness.log_likelihoods` of the previous rows.
         shares : ndarray
-            By which they were weighed.
+            Fractions of the mixture with which these were weighed.
         """
         if not np.array_equal(rows.point, before.point):
             _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
@@ -390,7 +406,7 @@ class DriveModel:
         return float(before.share @ (there - here))
 
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
-        """Return the distances at some parameters, of the points chosen, or of those on the wall there."""
+        """Return the distances at some parameters, of the chosen points, or of the points on the wall there."""
         poses = self._poses(x)
         if not len(self.drive.points):
             return self._centre_rows(x, poses)
@@ -401,26 +417,27 @@ class DriveModel:
             known = poses.known[self.drive.frame[chosen.points]]
             met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
         rows = self._outline_rows(x, poses, met, share)
-        if self.bordered and len(rows.frame):  # where nothing is seen of the outline, borders may be anything's
+        if self.bordered and len(rows.frame):  # without points of the outline, borders may be those of anything
             rows = rows.joined(self._border_rows(x, poses))
-        # A message's error is one for all of a frame: so many have together what one of them would have.
+        # All points of a frame share the error of its heading. Multiplied by the sum of their weights, its variance
+        # gives them together the information of one point with this error.
         each_frame = self.heading_variance + (poses if chosen is None else chosen).unsure / self.frame_s
         by_heading = (each_frame * np.bincount(rows.frame, rows.share, len(each_frame)))[rows.frame]
         return replace(rows, variance=rows.variance + by_heading * rows.jacobian[:, _HEADING] ** 2)
 
     def choose(self, x: FloatArray) -> Chosen:
-        """Return which points meet the outline where it is upright, at some parameters, and how much each weighs.
+        """Return the points that meet the wall at some parameters, and the weight of each.
 
-        Points on one side in one frame share a part of their noise, and those in one window of a matcher all of it, so
-        that many weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Those whose rays pass by are of the
-        side that most are of.
+        Points on one side in one frame share a part of their noise, and points in one matching window share all of it,
+        so that many points weigh no more than a few (Kish's design effect, 1 + (n - 1) rho). Points whose lines of
+        sight pass by the outline are counted with the side that has most points in the frame.
         """
         poses = self._poses(x)
         met = self._wall(x, poses)
         return Chosen(met.points, self._shares(met), poses.unsure)
 
     def wall(self, x: FloatArray) -> Met:
-        """Return what meets the outline where it is upright, while the messages tell the vehicle's place."""
+        """Return what the lines of sight meet on the wall, in frames where the messages determine the pose."""
         return self._wall(x, self._poses(x))
 
     def _wall(self, x: FloatArray, poses: Poses) -> Met:
@@ -442,9 +459,9 @@ class DriveModel:
         return self.worth[drive.frame[points]] / (1.0 + (count - 1.0) * self._in_common(points, group))
 
     def _in_common(self, points: IntArray, group: IntArray) -> FloatArray:
-        """Return what part of its variance each point's noise has in common with the others of its group, on average.
+        """Return the fraction of its variance that each point shares with others of its group, on average, shape (n,).
 
-        Two windows that overlap share as much of their noise as of their pixels.
+        Two windows that overlap share the same fraction of their noise as of their pixels.
         """
         shared, drive = self.settings.shared_variance_share, self.drive
         if drive.window_rad == 0.0 or not len(points):
@@ -458,7 +475,7 @@ class DriveModel:
         return shared + (1.0 - shared) * overlap
 
     def _by_all(self, rows: Rows) -> FloatArray:
-        """Append the derivatives by the knots: a bias of the messages moves the vehicle on the map."""
+        """Append the derivatives by the knots: a bias of the messages' positions shifts the vehicle in the world."""
         hat = self.hat[rows.frame]
         return np.hstack([rows.jacobian, rows.jacobian[:, 1:2] * hat, rows.jacobian[:, 2:3] * hat])
 
@@ -469,7 +486,7 @@ class DriveModel:
     def _into_vehicle(
         self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Map points, given from ``centre`` in level axes, into the vehicle frame.
+        """Map points, given relative to ``centre`` in the axes of the level frame, into the vehicle frame.
 
         Returns
         -------
@@ -477,7 +494,7 @@ class DriveModel:
         origin : ndarray, shape (n, 2)
             The sensor.
         yaw : ndarray, shape (n,)
-            Of the body.
+            Yaw of the body in the world frame.
         """
         count = len(self.knots_s)
         bias = np.column_stack([self.hat @ x[_KNOTS : _KNOTS + count], self.hat @ x[_KNOTS + count :]])
@@ -506,13 +523,14 @@ class DriveModel:
         late_s = drive.frames_late_s[frame] + drive.points_late_s[points]
         rows = self._rows_of(x, poses, met, frame, late_s, share)
         towards = dot_xy(rotate_xy(x[0], self.sight[points]), rows.jacobian[:, _NORMAL])
-        # Of what optics do along the line of sight, noise has its share: they scale what was measured.
+        # The optics scale the measured range, which includes its noise, not the range to the side: add the difference
+        # along the line of sight.
         sight, ahead_m = self.sight[points], drive.points[points, 0]
         longer = np.column_stack([sight[:, 0] * ahead_m, dot_xy(sight, drive.points[points, :2])])
         rows.jacobian[:, BY_OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
-        # What is seen within half a window of a border may be the border's: beside the outline all of it, and on a side
-        # that is narrower than that, for it is grazed.
+        # A point that is seen within half a window of a border may be the border's. This adds to its variance fully
+        # beside the outline, and also on a side that looks narrower than half a window, as it is grazed.
         window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
         aside_m = BORDER_SIGMA * window_m * (2.0 * met.hits.within < window_m)
         rows = replace(rows, variance=rows.variance + (1.0 - met.hits.cos**2) * aside_m**2)
@@ -523,14 +541,14 @@ class DriveModel:
         return replace(rows, distance=rows.distance + rows.jacobian[:, _GLOSS] @ x[_GLOSS])
 
     def _window_m(self, range_m: FloatArray) -> FloatArray:
-        """Return how wide a matcher's window is at ranges on the ground plan, shape (n,)."""
+        """Return the width of a matching window at distances on the ground plan, shape (n,), metres."""
         window_m: FloatArray = self.drive.window_rad * np.hypot(range_m, self.drive.height_m)
         return window_m
 
     def _border_rows(self, x: FloatArray, poses: Poses) -> Rows:
-        """Return by how much the outermost lines of sight miss the outline, beyond what its borders grow by.
+        """Return how far the outermost lines of sight miss the outline's borders, beyond the growth of these borders.
 
-        Where something hides a border, what is seen ends behind it, as a point behind the surface does.
+        Where something occludes a border, the visible part ends inside it, as a point behind the surface lies inside.
         """
         frame, side = np.nonzero(np.isfinite(self.borders[:, :, 0]) & poses.known[:, None])
         at = self.borders[frame, side, :2]
@@ -551,7 +569,8 @@ class DriveModel:
         self, x: FloatArray, poses: Poses, met: Met, frame: IntArray, late_s: FloatArray, share: FloatArray
     ) -> Rows:
         hits = met.hits
-        # Where the line of sight meets the side: a point that noise put elsewhere would move as it does there.
+        # Derivatives are taken where the line of sight meets the side: a point that noise has displaced would have
+        # those of another place.
         from_sensor = self.centre * _scale(x)
         arm = (met.arm + from_sensor) * hits.reach[:, None] - from_sensor
         xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
@@ -572,10 +591,10 @@ class DriveModel:
         )
 
     def _centre_rows(self, x: FloatArray, poses: Poses) -> Rows:
-        """Return how far a detector's centres are from the vehicle's, along and across it.
+        """Return how far a detector's box centres are from the vehicle's, along and across the vehicle.
 
-        Of their errors a part lasts while the vehicle is seen from one side, so that many weigh no more than a few
-        (Kish's design effect, as in `choose`); which part, the boxes tell.
+        A part of their errors persists while the vehicle is seen from one side, so that many weigh no more than a few
+        (Kish's design effect, as in `choose`); this fraction is estimated from the boxes.
         """
         frame = np.flatnonzero(poses.known)
         arm = (self.drive.middles[frame] - self.centre) * _scale(x)
@@ -622,7 +641,11 @@ class DriveModel:
         yaw: FloatArray,
         normal: FloatArray,
     ) -> FloatArray:
-        """Return the derivatives of normal . xy by yaw, x, y, sweep, clock offset, heading error and lever, begin."""
+        """Return the derivatives of normal . xy, shape (n, FIRST_OWN + KNOTS).
+
+        They are those by yaw, x, y, rotation of the scanner, clock offset, heading error, heading lever and initial
+        angle of the body; the other columns are 0.
+        """
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
         jacobian[:, 0] = dot_xy(normal_world, perpendicular(rotate_xy(x[0], arm)))
@@ -637,26 +660,28 @@ class DriveModel:
 
 
 def _scale(x: FloatArray) -> FloatArray:
-    """Return what focal length and baseline make of points ahead of a stereo camera, and to its side, shape (2,).
+    """Return the factors by which the optics scale points ahead of a stereo camera and to its side, shape (2,).
 
-    Depth is their product over the disparity; across the axis the focal length cancels out. Of a camera that looks down
-    it makes less on the ground plan, by the cosine's square, as the ground that is found tilts with it.
+    The optics are its focal length and its baseline. Depth is focal length times baseline over disparity; across the
+    axis the focal length cancels out. For a camera that looks down, the effect of the focal length on the ground plan
+    is smaller, by the squared cosine of its pitch, as the estimated ground tilts with it.
     """
     scale: FloatArray = 1.0 + x[BASELINE] + x[FOCAL] * AHEAD
     return scale
 
 
 def _by_optics(x: FloatArray, normal_world: FloatArray, arm: FloatArray) -> FloatArray:
-    """Return by how much focal length and baseline move points along their normals, shape (n, 2)."""
+    """Return the derivatives of points' positions along their normals by focal length and baseline, shape (n, 2)."""
     normal, told = rotate_xy(-x[0], normal_world), arm / _scale(x)
     return np.column_stack([dot_xy(normal, told * AHEAD), dot_xy(normal, told)])
 
 
 def _heading_variance(drive: Evidence, frame_s: float, otherwise_rad: float) -> float:
-    """Return the variance that each frame has through the noise of the messages' headings, rad^2.
+    """Return the variance of each frame's yaw that results from the noise of the messages' headings, rad^2.
 
-    One message's error is common to all frames until the next. For these to tell no more than it does, each has as many
-    times its variance. Smoothing changes nothing in that: it makes errors smaller, and common to more frames.
+    All frames until the next message share the error of one message. In order that these frames together carry the
+    information of one message, its variance is multiplied by their number. Smoothing does not change this: it makes
+    errors smaller but common to more frames.
     """
     message_s = float(np.median(np.diff(drive.vehicle.stamps_s)))
     return heading_noise(drive.vehicle, otherwise_rad) ** 2 * max(1.0, message_s / frame_s)

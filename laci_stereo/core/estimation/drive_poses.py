@@ -1,4 +1,4 @@
-"""Where the messages put a vehicle in the frames of a drive, how its body stands, and how fast both change."""
+"""The poses that the messages give a vehicle in the frames of a drive, the yaw of its body, and the rates of both."""
 
 from __future__ import annotations
 
@@ -11,28 +11,30 @@ from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.robust import NORMAL
 
 RATE_S = 1.0
-"""How well the clocks' offset is told depends on speeds and turning rates over so long before and after: over less, the
-noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that tells the offset, and a steady drive none."""
+"""Half of the time over which speeds and yaw rates are taken where they determine the uncertainty of the clock offset:
+over less, the noise of two messages, 2 cm and 0.1 deg, would look like a manoeuvre that determines the offset, which a
+steady drive does not."""
 
 SMOOTH_S, NOW_S = 0.5, 0.01
-"""The messages' track is a parabola over so long before and after, in which a vehicle changes neither its acceleration
-nor how it bends; as it is, that noise would pull the clocks' offset by more than the few milliseconds to which they are
-known. The second is what its slope is taken over."""
+"""Half of the time over which the messages' track is smoothed with a parabola: within it a vehicle changes neither its
+acceleration nor its yaw rate. Without smoothing, that noise would shift the clock offset by more than the few
+milliseconds to which it is known. The second value is half of the time over which the slope of the smoothed track is
+taken."""
 
 _STEPS = np.arange(-5, 6)
 _PARABOLA = (89.0 - 5.0 * _STEPS**2) / 429.0
-"""Weights of the least-squares parabola's middle through eleven places (Savitzky and Golay, 1964)."""
+"""Weights for the middle of the least-squares parabola through eleven points (Savitzky and Golay, 1964)."""
 
 LEAST_TOLD = 10
-"""So many messages tell the noise of all."""
+"""Least number of messages from which the noise of the headings is estimated."""
 
 FINEST_RAD = float(np.radians(0.1)) / 12**0.5
-"""No heading is better than that: its last digit in the message is a tenth of a degree."""
+"""Least standard deviation of a heading: the last digit in the message is a tenth of a degree."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """How fast a vehicle moves in the world, shape (m, 2), and how fast its body turns, shape (m,)."""
+    """The velocity of a vehicle in the world frame, shape (m, 2), and the yaw rate of its body, shape (m,)."""
 
     velocity: FloatArray
     yaw: FloatArray
@@ -40,22 +42,22 @@ class Rates:
 
 @dataclass(frozen=True)
 class Poses:
-    """A vehicle in m frames.
+    """The poses of a vehicle in m frames.
 
     Attributes
     ----------
     xy : ndarray, shape (m, 2)
         World frame.
     heading, yaw : ndarray, shape (m,)
-        Of its motion, and of its body.
+        Yaw of its motion, and of its body.
     by_lever, by_begin : ndarray, shape (m,)
-        Derivatives of the body's yaw by the heading lever, and by how it stood when the messages began.
+        Derivatives of the body's yaw by the heading lever, and by the body's initial angle.
     rates, now : Rates
         Over `RATE_S`, and at the moment itself.
     unsure : ndarray, shape (m,)
-        Variance of the heading because of its course between two messages, times how long these are apart, rad^2 s.
+        Variance of the heading due to its unknown course between two messages, times their interval, rad^2 s.
     known : ndarray of bool, shape (m,)
-        The messages tell it.
+        The messages determine the pose.
     """
 
     xy: FloatArray
@@ -70,7 +72,7 @@ class Poses:
 
 
 def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever: float, begin: float = 0.0) -> Poses:
-    """Return a vehicle's poses.
+    """Return a vehicle's poses at some times.
 
     Parameters
     ----------
@@ -78,17 +80,19 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
         Times of the messages, seconds.
     vehicle : VehicleTrack
     heading_error : float
-        To be added to what is told.
+        To be added to the reported heading, rad.
     lever : float
-        How far ahead of the rear axle the point is whose direction of motion is told, metres.
+        Distance from the rear axle to the point ahead of it whose direction of motion is reported, metres.
     begin : float
-        How the body stood when the messages began: 1 as that point moved, -1 as in a bend in which it has settled.
+        Initial angle of the body when the messages began: 1 if it pointed where that point moved, -1 if it had settled
+        in a bend.
     """
     stretch_s = vehicle.stretch(at)
     now, rate = (
         [np.clip(at + shift_s, *stretch_s) for shift_s in (-within_s, within_s)] for within_s in (NOW_S, RATE_S)
     )
-    # In rows: there, a moment before and after, and so long before and after that noise is no manoeuvre.
+    # Rows: at the times themselves, a moment before and after them, and so long before and after them that noise does
+    # not look like a manoeuvre.
     smoothed, told = smooth(vehicle, np.concatenate([at, *now])), vehicle.at(np.concatenate(rate))
     xy, heading, known = (
         np.concatenate(each).reshape(5, len(at), *each[0].shape[1:]) for each in zip(smoothed, told, strict=True)
@@ -117,7 +121,7 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
 
 
 def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return what `VehicleTrack.at` does, of the smoothed track; at its ends and at gaps it is as it is."""
+    """Return the same as `VehicleTrack.at` for the smoothed track; at its ends and at gaps it is not smoothed."""
     first, last = vehicle.stretch(at)
     reach_s = np.minimum(at - first, last - at).clip(0.0, SMOOTH_S)
     times = np.clip(at + reach_s * _STEPS[:, None] / _STEPS[-1], np.minimum(first, at), np.maximum(at, last))
@@ -128,11 +132,11 @@ def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
-    """Return by how much each message's heading is off by itself, one standard deviation, rad.
+    """Return the standard deviation of the independent error of each message's heading, rad.
 
-    That is what is left of each beside the cubic through the two before and the two after, less what these err by. It
-    is counted by its median, for where a bend begins a cubic is wrong. Of few messages, or such as come seldom, it is
-    not known.
+    It follows from the residuals of each heading from the cubic through the two before and the two after, corrected for
+    the noise of these four. The median of the residuals is used, since a cubic is wrong where a bend begins. With few
+    messages, or with long intervals between them, the noise cannot be estimated, and ``otherwise_rad`` is returned.
     """
     five = np.arange(5) + np.arange(max(0, len(vehicle.stamps_s) - 4))[:, None]
     five = five[np.ptp(vehicle.stamps_s[five], axis=1) <= 4 * SMOOTH_S]
@@ -147,10 +151,11 @@ def heading_noise(vehicle: VehicleTrack, otherwise_rad: float) -> float:
 
 
 def _unsure(vehicle: VehicleTrack, at: FloatArray) -> FloatArray:
-    """Return how unsure the heading is between messages, shape (m,), rad^2 s.
+    """Return the variance of the heading between messages, times their interval, shape (m,), rad^2 s.
 
-    A straight line is off by c t (h - t) / (2 h) where its slope changes by c from one interval to the next and this
-    one lasts for h. A curve is better where the heading changes smoothly, by as much as is not known.
+    Linear interpolation is off by c t (h - t) / (2 h), t after a message, where the slope changes by c from one
+    interval to the next and this interval lasts for h. A curve is better where the heading changes smoothly, but by an
+    unknown amount.
     """
     stamps_s = vehicle.stamps_s
     gap_s = np.maximum(np.diff(stamps_s), 1e-9)
@@ -166,10 +171,11 @@ def _unsure(vehicle: VehicleTrack, at: FloatArray) -> FloatArray:
 def _rates(
     heading: FloatArray, at: FloatArray, xy: FloatArray, headings: FloatArray, yaws: FloatArray, known: BoolArray
 ) -> Rates:
-    """Return the rates at some times, from the poses before and after, shape (2, m), for a vehicle that turns evenly.
+    """Return the rates at some times from the poses before and after, shape (2, m), for a constant yaw rate.
 
-    At the ends of a stretch that is known, where one of both is at the end: no rate, beside others, would be a
-    manoeuvre. Its mean velocity is along a chord, which is parallel to the arc in the middle, and shorter.
+    At the ends of a known stretch the pose before or after is that at the end itself: a missing rate beside others
+    would look like a manoeuvre. Where a pose is unknown, the rates are 0. The mean velocity is along the chord, which
+    is parallel to the arc at its middle, but shorter.
     """
     both = known[0] & known[1] & (at[1] > at[0])
     passed_s = np.where(both, at[1] - at[0], 1.0)
@@ -186,7 +192,7 @@ def by_time(rates: Rates, frame: IntArray, xy: FloatArray, normal: FloatArray, n
     ----------
     rates : Rates
     frame : ndarray of int, shape (n,)
-        Which each point is in.
+        Index of each point's frame.
     xy, normal : ndarray, shape (n, 2)
         In the vehicle frame.
     normal_world : ndarray, shape (n, 2)

@@ -1,4 +1,4 @@
-"""A drive's own parameters: what is known of them before its points are looked at, and what they correct."""
+"""A drive's own parameters: their priors, and the corrections to the messages that follow from them."""
 
 from __future__ import annotations
 
@@ -19,51 +19,56 @@ PARTIAL = SHAPE.stop
 GLOSS = slice(PARTIAL + 1, PARTIAL + 1 + len(gloss.EXPECTED))
 GROWTH = GLOSS.stop
 KNOTS = GROWTH + 2
-"""A drive's own parameters: clock offset, heading error, heading lever, how the body stood when the messages began, the
-shape, how partial a detector's boxes are, how glossy the body is with any paint and with its own, by how much each of
-two borders grows, and the knots of the positions' errors, of all x and then of all y."""
+"""Indices of a drive's own parameters: clock offset, heading error, heading lever, initial angle of the body when the
+messages began, shape, how partial a detector's boxes are, strength of specular reflection for any paint and the
+difference of the vehicle's own paint, growth of each of two borders, and from `KNOTS` on the position errors at the
+knots, all x first, then all y."""
 
 LASTING = (HEADING, LEVER, *range(SHAPE.start, SHAPE.stop), *range(GLOSS.start, GLOSS.stop))
-"""Of these, what is the sender's and its vehicle's in all drives that they make."""
+"""The parameters that a sender and its vehicle have in common in all of their drives."""
 
 HEADING_LEVER = 0.4
-"""The point whose direction of motion is told, ahead of the rear axle, over the vehicle's length, with a standard
-deviation of as much: 0 for a body's own yaw, 0.8 for the direction in which the front moves."""
+"""Prior mean, and standard deviation, of the distance from the rear axle to the point ahead of it whose direction of
+motion is reported as heading, over the vehicle's length: 0 for the body's own yaw, 0.8 for the direction in which the
+front moves."""
 
 BEGIN_SIGMA = 1.0
-"""Where messages begin in a bend a vehicle may have been in it for long (-1), or just entered it (1), or left one."""
+"""Standard deviation of the initial angle of the body: where messages begin in a bend, the vehicle may have been in it
+for long (-1), or have just entered it (1), or have left one."""
 
 PARTIAL_MEAN, PARTIAL_SIGMA = 0.5, 0.5
-"""A box that lacks a part of the vehicle's size may be the visible part of it (1), or well centred but small (0)."""
+"""Prior of how partial a detector's boxes are: a box smaller than the vehicle may be its visible part (1), or centred
+on the vehicle but too small (0)."""
 
 BORDER_SIGMA = 12**-0.5
-"""A match is the body's, or what is behind it, as soon as a part of its window is on the body, or not before all of it
-is: so a border is seen half a window farther out or in, or anywhere between (a uniform distribution's). By so much, in
-windows, it is off on average, and in each place."""
+"""Standard deviation of a border's growth, in matching windows, both on average over a drive and at each place.
+
+A match is assigned to the body, or to what is behind it, as soon as a part of its window is on the body, or not before
+all of it is: the border is seen half a window too far out, too far in, or anywhere between (a uniform distribution)."""
 
 LEAST_TOLD = 0.5
-"""Of the variance of the clocks' offset, what the points are taken to tell at least."""
+"""Least fraction of the clock offset's prior variance by which the points are assumed to reduce it."""
 
 OPTICS = ("depth", "breadth")
-"""What of a stereo camera's points is corrected, along its axis and across it, each as a share: their product with a
-wrong focal length, which cancels out across the axis, or with a wrong baseline."""
+"""Corrections to a stereo camera's points along its axis and across it, each relative: a wrong focal length scales only
+depths, since it cancels out across the axis; a wrong baseline scales both."""
 
 CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
-"""What of the messages is corrected: clock [s], heading [rad], where on the vehicle the position is, its size [m]."""
+"""Corrections to the messages: clock [s], heading [rad], place of the reported position on the vehicle, size [m]."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Something that the messages, or a stereo calibration, tell and the points contradict.
+    """A correction to something that the messages report, or a stereo calibration states, and the points contradict.
 
     Attributes
     ----------
     what : str
         One of `CORRECTED` or of `OPTICS`, or ``nearer``.
     value, sigma : float
-        The correction, and the standard deviation that was to be expected.
+        The correction, and its prior standard deviation.
     after : float
-        The standard deviation that is left.
+        Its posterior standard deviation.
     """
 
     what: str
@@ -73,32 +78,35 @@ class Correction:
 
     @property
     def surprise(self) -> float:
-        """By how many standard deviations it is off.
+        """The size of the correction in standard deviations that it has if the prior is right.
 
-        Clocks that the points hardly tell are corrected little, however wrong they are: the variance of a correction is
-        what was to be expected less what is left. Points that err together leave more than they should.
+        The variance of a correction is the prior variance less the posterior variance: a clock offset that the points
+        hardly determine is corrected little, however wrong it is. For clocks the posterior variance is therefore
+        subtracted, within `LEAST_TOLD`: where points have a shared error, it is larger than it should be.
         """
         told = max(1.0 - (self.after / self.sigma) ** 2, LEAST_TOLD) if self.what == "clock" else 1.0
         return abs(self.value) / (self.sigma * float(np.sqrt(told)))
 
 
 class DrivePrior:
-    """What is known of a drive's own parameters beforehand.
+    """The prior of a drive's own parameters.
 
     Parameters
     ----------
     vehicle : VehicleTrack
     drift : ndarray, shape (k, k)
-        Covariance of the positions' errors at the knots, along x as along y.
+        Covariance of the position errors at the knots, the same along x and along y.
     clock_sigma_s : float
+        Standard deviation of the clock offset.
     settings : JointSettings
 
     Attributes
     ----------
     mean : ndarray, shape (own,)
+        Prior mean.
     drift : ndarray, shape (k, k)
     sigmas : ndarray, shape (6,)
-        Standard deviation of each of `CORRECTED`.
+        Prior standard deviation of each of `CORRECTED`.
     """
 
     def __init__(self, vehicle: VehicleTrack, drift: FloatArray, clock_sigma_s: float, settings: JointSettings) -> None:
@@ -117,7 +125,7 @@ class DrivePrior:
                 *np.hypot(settings.size_sigma_m, vehicle.guessed_m),
             ]
         )
-        # An error of the length moves the side that the position does not refer to.
+        # An error of the length shifts the end that is farther from the reference point.
         fixed = np.clip(0.5 + vehicle.reference[0] / length_m, 0.0, 1.0)
         self._ways = np.zeros((4, len(outline.SHAPE)))
         self._ways[0, :2] = 1.0, -1.0
@@ -138,16 +146,16 @@ class DrivePrior:
         self.sigmas = self._sigmas_of(self._covariance(self._told_sigmas**2))
 
     def precision(self, own: FloatArray | None = None) -> FloatArray:
-        """Return the precision, shape (own, own), about the mean.
+        """Return the precision of the prior, shape (own, own).
 
-        What senders get wrong they sometimes get wrong by far, so beyond some sigma the cost of a correction grows
-        with it and no longer with its square (Huber 1964). Below, points that err together must not pull the messages
-        with them.
+        Errors of senders are sometimes very large, so that beyond `TAIL` standard deviations the cost of a correction
+        grows linearly and no longer quadratically (Huber 1964). Below that, the cost stays quadratic, since points with
+        a shared error must not pull the messages with them.
 
         Parameters
         ----------
         own : ndarray, shape (own,)
-            The parameters, if they are known.
+            The parameters at which the precision is evaluated; None: within that limit.
         """
         wide = np.ones(len(CORRECTED))
         if own is not None:
@@ -155,13 +163,14 @@ class DrivePrior:
         return np.asarray(np.linalg.inv(self._covariance(self._told_sigmas**2 * wide)), dtype=np.float64)
 
     def corrections(self, own: FloatArray, covariance: FloatArray) -> tuple[Correction, ...]:
-        """Return by how much the messages had to be corrected, against what was to be expected.
+        """Return the corrections to the messages, with their prior and posterior standard deviations.
 
         Parameters
         ----------
         own : ndarray, shape (own,)
             The drive's own parameters.
         covariance : ndarray, shape (own, own)
+            Their posterior covariance.
         """
         values = self._corrected @ (own - self.mean)
         return tuple(
@@ -172,7 +181,7 @@ class DrivePrior:
         )
 
     def _covariance(self, variances: FloatArray) -> FloatArray:
-        """Return the covariance if these are the variances of what messages tell."""
+        """Return the covariance of the prior for these variances of `CORRECTED`."""
         covariance: FloatArray = self._otherwise.copy()
         covariance[CLOCK, CLOCK], covariance[HEADING, HEADING] = variances[:2]
         covariance[SHAPE, SHAPE] += (self._ways.T * variances[2:]) @ self._ways
@@ -184,7 +193,7 @@ class DrivePrior:
 
 
 def _corrected(own: int) -> FloatArray:
-    """Return what each of `CORRECTED` is of a drive's own parameters, shape (6, own)."""
+    """Return the linear map from a drive's own parameters to `CORRECTED`, shape (6, own)."""
     by = np.zeros((len(CORRECTED), own))
     by[0, CLOCK] = by[1, HEADING] = 1.0
     by_shape = by[:, SHAPE]

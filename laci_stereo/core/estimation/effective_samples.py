@@ -1,4 +1,4 @@
-"""What frames and points have in common: by that many of them tell no more than a few."""
+"""Effective sample sizes: frames and points with correlated errors carry the information of a few independent ones."""
 
 from __future__ import annotations
 
@@ -9,27 +9,30 @@ from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.robust import NORMAL, TAIL, weighted_median
 
 SAME_ERROR_M = 10.0
-"""A matcher errs by texture, by gloss and by what is behind an edge, and so alike until the vehicle is seen from
-elsewhere: 20 m from the camera it has turned by 30 deg after so much of its way."""
+"""Correlation length of matching errors along the path: they depend on texture, specular reflection and what is behind
+an edge, and stay alike until the vehicle is seen from elsewhere. At 20 m from the camera, its aspect has rotated by 30
+deg after this distance."""
 
 SAME_BORDER_M = 5.0
-"""Half of what a border is seen in the wrong place by is the body's texture beside it, and lasts as long; the other
-half is what is behind it, which is another thing after each window."""
+"""Correlation length of the errors of borders along the path: half of their variance is due to the body's texture
+beside the border and lasts as long as the matching errors; the other half is due to what is behind it, which differs
+after each window."""
 
 FOLLOWED, LEAST_TELLING = 1.5, 0.25
-"""Of the independent errors of boxes along each of two axes, so many are taken for the sensor's yaw and position. Of
-two each, one of four is left to tell how large they are, and fewer are not taken to tell less."""
+"""Number of independent errors of boxes on each of two axes that the estimate of the sensor's yaw and position has
+absorbed, and the least fraction that is assumed to be left. With two independent errors on each axis, one of four is
+left to estimate their variance; with fewer, the fraction is not reduced further."""
 
 
 def course_of(distances: FloatArray, way_m: FloatArray, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return of boxes' errors on each axis the variance, shape (2,), and what share of it lasts from frame to frame.
+    """Return the variance of boxes' errors on each axis, and the fraction that persists from frame to frame, (2,) each.
 
     Parameters
     ----------
     distances : ndarray, shape (2, m)
-        Metres.
+        Errors along both axes, metres.
     way_m, worth : ndarray, shape (m,)
-        Where on the way; how much each tells.
+        Distance travelled, metres, and effective number of independent frames that each frame counts as.
     """
     if len(worth) < 3:
         return np.zeros(2), np.ones(2)
@@ -37,25 +40,27 @@ def course_of(distances: FloatArray, way_m: FloatArray, worth: FloatArray) -> tu
     centred = distances - np.average(distances, axis=1, weights=worth)[:, None]
     scatter = np.array([_variance(each, worth) for each in centred])
     steps = np.array([_variance(np.diff(each), between) for each in distances]) / 2.0
-    # A step has so much of what lasts, and the scatter lacks as much of it as the fit has followed.
+    # A step contains this fraction of the persistent variance, and the dispersion lacks the fraction that the fit
+    # absorbed.
     newer = 1.0 - float(np.average(np.exp(-np.diff(way_m) / SAME_ERROR_M), weights=between))
     left = max(1.0 - FOLLOWED / float(worth.sum()) - newer, LEAST_TELLING)
-    # A few independent errors tell their variance badly; so those along and across do it together.
+    # A few independent errors determine their variance poorly; it is therefore averaged over both axes.
     lasting = float(np.maximum(scatter - steps, 0.0).mean()) / left
     variance = lasting + np.maximum(steps - newer * lasting, 0.0)
     return variance, lasting / np.maximum(variance, 1e-12)
 
 
 def _variance(errors: FloatArray, weight: FloatArray) -> float:
-    """Return the mean square, shape (), of errors about 0; what is a mistake counts as if at the edge of tolerances."""
+    """Return the mean square of errors about 0; outliers count as if they were at the limit of the tolerances."""
     most = (TAIL * NORMAL * weighted_median(np.abs(errors), weight)) ** 2
     return float(np.average(np.minimum(errors**2, most), weights=weight))
 
 
 def worth_of(drive: Evidence, alike_m: float) -> FloatArray:
-    """Return how much each frame tells, shape (m,): those in which the vehicle is at one place show the same.
+    """Return the effective number of independent frames that each frame counts as, shape (m,).
 
-    Each shares what it shows with those nearer than ``alike_m`` along the way, the more the nearer they are.
+    Frames in which the vehicle is at one place show the same. Each frame is correlated with those nearer than
+    ``alike_m`` along the path, the more the nearer they are.
     """
     if not len(drive):
         return np.ones(0)
@@ -69,7 +74,7 @@ def worth_of(drive: Evidence, alike_m: float) -> FloatArray:
 
 
 def blocks_of(drive: Evidence, block_s: float) -> IntArray:
-    """Return which frames, shape (m,), say one thing together: those of one time, and of all in which it stands."""
+    """Return each frame's block, shape (m,): an interval of time, and all frames in which the vehicle is stationary."""
     seconds = (drive.stamps_s - drive.stamps_s[:1]) // block_s
     first, own = np.unique(seconds, return_index=True, return_inverse=True)[1:]
     blocks: IntArray = (drive.way_m[first] // SAME_VIEW_M).astype(np.int64)[own.reshape(-1)]
@@ -77,10 +82,10 @@ def blocks_of(drive: Evidence, block_s: float) -> IntArray:
 
 
 def mean_overlap(extent: FloatArray) -> FloatArray:
-    """Return by how much two windows overlap that begin anywhere along some extents, in windows, on average.
+    """Return the mean overlap of two windows that begin anywhere along an extent, as a fraction of a window.
 
-    The mean of max(0, 1 - |s - t|) over s and t from 0 to an extent e: 1 - e / 3, and beyond one window
-    1 / e - 1 / (3 e^2).
+    The extents are in windows. The mean of max(0, 1 - |s - t|) over s and t from 0 to an extent e is 1 - e / 3, and
+    beyond one window 1 / e - 1 / (3 e^2).
     """
     within = np.minimum(extent, 1.0)
     beyond = np.maximum(extent, 1.0)

@@ -1,4 +1,4 @@
-"""What one drive tells about where the sensor is: the vehicle's points in every frame, and its track in the world."""
+"""The evidence of one drive: the vehicle's points in every frame, and its track in the world."""
 
 from __future__ import annotations
 
@@ -14,41 +14,43 @@ from laci_stereo.core.tracking.sighting import sigma_z
 from laci_stereo.core.tracking.tracks import Track
 
 SAME_VIEW_M = 0.5
-"""What is seen of a vehicle, and how wrongly, is new after so much of its way: a density cell of its outline."""
+"""Distance travelled after which the view of a vehicle, and its errors, are new: a cell of the density of its
+outline."""
 
 FRAMES_PER_PLACE = 10
-"""Frames of one place tell no more than one of them, but for noise, which so many make a third."""
+"""Largest number of frames that are kept at one place: they contain no more information than one of them, except for
+their noise, which this number reduces to a third."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One drive.
+    """One drive past the sensor.
 
     Attributes
     ----------
     stamps_s : ndarray, shape (m,)
-        Of the frames.
+        Times of the frames.
     middles : ndarray, shape (m, 2)
-        Of the vehicle in each frame, level: its median point, or the centre of the box that a detector gave.
+        The vehicle in each frame, level frame: its median point, or the centre of the box that a detector gave.
     lacking_m : ndarray, shape (m, 2)
-        By how much a detector's box is shorter and narrower than the vehicle; all of it where it gave no size.
+        By how much a detector's box is shorter and narrower than the vehicle: by the whole size where it gave none.
     points : ndarray, shape (n, 3)
         Level frame, metres; none where a detector gave the boxes.
     frame : ndarray of int, shape (n,)
-        Which frame each is of.
+        Index of each point's frame.
     sigma_along_m, sigma_across_m, sigma_z_m : ndarray, shape (n,)
-        Their noise on the ground plan, along and across the line of sight, and upwards.
+        Standard deviations of the points on the ground plan along and across the line of sight, and in height.
     height_m : float
-        Of the sensor above the ground.
+        Height of the sensor above the ground.
     vehicle : VehicleTrack
     turn_s : float
-        How long a turn of the scanner lasts if it turns, and the points' times are not known; else 0.
+        Duration of a scanner's revolution if it may rotate and the points' times are not known; else 0.
     window_rad : float
-        Side of the window within which points have their noise in common; 0 if each has its own.
+        Side of the window within which points share their noise; 0 if each has its own.
     borders : ndarray, shape (m, 2, 3), or None
-        The vehicle's outermost points in each frame, level, right and left; NaN where unknown, None: all are.
+        The vehicle's outermost points in each frame, level frame, right and left; NaN where unknown, None if all are.
     begins_rad : ndarray, shape (m,), or None
-        See `Sighting`; None: behind.
+        See `Sighting`; None: the scans begin behind the sensor.
     """
 
     stamps_s: FloatArray
@@ -71,40 +73,40 @@ class Evidence:
 
     @cached_property
     def way_m(self) -> FloatArray:
-        """How far the vehicle has come at each frame by its messages, shape (m,)."""
+        """Distance travelled by the vehicle at each frame according to its messages, shape (m,)."""
         return way_driven(self.vehicle.at(self.stamps_s)[0], SAME_VIEW_M)
 
     @cached_property
     def frames_late_s(self) -> FloatArray:
-        """How much later than in the mean a scanner that turns counter-clockwise sees each frame's middle, (m,)."""
+        """Delay of each frame's middle, relative to the mean, if the scanner rotates counter-clockwise, shape (m,)."""
         late_s: FloatArray = (self._turned_rad - self._turned_rad.mean()) * (self.turn_s / (2 * np.pi))
         return late_s
 
     @cached_property
     def _turned_rad(self) -> FloatArray:
-        """How far to the left of where a scan begins each frame's middle is, 0 to 2 pi, shape (m,)."""
+        """Azimuth of each frame's middle to the left of where a scan begins, 0 to 2 pi, shape (m,)."""
         begins = np.pi if self.begins_rad is None else self.begins_rad
         turned: FloatArray = (np.arctan2(self.middles[:, 1], self.middles[:, 0]) - begins) % (2 * np.pi)
         return turned
 
     @cached_property
     def beside_rad(self) -> FloatArray:
-        """How far to the left of its frame's middle each point is seen, shape (n,)."""
+        """Azimuth of each point to the left of its frame's middle, shape (n,)."""
         (x, y), (u, v) = self.middles[self.frame].T, self.points[:, :2].T
         beside_rad: FloatArray = np.arctan2(x * v - y * u, x * u + y * v)
         return beside_rad
 
     @cached_property
     def above_rad(self) -> FloatArray:
-        """How far above the sensor's horizon each point is seen, shape (n,)."""
+        """Elevation of each point above the sensor's horizon, shape (n,)."""
         above_rad: FloatArray = np.arctan2(self.points[:, 2] - self.height_m, np.hypot(*self.points[:, :2].T))
         return above_rad
 
     @cached_property
     def blur_m(self) -> FloatArray:
-        """How far up an upright side what is below it reaches into what each point tells, shape (n,), metres.
+        """Height on an upright side up to which what is below it affects each point, shape (n,), metres.
 
-        By half of the matcher's window, and by twice the noise of the line of sight.
+        This is half of the matching window, plus twice the noise across the line of sight.
         """
         level_m = np.maximum(np.hypot(*self.points[:, :2].T), 1e-9)
         range_m = np.hypot(level_m, self.points[:, 2] - self.height_m)
@@ -113,18 +115,19 @@ class Evidence:
 
     @cached_property
     def points_late_s(self) -> FloatArray:
-        """How much later than its frame's middle such a scanner sees each point, shape (n,).
+        """Delay of each point after its frame's middle, if the scanner rotates counter-clockwise, shape (n,).
 
-        Beyond where a scan begins that is almost a turn earlier.
+        For points beyond the azimuth at which a scan begins it is almost a revolution earlier.
         """
         middle_rad = self._turned_rad[self.frame]
         late_rad: FloatArray = (middle_rad + self.beside_rad) % (2 * np.pi) - middle_rad
         return late_rad * (self.turn_s / (2 * np.pi))
 
     def thinned(self, rows: int) -> Evidence:
-        """Return about so many of the points, spread evenly over all frames, but for most in which the vehicle stands.
+        """Return this drive with about ``rows`` uniformly spaced points.
 
-        At any place `FRAMES_PER_PLACE` are left, from the first to the last.
+        Of the frames in which the vehicle is stationary, most are left out. At any place `FRAMES_PER_PLACE` frames
+        remain, from the first to the last.
         """
         drive = self._moving()
         keep = np.arange(0, len(drive.points), max(1, len(drive.points) // max(1, rows)))
@@ -134,7 +137,7 @@ class Evidence:
         place = np.unique(self.way_m // SAME_VIEW_M, return_inverse=True)[1].reshape(-1)
         count = np.bincount(place)
         rank = np.arange(len(self)) - (np.cumsum(count) - count)[place]
-        # Those at which the next of nine equal steps from the first to the last has begun.
+        # Frames at which the next of nine equal steps from the first to the last has begun.
         step = (rank * (FRAMES_PER_PLACE - 1)) // np.maximum(count[place] - 1, 1)
         kept = (count[place] <= FRAMES_PER_PLACE) | (np.diff(step, prepend=-1) != 0) | (rank == 0)
         if kept.all():
@@ -162,9 +165,10 @@ class Evidence:
 
 
 def way_driven(xy: FloatArray, still_m: float) -> FloatArray:
-    """Return how far something has come at each of its places, shape (m,); the places' shape is (m, 2).
+    """Return the distance travelled at each of an object's places, shape (m,); the places' shape is (m, 2).
 
-    What comes no farther than ``still_m`` from where it was, and back, stands: its way is how far it came once.
+    An object that moves no farther than ``still_m`` from where it was, and back, is stationary: its distance travelled
+    is its largest distance from there.
     """
     way_m = np.zeros(len(xy))
     begin, before_m, farthest_m = xy[:1].ravel().tolist(), 0.0, 0.0
@@ -177,9 +181,9 @@ def way_driven(xy: FloatArray, still_m: float) -> FloatArray:
 
 
 def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidence:
-    """Collect what a track tells while its sender's position is known.
+    """Return the evidence of a track while its sender's position is known.
 
-    Sightings that a box cannot be trusted for are in it: a part of the outline is as good as its points.
+    Sightings with unreliable boxes are included: a part of the outline is as good as its points.
     """
     stamps = np.array([sighting.stamp_s for sighting in track.sightings])
     known = vehicle.at(stamps)[2]

@@ -1,4 +1,10 @@
-"""The default estimator: the visible outline, registered on the vehicle of the messages in all frames at once."""
+"""The default estimator: registers the visible outline on the vehicle that the messages report, in all frames at once.
+
+One maximum-a-posteriori estimate solves for yaw, position and the sensor's systematic errors together with each drive's
+own parameters (`drive_prior`): Gauss-Newton descents from several starts, with a mixture for the noise of each point
+(`mixture`). Angles and positions are those of the level frame in the world frame. In what follows a scanner is a LiDAR
+and a matcher is the stereo matching, whose points are correlated within its windows; "log" is the natural logarithm.
+"""
 
 from __future__ import annotations
 
@@ -30,83 +36,103 @@ from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, with_turn
 
 SOFTENING_M = (0.8, 0.5, 0.3, 0.2, 0.12, 0.08, 0.05)
-"""Extra standard deviation in the first iterations: from beyond the error of a box's centre down to the noise."""
+"""Standard deviation that is added to the points' noise, in the first iterations: decreasing from more than the error
+of a box's centre to about the noise itself."""
 
 FIRST_STEPS, FOLLOWED = 3, 4
-"""After so many steps a good start is within half a metre, so that the best few of all are followed further."""
+"""After the first number of steps a good start is within half a metre of its optimum, so that only the second number of
+starts, the best ones, is followed further."""
 
 TOGETHER = 0.1
-"""Squared distance, in standard deviations at that softness, within which two starts have come to one place: by a third
-of one they are on the same hill."""
+"""Squared Mahalanobis distance, at the current softening, below which two descents are taken to have reached the same
+place: a third of a standard deviation apart, they climb the same hill."""
 
 MAX_ITERATIONS = 40
 ROUNDS = 3
 SETTLING = 3
-"""So often the shares of the mixture are taken anew before the first step, which would else be one of the shares."""
+"""Number of times that the fractions of the mixture are re-estimated before the first step; otherwise the first step
+would only follow the change of the fractions."""
 
 CONVERGED = 1e-4
-"""Squared step, in standard deviations, at which the iteration ends: a hundredth of the error that is claimed."""
+"""Squared Mahalanobis length of the step at which the iteration ends: a hundredth of the standard deviation that is
+reported."""
 
 COMPARED = 1e-2
-"""The same where only likelihoods are compared, or another descent begins: a tenth of the error that is claimed."""
+"""The same limit where only likelihoods are compared, or another descent follows: a tenth of the standard deviation
+that is reported."""
 
 START_YAWS_DEG = (-4.0, 0.0, 4.0)
 SHIFTS_M = ((0.0, 0.0), (-0.9, -0.9), (-0.9, 0.9), (0.9, -0.9), (0.9, 0.9))
-"""Starts around the paper's match: its yaw leans on one box and is a few degrees off at most; its position is off by
-half of what of the vehicle is not seen, which is half a car's width across and somewhat more along it."""
+"""Yaw offsets and shifts of the starts around the paper's match: its yaw depends on the last box and is a few degrees
+off at most; its position is off by half of the unseen part of the vehicle, which is half a car's width across the car
+and somewhat more along it."""
 
 TURNS = {0.0: 0.5, 1.0: 0.25, -1.0: 0.25}
-"""How a scanner that does not tell the points' times turns, counter-clockwise, and how likely that is beforehand: as
-often as not it does not turn, or its points were brought to the scan's stamp before they were written."""
+"""A priori probability of each direction in which a scanner without times of the points may rotate: 1 is
+counter-clockwise (factor on the delays of a counter-clockwise rotation), -1 clockwise. In half of the cases it does not
+rotate (0), or its points were corrected to the scan's stamp before they were written."""
 
 FIXED = 1e-3
-"""Standard deviation of a turn that is taken for known: it keeps the equations regular."""
+"""Standard deviation of the rotation factor (`Turn`) that is taken as known: above 0, so that the equations stay
+regular."""
 
 FREE_M = 100.0
-"""Standard deviation of the position about the start, which only keeps the equations regular."""
+"""A priori standard deviation of the position about the start, which only keeps the equations regular."""
 
 COARSE_ROWS, ROUGH_ROWS = 1500, 3000
-"""Points that compare the starts, of which a few per frame and side say which is best; and those of a rough estimate,
-of which one in ten choices of half as many lost a vehicle among false masks to a stranger."""
+"""Number of points with which the starts are compared, of which a few per frame and side suffice to find the best one;
+and number of points of a rough estimate. With half as many points of a rough estimate, one selection in ten mistook a
+stranger for a vehicle among false masks."""
 
 FINE_ROWS, MATCHED_ROWS = 40_000, 10_000
-"""Points that are registered in the end, of all drives, and of each that a matcher saw at least. What points on one
-side of a frame have in common makes any number of them weigh as much as four; but a matcher's windows see of a car only
-what they are laid on, and with a quarter of these, which ones moved a result by a third of its doubt."""
+"""Points used in the final registration: over all drives together, and at least per drive of a stereo camera.
+
+Errors that the points on one side of a frame share limit their weight to that of four independent points, however many
+there are. Stereo matching windows, however, sample only parts of a car: with a quarter of this number, the choice of
+points moved a result by a third of its standard deviation."""
 
 HELD_ROWS = 3000
-"""Of each that a scanner saw at least; and of what is registered only to hold it against something else, a half of a
-drive or one of several."""
+"""Least number of points per drive of a scanner in the final registration. Also the number of points of an estimate
+that is only compared with another one, such as that of half a drive or of one drive of several."""
 
 WRONG_OPTICS = 0.03
-"""By such a share a focal length is off that was read from another matrix, such as the raw image's, or a baseline that
-was measured from outside."""
+"""A priori relative standard deviation of a wrong focal length or baseline: this is the error of a focal length that
+was read from another matrix, such as the raw image's, or of a baseline that was measured on the outside of the
+camera."""
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
-"""One sender in fifty is set up wrongly: its positions may then be of any place on the vehicle, its headings as far off
-as one that is told of another part of it, such as a cab in a bend, or by a magnet, and its clock not set. So is one
-stereo camera in fifty, whose calibration is another's, or another mode's."""
+"""A priori probability of a mistake in a sender's set-up, one in fifty, and the standard deviation of its headings
+then.
+
+The positions of such a sender may refer to any place on the vehicle, its clock may not be set, and its headings may be
+as far off as those of another part of the vehicle, such as a cab in a bend, or as a magnetic compass. One stereo camera
+in fifty likewise has the calibration of another camera, or of another mode."""
 
 CLEARLY = float(np.log(10.0))
-"""Log odds by which clocks were not set, where a scanner that turns would explain the same less well."""
+"""Least log odds for clocks that were never set, where a scanner's rotation is the alternative that explains the same
+delays less well."""
 
 LATE = 2.0
-"""Clocks that seem to be no farther apart than so many standard deviations are taken for set."""
+"""Clocks whose estimated offset is at most this many standard deviations are taken as synchronised."""
 
 SURELY, TURNED_RAD = 4.0, np.radians(30.0)
-"""It is so only if what is found is beyond so many of its own standard deviations, of both of the optics together: four
-of some fifty calibrations that were right were found to be wrong by three. And where on the vehicle positions are, only
-a turn tells, in which half of a length is off by half of that. Straight on the noise of headings looks so."""
+"""A mistake is accepted only if the correction exceeds the first number of its own posterior standard deviations; for
+focal length and baseline together, if their Mahalanobis distance does: with 3, four of about fifty correct stereo
+calibrations were found to be wrong. A wrong place of the reference point on the vehicle is only determined in a turn of
+at least the second number, in which an error of half the vehicle's length moves the position by half of that error; on
+a straight drive the noise of the headings looks like it."""
 
 
 @dataclass(frozen=True)
 class Turn:
-    """What is known beforehand of how a scanner turns while it takes a scan, counter-clockwise.
+    """A priori knowledge of how a scanner rotates while it takes a scan.
 
     Attributes
     ----------
     mean, sigma : float
-        In turns per turn of the scanner: 1 where it turns so, 0 where it does not, or the points' times are known.
+        Mean and standard deviation of the rotation factor, by which the delays of a counter-clockwise rotation are
+        multiplied: 1 if it rotates counter-clockwise, -1 clockwise, 0 if it does not rotate or the points' times are
+        known.
     """
 
     mean: float
@@ -114,7 +140,7 @@ class Turn:
 
     @property
     def possible(self) -> bool:
-        """Whether it may turn."""
+        """Whether the scanner may rotate."""
         return self.mean != 0.0 or self.sigma > FIXED
 
 
@@ -123,44 +149,47 @@ NO_TURN, ANY_TURN = Turn(0.0, FIXED), Turn(0.0, 1.0)
 
 @dataclass(frozen=True)
 class JointFit:
-    """The outcome of the joint estimate.
+    """The result of the joint estimate.
 
     Attributes
     ----------
     match : PlanarMatch
-        From the level into the world frame.
+        Transform from the level frame to the world frame.
     time_offsets_s : tuple of float
-        Of each drive: to be added to the sensor's stamps to get the messages' time.
+        Clock offset of each drive: to be added to the sensor's stamps to get the messages' time.
     covariance : ndarray, shape (3, 3)
-        Of (yaw [rad], x, y [m]) of the world, about ``centre_level``.
+        Covariance of (yaw [rad], x, y [m]) in the world frame, about ``centre_level``.
     centre_level : ndarray, shape (2,)
-        The middle of the vehicle's points.
+        Mean position of the vehicle (`Evidence.middles`) over all frames of all drives, level frame.
     time_sigmas_s : tuple of float
+        Standard deviations of the clock offsets.
     corrections : tuple of tuple of Correction
-        Of each drive's messages.
+        Corrections to the messages of each drive.
     optics : tuple of Correction
-        Of a stereo calibration, `OPTICS`, where it was not taken for right.
+        Corrections to a stereo calibration, `OPTICS`; empty where it was taken as correct.
     residual_rms_m : float
-        Of the points that the outline explains.
+        Root mean square distance of the points that the mixture attributes to the surface.
     frames : int
-        That have such points.
+        Number of frames that have such points.
     standing : int
-        Frames that were left out, since the vehicle stood there in enough others.
+        Number of frames that were left out because the vehicle is stationary there in enough others.
     explained : float
-        Share of the points that the outline explains, at the surface or behind it.
+        Fraction of the points that the outline explains: points at its surface or behind it.
     bodies : tuple of VehicleTrack
-        Of each drive: what its messages tell, with the yaw of the vehicle's body instead of its motion's.
+        For each drive the track that its messages report, with the yaw of the vehicle's body instead of the direction
+        of motion.
     turn : float
-        How the scanner turns while it takes a scan: 1 counter-clockwise, -1 clockwise, 0 not at all or the points'
-        times are known.
+        Rotation of the scanner while it takes a scan: 1 counter-clockwise, -1 clockwise, 0 none, or the points' times
+        are known.
     turn_probability : float
-        Of that, by what the points tell.
+        Posterior probability of that rotation.
     settings : JointSettings
-        What was taken as known: less than was given, where messages are mistaken.
+        The priors that were used: wider than those given where a mistake was found in the messages or the calibration.
     perhaps_unset : Correction or None
-        Of a clock, if none was set. That is likelier than what was taken as known, but not sure.
+        The clock offset of a drive, if clocks that were never set are more likely than the priors that were used but
+        the estimate is not significant.
     nearer : Correction or None
-        By how much inverse distances, 1/m, are larger than a matcher has it, whose disparities all err alike.
+        Correction to be added to all inverse distances of a matcher, 1/m: the error that all disparities share.
     """
 
     match: PlanarMatch
@@ -191,9 +220,10 @@ class JointFit:
         return covariance
 
     def covariance_by_optics(self, places: FloatArray) -> FloatArray:
-        """Return the mean square, shape (2, 2), by which wrong optics lay places of the level frame, (n, 2), wrongly.
+        """Return the mean squared displacement of places in the level frame, (n, 2), by wrong `optics`, shape (2, 2).
 
-        What is measured is laid where it is in the middle only.
+        It is given along the axes of the world frame. A wrong focal length or baseline scales the places about the
+        centre of the drives, where the estimate puts them correctly.
         """
         if not self.optics:
             return np.zeros((2, 2))
@@ -214,27 +244,30 @@ def fit_jointly(
     close: bool = False,
     mistakes: bool = True,
 ) -> JointFit:
-    """Estimate yaw, position, and of each drive clock offset, shape, gloss, GNSS and heading errors, growth of borders.
+    """Estimate yaw and position, and each drive's clock offset, shape, gloss, message errors and growth of borders.
 
-    Where a scanner does not tell the points' times, how it turns is estimated too, taken for the likeliest of what it
-    can be, and the result is as uncertain as the others are different and likely.
+    The gloss is that of specular reflection, the message errors are those of positions (GNSS) and headings. Where a
+    scanner does not report the points' times, its rotation is estimated as well: the result is that of the most likely
+    rotation, and its covariance includes how far the results of the other rotations differ, weighted by their
+    probabilities.
 
     Parameters
     ----------
     drives : sequence of Evidence
-        Of one sensor, in its level frame.
+        Drives past one sensor, in its level frame.
     start : PlanarMatch
-        Within some degrees and a vehicle's width.
+        Initial transform, correct to within some degrees and a vehicle's width.
     time_offsets_s : sequence of float
-        Where the search for each drive's clock offset begins; None is 0.
+        Initial clock offset of each drive; None stands for 0.
     settings : JointSettings
     stations : sequence of int
-        The sender of each drive: what has it in common, and the time at which it was, is in `Recordings`. None: they
-        have nothing in common.
+        The sender of each drive. `Recordings` derives from it, and from the drives' times, which errors are correlated
+        between drives. None: the drives are independent.
     close : bool
-        The start is what each of the drives says by itself, within its doubt: no other is tried.
+        The start is the estimate of each drive by itself and correct to within its uncertainty: no other start is
+        tried.
     mistakes : bool
-        Messages may be mistaken by more than the settings allow.
+        The messages may be wrong by more than the settings allow.
 
     Raises
     ------
@@ -284,18 +317,18 @@ def fit_jointly(
 
 @dataclass(frozen=True)
 class _Mistake:
-    """Something that may be wrong by far.
+    """A hypothesis that something is wrong by far more than the settings allow.
 
     Attributes
     ----------
     what : frozenset of str
-        The corrections that it shows by.
+        The corrections in which it shows.
     settings : JointSettings
-        What is to be expected then.
+        The priors under this hypothesis.
     log_wider : float
-        By how much more room there is for these corrections then, as a logarithm.
+        Log ratio by which the prior volume of these corrections is larger under this hypothesis.
     alone : bool
-        It is only if it leaves nothing else that the messages do not allow for.
+        The hypothesis only holds if the priors allow for all other corrections.
     """
 
     what: frozenset[str]
@@ -305,9 +338,10 @@ class _Mistake:
 
 
 def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
-    """Return what is to be expected if something is surely mistaken, and then likeliest, and where the search goes on.
+    """Return the start, the priors, and a possible clock offset under the most likely mistake that is significant.
 
-    If nothing is, that is where it began, and what was expected before; and the offset of a clock that is perhaps.
+    Start and priors are those given where no mistake is significant and more likely than none. The clock offset is that
+    of clocks which were perhaps never set: with log odds above `CLEARLY`, whether it is significant or not; else None.
     """
     here = problem.solve(x, COMPARED)
     settings, most_likelier, perhaps_unset = problem.settings, 0.0, None
@@ -329,12 +363,13 @@ def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettin
 
 
 def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
-    """Return what may be wrong by far.
+    """Return the hypotheses of mistakes that the drives could reveal.
 
-    Headings are not the drive's, or positions those of another place on the vehicle than was said, which only a turn
-    tells; a stereo camera has another focal length or baseline; or a clock was not set, if some seem to be apart or
-    would not seem so. To take small errors of much else for it is likelier the nearer it is to none, and downhill from
-    there.
+    These are: headings that are not those of the drive; a reference point at another place on the vehicle than was
+    reported, which is only determined in a turn; another focal length or baseline of a stereo camera; and a clock that
+    was never set, if some clocks seem to be apart or could not seem so. Small errors of many other parameters are a
+    more likely explanation the smaller a mistake is; from such a solution the path to the mistake leads downhill, so
+    that a descent from there finds it.
     """
     settings, drives = problem.settings, [model.drive for model in problem.models]
     senders = len(set(problem.recordings.stations))
@@ -345,13 +380,14 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(_Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
-    # Where disparities may all be off, as by a camera that has turned, other optics would only look so.
+    # Where all disparities may be off, as after one camera has rotated relative to the other, a wrong focal length or
+    # baseline would only seem to be found.
     if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
         optics = replace(settings, optics_sigma=WRONG_OPTICS)
         likely.append(_Mistake(frozenset(OPTICS), optics))
     apart_s = float(np.abs(solved.x[problem.clocks]).max())
-    # How exact a detector's boxes are is told by how they scatter, to which a clock that is off adds: what is found
-    # while clocks are taken for set never seems to contradict that.
+    # The variance of a detector's boxes is estimated from their dispersion, to which a wrong clock adds: an estimate
+    # that takes the clocks as synchronised never seems to contradict that.
     boxes = not any(len(drive.points) for drive in drives)
     if not problem.turn.possible and (boxes or apart_s > LATE * settings.clock_sigma_s):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
@@ -361,10 +397,10 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
 
 
 def _likelier_by(one: _Problem, solved: _Solved, other: _Problem, its: _Solved) -> float:
-    """Return by how much likelier the points are by another solution than by one, as a logarithm.
+    """Return the log-likelihood ratio of the points under another solution over one solution.
 
-    Which points meet an upright outline is not the same for both: those are compared that both place, of what one of
-    them registers and of what the other does, on average.
+    The two solutions select different points, as different lines of sight meet an upright part of the outline. For the
+    selection of each solution, the points that both can place are compared; the result is the mean of the two.
     """
     gains = []
     for chosen in (solved.chosen, its.chosen):
@@ -386,19 +422,21 @@ def _turn_of(drives: Sequence[Evidence]) -> Turn:
 
 @dataclass(frozen=True)
 class RoughFit:
-    """What a drive's points tell of what its messages say.
+    """An estimate from some points of one drive, and what it says about the errors of the messages' positions.
 
     Attributes
     ----------
     match : PlanarMatch
-        From the level into the world frame.
+        Transform from the level frame to the world frame.
     corrections : tuple of Correction
+        Corrections to the messages.
     knots_s : ndarray, shape (k,)
+        Times of the knots of the position errors.
     information : ndarray, shape (2 k, 2 k)
-        Of the errors of the positions at the knots, first of all x, then of all y, whatever was expected of these. A
-        motion as a whole is left open.
+        Information of the points about the position errors at the knots, all x first, then all y, without their prior.
+        A rigid motion of the whole drive remains undetermined.
     pull : ndarray, shape (2 k,)
-        The information times the errors that are found.
+        The information times the estimated errors.
     """
 
     match: PlanarMatch
@@ -411,9 +449,9 @@ class RoughFit:
 def fit_roughly(
     drive: Evidence, start: PlanarMatch, time_offset_s: float = 0.0, settings: JointSettings | None = None
 ) -> RoughFit:
-    """Estimate the same of one drive from some of its points and few starts, in a tenth of the time.
+    """Return the estimate of `fit_jointly` for one drive from a subset of its points and few starts.
 
-    Parameters and errors are those of `fit_jointly`.
+    It takes a tenth of the time. Parameters and errors are those of `fit_jointly`.
     """
     if not len(drive):
         raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
@@ -424,7 +462,7 @@ def fit_roughly(
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.prior.drift)
     after = np.linalg.inv(solved.covariance[at, at])
-    # Where residuals scatter by more than the model has it, less than nothing would be left.
+    # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
     values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
     told = vectors[:, values > 0.0]
     return RoughFit(
@@ -441,7 +479,7 @@ def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
 
 
 def _starts(problem: _Problem, offsets: Sequence[float], shifts_m: Sequence[tuple[float, float]]) -> list[FloatArray]:
-    """Return starts around the first one: turned and shifted along and across the mean direction of view."""
+    """Return starts around the first one: rotated, and shifted along the axes of the world frame."""
     found = []
     for turn_deg, shift in product(START_YAWS_DEG, shifts_m):
         x = problem.at_rest(offsets)
@@ -462,9 +500,9 @@ class _Solved:
 
 @dataclass(frozen=True)
 class _Descent:
-    """Where a start has come to: the distances there, and what came out of the step that led there.
+    """The place that the descent from a start has reached, the distances there, and the results of its last step.
 
-    ``log_likely`` is how likely the place is, as a logarithm, at that step's softness.
+    ``log_likely`` is the log-posterior of the place at the softening of that step.
     """
 
     x: FloatArray
@@ -475,7 +513,10 @@ class _Descent:
 
 
 class _Problem:
-    """All drives' models over one vector: yaw, x, y, range bias and turn of the sensor, then each drive's own."""
+    """The models of all drives over one parameter vector: the sensor's parameters, followed by each drive's own.
+
+    The sensor's are yaw, x, y, range bias, rotation of a scanner, focal length and baseline, see `drive_model`.
+    """
 
     def __init__(
         self,
@@ -494,12 +535,12 @@ class _Problem:
         self.own = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
         self.clocks = [own.start for own in self.own]
-        # The knots of the positions' errors are each drive's last: first of all x, then of all y.
+        # The knots of the position errors are each drive's last parameters: all x first, then all y.
         lasts = [(own.stop, len(model.knots_s)) for model, own in zip(self.models, self.own, strict=True)]
         self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
         self.drifts = self.recordings.drifts(settings)
         self.senders = np.linalg.inv(self.recordings.senders)
-        # Yaw and position are as good as free; the range bias is what all points' noise has in common.
+        # Yaw and position are practically free; the range bias is the error that the noise of all points shares.
         self.precision = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
         first += [settings.optics_sigma**-2] * 2
@@ -508,34 +549,37 @@ class _Problem:
         self.loosen(None)
 
     def expecting(self, settings: JointSettings) -> _Problem:
-        """Return the same where something else is to be expected."""
+        """Return the same problem with other priors."""
         drives, begin, centre, stations = self._given
         return _Problem(drives, begin, centre, settings, self.turn, stations)
 
     def loosen(self, x: FloatArray | None) -> None:
-        """Weigh the priors by how far the drives' own parameters are from them, if these are known."""
+        """Set the precision of the priors for the drives' own parameters at ``x``, which their heavy tails depend on.
+
+        Without ``x``, it is that at the mean.
+        """
         for model, own in zip(self.models, self.own, strict=True):
             self.precision[own, own] = model.prior.precision(None if x is None else x[own])
         clocks = np.ix_(self.clocks, self.clocks)
         self.precision[clocks] = self.recordings.clocks(np.diag(self.precision[clocks]))
         for knots in self.knots:
             self.precision[np.ix_(knots, knots)] = self.drifts
-        # A square root of what each drive knows of its sender, so that any two are correlated by as much as is said.
+        # With a square root of each drive's precision, any two drives are correlated as `Recordings.senders` says.
         lasting = [own.start + np.array(LASTING) for own in self.own]
         roots = [np.linalg.cholesky(self.precision[np.ix_(its, its)]).T for its in lasting]
         for (i, one), (j, other) in product(enumerate(lasting), repeat=2):
             self.precision[np.ix_(one, other)] = self.senders[i, j] * roots[i].T @ roots[j]
 
     def at_rest(self, offsets: Sequence[float]) -> FloatArray:
-        """Return the vector with every correction at its prior's mean, but for the clocks."""
+        """Return the vector with every parameter at its prior mean, except the clock offsets."""
         x: FloatArray = self.mean.copy()
         x[self.clocks] = offsets
         return x
 
     def best_of(self, starts: Sequence[FloatArray]) -> FloatArray:
-        """Approach from rough starts, from those that come closest all the way, and return the likeliest end.
+        """Descend from rough starts with decreasing softening, and return the most likely end; only the best are kept.
 
-        Starts that come together go on as one.
+        Starts that reach the same place continue as one.
         """
         found = [_Descent(x, self.rows_at(x), self._first_shares(), self.precision, -np.inf) for x in starts]
         for soft in SOFTENING_M[:FIRST_STEPS]:
@@ -549,7 +593,7 @@ class _Problem:
         return [model.shares() for model in self.models]
 
     def _step(self, at: _Descent, softening_m: float) -> _Descent:
-        """Take a step at some softness, and tell how likely the place is that is reached."""
+        """Take a step at this softening, and return the place reached with its log-posterior."""
         curvature, gradient, fitness = self._sum(at.x, at.rows, softening_m, at.shares)
         x = at.x - np.linalg.solve(curvature, gradient)
         rows, shares = self.rows_at(x), [each.shares for each in fitness]
@@ -558,7 +602,7 @@ class _Problem:
 
     @staticmethod
     def _apart(found: Iterable[_Descent]) -> list[_Descent]:
-        """Return the likeliest of those that are in one place, the likeliest of all first."""
+        """Return the most likely descent at each place, in descending order of their log-posteriors."""
         kept: list[_Descent] = []
         for each in sorted(found, key=lambda descent: -descent.log_likely):
             if all((each.x - other.x) @ other.curvature @ (each.x - other.x) > TOGETHER for other in kept):
@@ -566,26 +610,27 @@ class _Problem:
         return kept
 
     def settled(self, drive: int, solved: _Solved, rows: Rows) -> float:
-        """Return how likely some points of a drive are, as a logarithm, with the mixture's shares that suit them."""
+        """Return the log-likelihood of some points of a drive, with the fractions of the mixture that fit them."""
         model, fitness = self.models[drive], solved.fitness[drive]
         for _ in range(SETTLING):
             fitness = model.weigh(rows, 0.0, fitness.shares)
         return fitness.log_likelihood
 
     def log_room_of(self, solved: _Solved) -> float:
-        """Return how likely what was found is beforehand, as a logarithm, and how much room it leaves the optics.
+        """Return the log prior density of the solution, plus the log ratio of posterior to prior volume of the optics.
 
-        The room of other mistakes is in what `_mistakes` says: what they leave is far less than what was expected.
+        The optics are focal length and baseline. The prior volume of other mistakes is in `_Mistake.log_wider`: their
+        posterior volumes are far smaller than the prior ones.
         """
         self.loosen(solved.x)
         after = np.linalg.slogdet(solved.covariance[BY_OPTICS, BY_OPTICS])[1] / 2
         return self._log_prior(solved.x) + float(after - 2.0 * np.log(self.settings.optics_sigma))
 
     def tells(self, solved: _Solved, mistake: _Mistake) -> bool:
-        """Tell whether some correction is not only possible, but surely there."""
+        """Tell whether a correction of this mistake is significant."""
         if mistake.alone and not self.only(solved, mistake.what):
             return False
-        if mistake.what.issuperset(OPTICS):  # both together: a wrong baseline shows in both
+        if mistake.what.issuperset(OPTICS):  # both together: a wrong baseline affects both
             found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
             return float(found @ np.linalg.solve(covariance, found)) > SURELY**2
         return any(
@@ -596,25 +641,25 @@ class _Problem:
         )
 
     def late(self, solved: _Solved, known_s: float) -> Correction | None:
-        """Return a drive's clock that seems to be off by more than was known of it, and than is known now, if any."""
+        """Return a drive's clock offset that exceeds both its prior and its posterior uncertainty by far, or None."""
         clocks = (each for _, its in self.corrections(solved) for each in its if each.what == "clock")
         return next((each for each in clocks if abs(each.value) > LATE * max(known_s, each.after)), None)
 
     def only(self, solved: _Solved, what: Set[str]) -> bool:
-        """Tell whether the messages allow for all corrections but these."""
+        """Tell whether all corrections but these agree with their priors."""
         return all(
             each.surprise <= SURELY for _, its in self.corrections(solved) for each in its if each.what not in what
         )
 
     def corrections(self, solved: _Solved) -> list[tuple[DriveModel, tuple[Correction, ...]]]:
-        """Return each drive, and by how much its messages had to be corrected."""
+        """Return each drive's model, with the corrections to its messages."""
         return [
             (model, model.prior.corrections(solved.x[own], solved.covariance[own, own]))
             for model, own in zip(self.models, solved.own, strict=True)
         ]
 
     def solve(self, x: FloatArray, converged: float = CONVERGED) -> _Solved:
-        """Descend to the end from a start nearby; which points are on the wall is told anew after each time."""
+        """Descend from a nearby start to the optimum; after each descent the points on the wall are selected again."""
         shares: Sequence[FloatArray] = self._first_shares()
         for _ in range(ROUNDS):
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
@@ -639,10 +684,10 @@ class _Problem:
         chosen: Sequence[Chosen],
         converged: float,
     ) -> tuple[FloatArray, Sequence[Rows], Sequence[FloatArray]]:
-        """Return the likeliest place near a start, with the distances and the shares there.
+        """Return the optimum near a start, with the distances and the fractions of the mixture there.
 
-        Points at corners change sides, beyond which what a step promises does not hold; so a step that leads to a less
-        likely place is shortened.
+        Points near corners change sides, beyond which the quadratic model of a step is not valid; a step that leads to
+        a less likely place is therefore shortened.
         """
         pace = 1.0
         for _ in range(MAX_ITERATIONS):
@@ -670,7 +715,7 @@ class _Problem:
         fitness: Sequence[Fitness],
         shares: Sequence[FloatArray],
     ) -> float:
-        """Return by how much likelier a place is than the one before."""
+        """Return the gain in log-posterior of a place over the one before."""
         drives = zip(self.models, rows, held, fitness, shares, strict=True)
         points = sum(
             model.gain(its, as_were, fits.log_likelihoods, share) for model, its, as_were, fits, share in drives
@@ -682,7 +727,7 @@ class _Problem:
         return -float(away @ self.precision @ away) / 2
 
     def _places(self) -> list[IntArray]:
-        """Return where in the vector each drive's parameters are."""
+        """Return the indices of each drive's parameters in the vector: the sensor's, then the drive's own."""
         return [np.r_[:FIRST_OWN, own] for own in self.own]
 
     def rows_at(self, x: FloatArray, chosen: Sequence[Chosen] | None = None) -> list[Rows]:
@@ -693,7 +738,7 @@ class _Problem:
     def _sum(
         self, x: FloatArray, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]
     ) -> tuple[FloatArray, FloatArray, list[Fitness]]:
-        """Return curvature and gradient of the negative log-likelihood, and how well each drive fits."""
+        """Return curvature and gradient of the negative log-posterior, and the fitness of each drive."""
         gradient = self.precision @ (x - self.mean)
         fitness = []
         for model, index, its, share in zip(self.models, self._places(), rows, shares, strict=True):
@@ -703,22 +748,23 @@ class _Problem:
         return self._with_prior([each.curvature for each in fitness]), gradient, fitness
 
     def _with_prior(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Add up what the priors and each drive tell."""
+        """Return the sum of the priors' precision and each drive's information or curvature."""
         total: FloatArray = self.precision + self._sum_of(parts)
         return total
 
     def _sum_of(self, parts: Iterable[FloatArray]) -> FloatArray:
-        """Add up square matrices, one per drive, of the sensor's parameters and the drive's own."""
+        """Return the sum of square matrices, one per drive, over the sensor's parameters and the drive's own."""
         total = np.zeros_like(self.precision)
         for part, index in zip(parts, self._places(), strict=True):
             total[np.ix_(index, index)] += part
         return total
 
     def _covariance(self, inverse: FloatArray, fitness: Sequence[Fitness], rows: Sequence[Rows]) -> FloatArray:
-        """Return the covariance of all parameters, no smaller than the residuals' scatter says.
+        """Return the covariance of all parameters, at least as large as the dispersion of the residuals implies.
 
-        Where residuals of successive frames agree more than the model has it, the covariance grows in that direction;
-        and by what lasts from frame to frame, which the estimate may have followed all the way.
+        Where the residuals of successive frames agree more than the model expects, the covariance grows in that
+        direction. It also includes the errors that persist from frame to frame, which the estimate may have followed
+        throughout.
         """
         parts = [Blocks(index, *each.by_block()) for index, each in zip(self._places(), fitness, strict=True)]
         lasting = self._sum_of(
@@ -729,7 +775,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Turned:
-    """What was found of all parameters if the scanner turns so, and how likely that is."""
+    """The estimate of all parameters for one rotation of the scanner, and the log-evidence of that rotation."""
 
     turn: float
     x: FloatArray
@@ -738,15 +784,15 @@ class _Turned:
 
 
 def _turns_of(problem: _Problem, solved: _Solved, *, unset: bool) -> tuple[list[_Turned], JointSettings]:
-    """Condition what was found on each turn, and return what is known then: of clocks nothing, if these were not set.
+    """Condition the solution on each rotation, and return the priors: with unknown clocks if these were never set.
 
     Parameters
     ----------
     problem : _Problem
     solved : _Solved
     unset : bool
-        They may not be set, if that explains clearly more than turns do, and leaves nothing else that the messages do
-        not allow for.
+        Unset clocks are a possible mistake. They are preferred if their evidence is clearly larger than that of the
+        rotations, and if the priors allow for all other corrections.
     """
     settings = problem.settings
     by_any = [_turned(problem, solved, turn, settings.clock_sigma_s) for turn in TURNS]
@@ -762,15 +808,15 @@ def _turns_of(problem: _Problem, solved: _Solved, *, unset: bool) -> tuple[list[
 
 
 def _turned(problem: _Problem, solved: _Solved, turn: float, known_s: float) -> _Turned:
-    """Condition what was found with any turn, a normal distribution, on one, and on how well clocks are known.
+    """Condition the solution, in which the rotation has a normal prior, on one rotation and on the prior of the clocks.
 
-    What the points tell of turn and clocks is what was found, less what was expected; the evidence of a turn is the
-    mean of that over what the turn lets expect.
+    The likelihood of rotation and clock offsets is the posterior divided by the prior; the evidence of a rotation is
+    the mean of that likelihood over the prior of rotation and clock offsets.
     """
     index = np.array([SWEEP, *problem.clocks])
     covariance = solved.covariance[np.ix_(index, index)]
     before, found = problem.precision[np.ix_(index, index)], np.linalg.inv(covariance)
-    # Where residuals scatter by more than the model has it, less than nothing would be left.
+    # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
     values, vectors = np.linalg.eigh(found - before)
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
     told = vectors[:, values > 0.0]
@@ -788,19 +834,19 @@ def _turned(problem: _Problem, solved: _Solved, turn: float, known_s: float) -> 
 
 
 def _clock_sigmas_s(drives: Sequence[Evidence], known_s: float, turn: float) -> list[float]:
-    """Return how well each drive's clock offset is known, if the scanner turns so."""
+    """Return the prior standard deviation of each drive's clock offset for this rotation of the scanner."""
     return [with_turn(known_s, drive.turn_s) if turn else known_s for drive in drives]
 
 
 def _log_sum(turned: Sequence[_Turned]) -> float:
-    """Return how likely any of them is, as a logarithm."""
+    """Return the log of the sum of the evidence of several rotations."""
     return float(np.logaddexp.reduce([each.log_probability for each in turned]))
 
 
 def _among(turned: Sequence[_Turned], likeliest: _Turned, solved: _Solved) -> tuple[_Solved, float]:
-    """Make what was solved with the likeliest turn as uncertain as the others are different, uncertain, and likely.
+    """Return the solution for the most likely rotation, with the covariance of the mixture of all, and its probability.
 
-    Return how likely it is as well.
+    The covariance includes the other rotations' covariances and their differences, weighted by their probabilities.
     """
     log_sum = _log_sum(turned)
     probabilities = np.exp([each.log_probability - log_sum for each in turned])
@@ -816,7 +862,7 @@ def _match(solved: _Solved, centre: FloatArray) -> PlanarMatch:
 
 
 def _optics(solved: _Solved) -> tuple[Correction, ...]:
-    """Return by how much depths and breadths had to be corrected."""
+    """Return the corrections of depths and breadths."""
     by = np.array([[1.0, 1.0], [0.0, 1.0]])  # depths by focal length and baseline, breadths by the latter
     values, after = by @ solved.x[BY_OPTICS], np.sqrt(np.diag(by @ solved.covariance[BY_OPTICS, BY_OPTICS] @ by.T))
     return tuple(
@@ -826,9 +872,9 @@ def _optics(solved: _Solved) -> tuple[Correction, ...]:
 
 
 def _nearer(solved: _Solved, drives: Sequence[Evidence], settings: JointSettings) -> Correction | None:
-    """Return by how much inverse distances have to be corrected: what all points' noise has in common, as one of all.
+    """Return the correction of inverse distances: the part that the noise of all points shares, for a typical point.
 
-    The noise of a distance r is r^2 times that of its inverse, which is a disparity's but for a constant.
+    The noise of a distance r is r^2 times that of its inverse, which is proportional to the disparity.
     """
     noise_per_m = [
         drive.sigma_along_m / (ground_m * np.hypot(ground_m, drive.height_m - drive.points[:, 2]))

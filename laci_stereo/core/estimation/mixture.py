@@ -1,4 +1,8 @@
-"""What a distance from the outline can come from: the surface, something behind it, or anything else."""
+"""The mixture model of distances from the outline: from its surface, from something behind it, or from anything else.
+
+The fractions of the mixture are estimated per group of points, which is one side in one frame. The noise of a group may
+be larger than stated by a factor, its growth.
+"""
 
 from __future__ import annotations
 
@@ -10,37 +14,39 @@ from scipy.special import log_ndtr
 from laci_stereo.core.frames import FloatArray, IntArray
 
 ELSEWHERE_M = 5.0
-"""What belongs to neither lies anywhere within a cluster, which spans about the length of a car."""
+"""Width of the uniform distribution of points that are neither from the surface nor from behind it: they lie anywhere
+in a cluster, which is about as long as a car."""
 
 MIN_DEPTH_M, MAX_DEPTH_M = 0.05, 3.0
 TRUST = 20.0
-"""What is particular to a side in one frame is held at the whole drive's as if by so many independent points. There are
-never more than a few, since they have much of their noise in common: a frame whose noise may pass for what is behind
-the surface is free to shift it."""
+"""Number of independent points as which the whole drive's fractions count in the estimate of one group's. A group never
+has more than a few independent points, since their noise is correlated: a frame in which noise can pass for something
+behind the surface is free to shift it."""
 
 MOST_GROWTH = 4.0
-"""By so much may the noise of a side be larger than was told: where little can be matched, neighbours fill in."""
+"""Largest factor by which the noise of a side may exceed the stated noise: where little can be matched, values are
+filled in from neighbours."""
 
 _LOG_ROOT_TAU = 0.5 * np.log(2.0 * np.pi)
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """The weighed distances.
+    """The weighted distances.
 
     Attributes
     ----------
     surface, behind : ndarray, shape (n,)
-        Probability of each that it is of the surface, or of something behind it.
+        Probability of each that it is from the surface, or from something behind it.
     slope : ndarray, shape (n,)
         Derivative of the negative log-likelihood by the distance [1/m].
     log_likelihood : ndarray, shape (n,)
-        Beyond that of what lies elsewhere.
+        Log-likelihood ratio over a distance from anywhere else.
     growth : ndarray, shape (n,)
-        By how much the noise was taken for larger than was told.
+        Factor by which the stated noise was multiplied.
     shares : ndarray, shape (groups + 1, 3)
-        Of points behind and elsewhere in each group, and by how much its noise is larger than was told, for the next
-        iteration; the last row holds the mean depth behind.
+        For the next iteration: in each group the fractions of points behind the surface and elsewhere, and the factor
+        by which its noise exceeds the stated noise; the last row holds the mean depth behind the surface, metres.
     """
 
     surface: FloatArray
@@ -52,7 +58,7 @@ class Mixture:
 
 
 def first_shares(groups: int) -> FloatArray:
-    """Return the shares to begin with."""
+    """Return the initial fractions, factors and depth, shape (groups + 1, 3), see `Mixture`."""
     shares = np.tile([0.2, 0.05, 1.0], (groups + 1, 1))
     shares[-1] = 0.5
     return shares
@@ -60,7 +66,7 @@ def first_shares(groups: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Sources:
-    """How likely distances are from each source, as logarithms, shape (3, n), and from any; and what tells that."""
+    """Log-likelihoods of distances by source, shape (3, n), and in total, with the quantities used to compute them."""
 
     logs: FloatArray
     total: FloatArray
@@ -93,7 +99,7 @@ def _sources(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: F
 
 
 def log_likelihood(distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray) -> FloatArray:
-    """Return how likely distances are, shape (n,), as `weigh` has it."""
+    """Return the log-likelihood of distances, shape (n,), as defined by `Mixture`."""
     likely: FloatArray = _sources(distance, sigma, group, shares).total + np.log(ELSEWHERE_M)
     return likely
 
@@ -101,22 +107,22 @@ def log_likelihood(distance: FloatArray, sigma: FloatArray, group: IntArray, sha
 def weigh(
     distance: FloatArray, sigma: FloatArray, group: IntArray, shares: FloatArray, worth: FloatArray | None = None
 ) -> Mixture:
-    """Weigh distances by what they can come from, one step of expectation maximisation.
+    """Weigh distances by their possible sources, in one step of expectation maximisation.
 
-    A point of the surface is off by Gaussian noise. A line of sight that meets a window, a gap or a recess, or a match
-    that bleeds to the road behind, ends an exponentially distributed depth behind the surface, with the same noise.
-    Taking that for symmetric noise would pull the outline away from the sensor; trimming it, towards it.
+    A point from the surface has Gaussian noise. A line of sight that meets a window, a gap or a recess, or a match that
+    bleeds into the road behind, ends at an exponentially distributed depth behind the surface, with the same noise.
+    Treating this as symmetric noise would pull the outline away from the sensor; trimming it, towards it.
 
     Parameters
     ----------
     distance, sigma : ndarray, shape (n,)
-        Positive outside, metres.
+        Distances, positive outside the outline, and their stated standard deviations, metres.
     group : ndarray of int, shape (n,)
-        Points that share their shares: one side in one frame.
+        Groups of points with common fractions: one side in one frame.
     shares : ndarray, shape (groups + 1, 3)
         See `Mixture`.
     worth : ndarray, shape (n,)
-        As how many independent points each counts for its group's shares; None: one.
+        Number of independent points as which each point counts for its group's fractions; None: one.
     """
     sources = _sources(distance, sigma, group, shares)
     sigma, depth, growth, total = sources.sigma, sources.depth, sources.growth, sources.total

@@ -1,4 +1,4 @@
-"""One drive past a sensor, as it is kept for an estimate over several."""
+"""One drive past a sensor, as it is stored for an estimate from several drives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from laci_stereo.core.world import World
 
 @dataclass(frozen=True)
 class Passage:
-    """What a calibration from one drive was estimated from, and what came out.
+    """The data from which a calibration was estimated with one drive, and its result.
 
     Attributes
     ----------
@@ -29,22 +29,22 @@ class Passage:
     track : Track
         Of the sender's vehicle, in the level frame of this ground.
     vehicle : VehicleTrack
-        In the world.
+        In the world frame.
     station_id : int
     match : PlanarMatch
-        Where this drive alone puts the level frame in the world.
+        Transform from the level to the world frame by this drive alone.
     time_offset_s : float
         To be added to the sensor's stamps to get the CAMs' time.
     method : {"joint", "paper"}
-        By which match and clock offset were estimated.
+        Method by which match and clock offset were estimated.
     clock_sigma_s : float
-        What was known of that beforehand, one standard deviation.
+        Prior standard deviation of the clock offset.
     turn : float
-        How its scanner turned, see `JointFit`.
+        Rotation of its scanner, see `JointFit`.
     name : str
-        What messages call it.
+        Name in messages to the user.
     body : VehicleTrack or None
-        Where the estimate has the vehicle's body; None where it was not estimated.
+        The track of the vehicle's body by the estimate; None where it was not estimated.
     """
 
     world: World
@@ -64,6 +64,6 @@ class Passage:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Unix time of the first and the last sighting."""
+        """Unix times of the first and the last sighting, nanoseconds."""
         first, last = (self.track.sightings[i].stamp_s for i in (0, -1))
         return self.vehicle.epoch_ns + round(1e9 * first), self.vehicle.epoch_ns + round(1e9 * last)

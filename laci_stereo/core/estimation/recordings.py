@@ -1,4 +1,4 @@
-"""What several drives have in common: the sensor's clock, their sender, and what all receivers err by at one time."""
+"""Correlations between several drives: the sensor's clock, the sender, and the errors of all receivers at one time."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ from laci_stereo.core.messages.receiver import ALIKE, decay, in_time
 from laci_stereo.core.settings import JointSettings
 
 SENDER_S, SENDER_SHARE = 0.005, 0.5
-"""Of what is not known of the clocks' offset, each sender's own part, one standard deviation: GNSS sets their clocks to
-far better, but what they tell is a position that was worked out some milliseconds earlier, and stamped as well as their
-software does. It is no more than half of the offset's own: who knows that better knows how senders stamp."""
+"""Standard deviation of the part of the clock offset that is each sender's own, and the largest fraction of the
+offset's standard deviation that it may be. GNSS sets the senders' clocks far better, but the positions that they report
+were computed some milliseconds earlier, and are stamped only as well as their software does. The part is at most half
+of the offset's own standard deviation: whoever knows the offset better also knows how senders stamp."""
 
 CLOCK_S = 3600.0
-"""So long the sensor's clock errs alike: NTP takes the better part of an hour for a step, at the rate at which it asks
-to begin with (Mills 2011, "Computer Network Time Synchronization"), and an offset of 1 s that nothing corrects changes
-by 0.3 ms in a second, more than any crystal drifts."""
+"""Correlation time of the sensor's clock error: NTP takes the better part of an hour for a step, at its initial polling
+rate (Mills 2011, "Computer Network Time Synchronization"). An offset of 1 s that nothing corrects changes by 0.3 ms in
+a second, more than any crystal drifts."""
 
 SAME = 0.99
-"""Of the variance of what is a sender's own, how it stamps, where its antenna is and its vehicle's shape, what is the
-same in all of its drives: stamps are whole milliseconds, and loads make half a centimetre. It keeps equations regular,
-too."""
+"""Correlation, between the drives of one sender, of its own parameters: its stamping delay, its antenna's place and its
+vehicle's shape. Stamps are whole milliseconds, and loads shift the body by half a centimetre. Below 1, it also keeps
+the equations regular."""
 
 APART_S = 1e12
-"""Drives of which nothing is known have nothing in common: they are 30 000 years apart."""
+"""Time between drives about which nothing is known, 30 000 years, so that they are uncorrelated."""
 
 
 class Recordings:
-    """When several drives were, and whose.
+    """The times and senders of several drives, and the correlations that follow from them.
 
     Parameters
     ----------
     models : sequence of DriveModel
     stations : sequence of int or None
-        The sender of each drive. None: they have nothing in common.
+        The sender of each drive. None: the drives are uncorrelated.
     """
 
     def __init__(self, models: Sequence[DriveModel], stations: Sequence[int] | None = None) -> None:
@@ -51,18 +52,18 @@ class Recordings:
 
     @property
     def senders(self) -> FloatArray:
-        """How what is each sender's own is correlated from drive to drive, shape (drives, drives)."""
+        """The correlation of the senders' own parameters between drives, shape (drives, drives)."""
         alike: FloatArray = np.where(np.equal.outer(self.stations, self.stations), SAME, 0.0)
         np.fill_diagonal(alike, 1.0)
         return alike
 
     def clocks(self, precision: FloatArray) -> FloatArray:
-        """Return the precision of the drives' clock offsets, shape (drives, drives).
+        """Return the prior precision of the drives' clock offsets, shape (drives, drives).
 
         Parameters
         ----------
         precision : ndarray, shape (drives,)
-            What each drive by itself has beforehand.
+            Prior precision of each drive's offset by itself.
         """
         variance = 1.0 / precision
         own = np.minimum(SENDER_S**2, SENDER_SHARE**2 * variance)
@@ -73,7 +74,7 @@ class Recordings:
         return tied
 
     def drifts(self, settings: JointSettings) -> FloatArray:
-        """Return the precision of the errors of positions at all drives' knots, on either axis, shape (k, k)."""
+        """Return the prior precision of the position errors at all drives' knots, (k, k), for x as for y."""
         counts = [len(knots_s) for knots_s in self._knots_s]
         station = np.repeat(self.stations, counts)
         sigma_m = np.repeat([model.sigma_m for model in self._models], counts)
@@ -84,7 +85,7 @@ class Recordings:
         return precision
 
     def _ways(self) -> list[FloatArray]:
-        """Return where on its sender's way each drive's knots are; from drive to drive it goes straight at least."""
+        """Return how far along its sender's path each drive's knots are, with a straight line between two drives."""
         ways: list[FloatArray] = [model.knots_m for model in self._models]
         last: dict[int, int] = {}
         for i in np.argsort([knots_s[0] for knots_s in self._knots_s]).tolist():

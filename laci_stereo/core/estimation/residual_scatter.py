@@ -1,4 +1,4 @@
-"""How far the scatter of the residuals exceeds what the model of their noise expects."""
+"""By how much the dispersion of the residuals exceeds what the model of their noise expects."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ import numpy as np
 from laci_stereo.core.frames import FloatArray, IntArray
 
 LEAST_LEFT = 0.1
-"""Of what is known, a block tells at most nine tenths: beyond that its scores are what the descent has left."""
+"""Least fraction of all information that is attributed to the other blocks: if a block had more than nine tenths of it,
+its scores would be remainders of the descent."""
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """What some blocks of residuals say, each as one statement.
+    """Blocks of residuals, each of which counts as one independent sample.
 
     Attributes
     ----------
     index : ndarray of int, shape (q,)
-        Of which parameters.
+        Indices of the parameters that the blocks depend on.
     scores : ndarray, shape (b, q)
-        The gradient of the log-likelihood by each block.
+        Gradient of the log-likelihood of each block, of either sign.
     told : ndarray, shape (b, q, q)
-        The information of each, if the model is right.
+        Information of each block, if the model is right.
     """
 
     index: IntArray
@@ -33,25 +34,26 @@ class Blocks:
 
 
 def scatter(root: FloatArray, precision: FloatArray, parts: Sequence[Blocks]) -> FloatArray:
-    """Return what the scores scatter by, shape (p, p), in units of the information, which is 1 if the model is right.
+    """Return the dispersion of the scores, shape (p, p), in units of the information.
 
-    The scores of a block are summed as they are (cluster-robust, Huber 1967): where its residuals agree more than the
-    model has it, their squares grow. Residuals are smaller than errors, since the estimate has followed them; by as
-    much as a block tells of all that is known, its scores are taken for larger (Bell and McCaffrey 2002, "bias reduced
-    linearization"), so that the mean is 1 however few blocks there are.
+    It is the identity if the model is right. The scores within a block are summed (cluster-robust, Huber 1967): where
+    its residuals agree more than the model expects, the squares of the sums grow. Residuals are smaller than errors,
+    since the estimate has followed them. The scores of a block are therefore enlarged according to its fraction of all
+    information (Bell and McCaffrey 2002, "bias reduced linearization"), so that the mean is the identity however few
+    blocks there are.
 
     Parameters
     ----------
     root : ndarray, shape (p, p)
-        Lower triangular, of the inverse of all information.
+        Lower triangular root of the inverse of all information.
     precision : ndarray, shape (p, p)
-        What was known beforehand.
+        Precision of the prior.
     parts : sequence of Blocks
-        Each of its own parameters.
+        Blocks that each depend on their own subset of the parameters.
     """
     total: FloatArray = root.T @ precision @ root
     for part in parts:
-        # Its scores are in the space of its parameters, which is smaller than that of all.
+        # A part's scores lie in the subspace of its own parameters.
         basis, factor = np.linalg.qr(root[part.index].T)
         shares, ways = np.linalg.eigh(factor @ part.told @ factor.T)
         along = np.einsum("bji,jk,bk->bi", ways, factor, part.scores)
@@ -62,9 +64,9 @@ def scatter(root: FloatArray, precision: FloatArray, parts: Sequence[Blocks]) ->
 
 
 def grown(inverse: FloatArray, precision: FloatArray, parts: Sequence[Blocks]) -> FloatArray:
-    """Return the inverse of all information, shape (p, p), larger in the directions in which the scores scatter more.
+    """Return the inverse of all information, shape (p, p), enlarged where the scores are more dispersed than expected.
 
-    Parameters are those of `scatter`.
+    The enlargement is by direction. Parameters are those of `scatter`.
     """
     root = np.asarray(np.linalg.cholesky(inverse), dtype=np.float64)
     values, ways = np.linalg.eigh(scatter(root, precision, parts))

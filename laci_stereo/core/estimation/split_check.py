@@ -1,4 +1,4 @@
-"""Whether one half of a drive contradicts the other: the sensor was moved meanwhile, or what is told changes."""
+"""Whether the halves of a drive contradict each other: the sensor was moved, or the errors of the messages changed."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.core.tracking.tracks import Track
 
 SURELY = 5.0
-"""Standard deviations by which halves may differ, on three axes: of 60 000 drives without a fault one is beyond. What
-both err by alike, such as the clocks' offset, is in either doubt, so that fewer are."""
+"""Mahalanobis distance in three dimensions by which the halves may differ: of 60 000 drives without a fault, one
+exceeds it. Errors that both halves share, such as the clock offset, are included in both covariances, so that even
+fewer do."""
 
 
 @dataclass(frozen=True)
 class Apart:
-    """By how much the second half of a drive puts the sensor elsewhere than the first.
+    """The difference between the sensor's poses by the second and the first half of a drive.
 
     Attributes
     ----------
     off : ndarray, shape (3,)
-        Yaw [rad], and x and y of the world at the middle of the vehicle's points.
+        Difference in yaw [rad], and in x and y of the world frame at the middle of the vehicle's points [m].
     sigmas : float
         The same in standard deviations (Mahalanobis distance).
     since_s : float
-        When the second half begins, in the recording.
+        Time in the recording at which the second half begins.
     """
 
     off: FloatArray
@@ -49,13 +50,13 @@ class Apart:
 
 
 def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | None:
-    """Hold the halves of a drive against each other, each by itself; None where they agree, or one tells too little.
+    """Compare the separate estimates of a drive's halves; None where they agree, or one has too few frames.
 
     Parameters
     ----------
     own : Passage
     fit : JointFit
-        Of the whole.
+        Of the whole drive.
     settings : Settings
     """
     sightings = own.track.sightings
@@ -77,11 +78,11 @@ def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | N
 
 
 def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
-    """Return a fit that is as unsure as its halves are apart: it is between them, and either may be right."""
+    """Return a fit whose covariance includes its halves' difference: it lies between them, and either may be right."""
     return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
 
 
 def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:
-    """Fit a half as the whole was, whose mistakes it has."""
+    """Fit a half of a drive with the priors of the whole, which allow for any mistakes found in it."""
     drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(HELD_ROWS)
     return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)

@@ -1,4 +1,4 @@
-"""How a satellite receiver's positions err, and for how long alike."""
+"""The errors of a satellite receiver's positions, and their correlation in time and along the path."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.settings import JointSettings
 
 KNOTS_PER_TIME = 4
-"""Knots of an error's course in the time, or on the way, over which it decays."""
+"""Number of knots of an error's course per correlation time, or per correlation length along the path."""
 
 ALIKE = 0.5
-"""Of the variance of two receivers' errors at one time, and of one receiver's here and there. Satellites' orbits and
-clocks and the air above are the same for both, what walls reflect is not: the former is most of it without corrections,
-the latter with them. With half, no number of receivers is taken for better than it is by more than the square root of
-two."""
+"""Fraction of the variance that two receivers' errors share at one time, and one receiver's errors at two places.
+Satellites' orbits and clocks and the atmosphere are common to both, multipath from walls is not: the former dominate
+without corrections, the latter with them. With half, no number of receivers is taken to be more accurate than it is by
+more than a factor of the square root of two."""
 
 FINEST_M = 0.01
-"""No position is better than that: its last digit in the message is a centimetre."""
+"""Least standard deviation of a position: the last digit in the message is a centimetre."""
 
 
 def position_sigma_m(told_m: float, settings: JointSettings) -> float:
-    """Return how exact positions are, as messages tell, or as the settings say where they do not: NaN."""
+    """Return the standard deviation of positions that messages report, or that of the settings if they report NaN."""
     return max(told_m, FINEST_M) if np.isfinite(told_m) else settings.position_sigma_m
 
 
 def decay(stamps_s: FloatArray, way_m: FloatArray, settings: JointSettings) -> FloatArray:
-    """Return how one receiver's errors at some times and places of its way, shape (k,), are correlated, shape (k, k).
+    """Return the correlation, shape (k, k), of one receiver's errors at times and distances travelled, shape (k,).
 
-    All of an error changes with the time; what walls reflect also with the way, and while it stands no faster.
+    The whole error changes with time. The multipath part also changes with the distance travelled, and no faster while
+    the vehicle is stationary.
     """
     reflected = (1.0 - ALIKE) * np.exp(-np.abs(way_m[:, None] - way_m) / settings.bias_way_m)
     correlation: FloatArray = in_time(stamps_s, settings) * (ALIKE + reflected)
@@ -36,6 +37,6 @@ def decay(stamps_s: FloatArray, way_m: FloatArray, settings: JointSettings) -> F
 
 
 def in_time(stamps_s: FloatArray, settings: JointSettings) -> FloatArray:
-    """Return how errors at some times, shape (k,), are correlated by these alone, shape (k, k)."""
+    """Return the correlation of errors at k times, shape (k,), by time alone, shape (k, k)."""
     correlation: FloatArray = np.exp(-np.abs(stamps_s[:, None] - stamps_s) / settings.bias_time_s)
     return correlation

@@ -1,9 +1,9 @@
-"""The visible outline of a vehicle on the ground plan: which side each line of sight meets, and how far off a point is.
+"""The visible outline of a vehicle on the ground plan: which side each line of sight meets, and each point's distance.
 
-The outline is the rectangle that the messages tell, with what makes a real body differ from it: ends and sides that may
-stand a few centimetres in or out, bow and taper, sides that draw in towards the sills except at the wheels, corners
-that are round, and a lorry's cab, which is narrower than what it carries. Only the lower part of a body, below the
-bonnet and the windows, is that wide and that long; `LOWEST_M` and the heights after it bound it.
+The outline is the rectangle of the reported length and width, with the features by which a real body differs from it:
+ends and sides that may be a few centimetres farther out or in, that bow and taper, sides that draw in towards the sills
+except at the wheels, round corners, and a lorry's cab, which is narrower than its load. Only the lower part of a body,
+below the bonnet and the windows, has this length and width; `LOWEST_M` and the heights after it bound that part.
 """
 
 from __future__ import annotations
@@ -17,115 +17,119 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, per
 from laci_stereo.core.settings import VehicleSettings
 
 LOWEST_M = 0.25
-"""Bumpers and sills begin at about this height above the ground; the clearance of a car is 0.12 to 0.2 m."""
+"""Height above the ground at which bumpers and sills begin, roughly; the ground clearance of a car is 0.12 to 0.2 m."""
 
 GROUND_SIGMAS = VehicleSettings.ground_sigmas
-"""What is within so many sigma of the ground was taken for ground."""
+"""Points within this many standard deviations of the ground were taken as ground."""
 
 HIGHEST_M = 0.65
-"""The bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front end leans back."""
+"""Height up to which a car is upright: the bonnet of a passenger car begins at 0.65 to 0.75 m, above which its front
+end leans back."""
 
 ENDS_HIGHEST_M = 0.6
-"""Bonnet and boot begin with an edge that is round by 5 cm or more: a scanner sees it; a matcher's window is taller."""
+"""The same height for the ends of a car as seen by a scanner: bonnet and boot begin with an edge that is round by 5 cm
+or more. A scanner resolves it; a matching window is taller."""
 
 SIDES_HIGHEST_M = 0.9
-"""A car's sides are as wide as that up to here, where windows begin to stand back and mirrors to stand out by 0.2 m.
-But a matcher takes into what it sees of the sides what shows through the windows above, metres behind them."""
+"""The same height for the sides of a car as seen by a scanner: above it the windows recede and the mirrors protrude by
+0.2 m. A matcher also sees through the windows above, to surfaces metres behind the sides."""
 
 HEAVY_WIDTH_M = 2.2
-"""What is wider is a lorry or a bus (passenger cars end at 2.1 m without mirrors), whose walls are upright..."""
+"""Least width of a lorry or a bus, whose walls are upright; passenger cars are at most 2.1 m wide without mirrors."""
 
 HEAVY_HIGHEST_M = 3.0
-"""...up to their roofs, at 3 m and more, ..."""
+"""Height up to which the walls of a lorry or a bus are upright: their roofs are at 3 m or more."""
 
 HEAVY_FRONT_HIGHEST_M = 1.2
-"""...but in front only up to the windscreen, which stands back and begins at 1.2 m so that drivers see the road, ..."""
+"""The same height for their fronts: the windscreen recedes and begins at 1.2 m, so that drivers see the road."""
 
 MIRRORS_M = 1.0
-"""...and no farther up at the sides so far behind the front, where mirrors stand out by 0.2 m. A car's wings are round
-so far behind its front."""
+"""Distance behind the front within which the sides count as upright only as high up as the front: there the mirrors of
+a lorry protrude by 0.2 m, and a car's wings are round."""
 
 CAB_M = 2.0
-"""A lorry's cab is 1.6 m long without a berth, 2.3 m with one."""
+"""Length of a lorry's cab: 1.6 m without a berth, 2.3 m with one."""
 
 WAIST_M = 0.65
-"""A car's sides are widest from here upwards, and draw in towards the sills below it, ..."""
+"""Height from which a car's sides have their full width; below it they draw in towards the sills, except at the wheels,
+which protrude as far as the waist."""
 
 OVERHANGS = (0.19, 0.205)
-"""...but not at its wheels, which stand as far out as the waist. So far from its end, over the length, is the front and
-the rear axle: 0.17 to 0.21 and 0.16 to 0.23 in seven models from 3.6 to 4.9 m."""
+"""Distances of the front axle from the front and of the rear axle from the rear, over the vehicle's length: 0.17 to
+0.21 and 0.16 to 0.23 in seven models of 3.6 to 4.9 m."""
 
 WHEEL_M = (0.2, 0.46)
-"""So far ahead of an axle's expected place, or behind it, a wheel surely is, and surely is not: a tyre's radius is
-0.33 m, and axles are elsewhere by 0.13 m at most."""
+"""Distances ahead of an axle's expected place, or behind it, up to which there surely is a wheel, and beyond which
+there surely is none: a tyre's radius is 0.33 m, and axles are at most 0.13 m from their expected place."""
 
 SHAPE = (
     "front", "rear", "side", "lever_y", "front_bow", "rear_bow", "taper", "cab", "sill", "front_radius", "rear_radius"
 )  # fmt: skip
-"""The parameters of an outline, metres: by how much front, rear and sides stand out of the rectangle, its shift to the
-left, how far ends and sides stand back where they end, how far the cab's sides do, how far a car's sides do at the
-sills, and the radii of the corners."""
+"""The parameters of an outline, metres: how far front, rear and sides extend beyond the rectangle; the outline's shift
+to the left; how far ends and sides recede at their corners; how far the cab's sides recede; how far a car's sides
+recede at the sills; and the radii of the corners."""
 
 SHAPE_MEAN = np.array([-0.015, -0.015, -0.015, 0.0, 0.03, 0.03, 0.03, 0.0, 0.04, 0.25, 0.25])
 SHAPE_SIGMA = np.array([0.02, 0.02, 0.02, 0.0, 0.03, 0.03, 0.03, 0.001, 0.03, 0.12, 0.12])
-"""What is known of the shape of any vehicle at this height. Length and width bound the whole body, at its handles,
-wheel arches and bumper's edge; panels and bumpers stand back from that by up to 3 cm, ends and sides curve by as much,
-doors draw in by 1 to 8 cm from the waist to the sill, and the corners' radii are 0.1 m for a van and 0.5 m for a small
-car."""
+"""Prior mean and standard deviation of the shape of any vehicle at this height. Length and width bound the whole body,
+at its handles, wheel arches and bumper's edge; panels and bumpers recede from that by up to 3 cm, ends and sides curve
+by as much, doors draw in by 1 to 8 cm from the waist to the sill, and the corners' radii range from 0.1 m for a van to
+0.5 m for a small car."""
 
 HEAVY_CAB_M = (0.04, 0.05)
-"""Mean and standard deviation of how far a cab's sides stand back, of what is as wide as a lorry: cabs are 2.3 to 2.5 m
-wide, what they carry up to 2.55 m, and a bus has none."""
+"""Prior mean and standard deviation of how far a cab's sides recede, for vehicles as wide as a lorry: cabs are 2.3 to
+2.5 m wide, their loads up to 2.55 m, and a bus has no cab."""
 
 HEAVY_SILL_M = (0.0, 0.01)
-"""The same of the sills of what is as wide as a lorry: its sides are upright."""
+"""The same for the sills of vehicles as wide as a lorry, whose sides are upright."""
 
 _LEVER_Y, _CAB, _SILL = (SHAPE.index(name) for name in ("lever_y", "cab", "sill"))
 
 SHARP_M = 0.05
-"""Below this a radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
+"""Radius below which a corner's radius fades to 0 instead of becoming negative: r = s ln(1 + exp(x / s))."""
 
 OUTLINE_SIGMA_M = 0.03
-"""Standard deviation of a body about such an outline: wheel arches, handles, bumper grooves."""
+"""Standard deviation of a real body about such an outline: wheel arches, handles, bumper grooves."""
 
 CORNER_SIGMA_M = 0.05
-"""The same at corners, which are no arcs of circles."""
+"""The additional standard deviation at corners, which are not exactly arcs of circles."""
 
 FACES = 5
-"""Rear, front, right, left, and the corner that a line of sight passes by."""
+"""Number of faces: rear, front, right, left, and the corner that a line of sight passes by."""
 
 BORDERS = 2
-"""Further faces: the borders that the outermost lines of sight touch, right and left."""
+"""Number of further faces: the right and the left border, which the outermost lines of sight touch."""
 
 SIDES = 4
-"""The first four of them."""
+"""Number of sides: the first four faces."""
 
 _REAR, _FRONT, PASSED = 0, 1, 4
 
 
 @dataclass(frozen=True)
 class Hits(Columns):
-    """Where points lie about an outline.
+    """How points lie relative to an outline.
 
     Attributes
     ----------
     distance : ndarray, shape (n,)
-        Signed, along the normal of the side that the line of sight meets; positive outside, metres.
+        Signed distance along the normal of the side that the line of sight meets; positive outside, metres.
     variance : ndarray, shape (n,)
-        Of the distance: noise of the point, and the outline's own.
+        Variance of the distance: the point's noise, and the deviations of a real body from the outline.
     normal : ndarray, shape (n, 2)
-        Outward, vehicle frame.
+        Outward normal, vehicle frame.
     by_shape : ndarray, shape (n, 11)
-        Derivative of the distance by `SHAPE`.
+        Derivatives of the distance by `SHAPE`.
     face : ndarray of int, shape (n,)
-        0 rear, 1 front, 2 right, 3 left, 4 passed by, 5 and 6 touched on its right and left border.
+        0 rear, 1 front, 2 right, 3 left, 4 passed by, 5 and 6 touched at its right and left border.
     reach : ndarray, shape (n,)
-        Distance from the sensor to the side, over the distance to the point.
+        Ratio of the distance from the sensor to the side to that from the sensor to the point.
     cos : ndarray, shape (n,)
-        Of the angle between line of sight and normal, by which ranges are longer than distances; 0 where one passes by.
-    within : ndarray, shape (n,)
-        How far from the outline's nearer border, as the sensor sees it, the line of sight meets it, metres; 0 where one
+        Cosine of the angle between line of sight and normal, the ratio of distance to range; 0 where a line of sight
         passes by.
+    within : ndarray, shape (n,)
+        How far inside the outline's nearer border, as seen from the sensor, the line of sight meets it, metres; 0 where
+        it passes by.
     """
 
     distance: FloatArray
@@ -147,10 +151,10 @@ def meet(
     shape: FloatArray,
     z: FloatArray,
 ) -> Hits:
-    """Find what each line of sight meets of an outline.
+    """Find where each line of sight meets an outline.
 
-    Bearings are much more exact than ranges in a camera, and as exact in a scanner; so the line of sight says which
-    side a point is from, even where noise has moved it nearer to another one.
+    Bearings are much more accurate than ranges in a camera, and as accurate in a scanner; the line of sight therefore
+    determines which side a point is from, even where noise has moved it nearer to another one.
 
     Parameters
     ----------
@@ -159,9 +163,9 @@ def meet(
     origin : ndarray, shape (n, 2)
         The sensor in the vehicle frame.
     sigma_along, sigma_across : ndarray, shape (n,)
-        Noise on the ground plan, along and across the line of sight.
+        Standard deviations on the ground plan, along and across the line of sight.
     size : tuple of float
-        Length and width that the messages tell.
+        Length and width that the messages report.
     shape : ndarray, shape (11,)
         See `SHAPE`.
     z : ndarray, shape (n,)
@@ -190,7 +194,7 @@ def meet(
 
 @dataclass(frozen=True)
 class _Rays:
-    """Lines of sight: from where, in which direction, how far to the point, and which sides they can meet."""
+    """Lines of sight: their origin, direction and distance to the point, and which end and which side they can meet."""
 
     origin: FloatArray
     u: FloatArray
@@ -200,9 +204,10 @@ class _Rays:
 
 
 def about_middle(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where the outline's middle is in the vehicle frame, shape (2,), and the shape about it.
+    """Return the outline's middle in the vehicle frame, shape (2,), and the shape relative to it.
 
-    Where positions are of another place on the vehicle than was said, the middle is half a length ahead or behind.
+    Where the reported positions are those of another place on the vehicle than was stated, the middle may be half a
+    length ahead or behind.
     """
     front, rear = shape[:2].tolist()
     about = shape.copy()
@@ -220,22 +225,22 @@ def _rays(xy: FloatArray, origin: FloatArray) -> _Rays:
 
 @dataclass(frozen=True)
 class _Sides:
-    """Where rays meet the outline as if it had no arcs at its corners.
+    """Where lines of sight meet the outline without the arcs at its corners.
 
     Attributes
     ----------
     enter : ndarray, shape (n,)
-        How far along each ray.
+        Distance along each line of sight.
     hit : ndarray of bool, shape (n,)
-        It meets it at all, ...
+        Whether it meets the outline.
     at_end : ndarray of bool, shape (n,)
-        ...at an end, not at a side.
+        Whether it does so at an end rather than at a side.
     normal : ndarray, shape (n, 2)
     bent, tapered : ndarray, shape (n,)
-        By what share of its bow an end, and of its taper a side, stands back there.
+        Fraction of its bow by which an end recedes there, and of its taper by which a side does.
     beside_cab : ndarray of bool, shape (n,)
     drawn : ndarray, shape (n,)
-        By what share of its sill's a side stands back there.
+        Fraction of the recess of its sill by which a side recedes there.
     """
 
     enter: FloatArray
@@ -259,7 +264,7 @@ def _meet_sides(rays: _Rays, half: FloatArray, shape: FloatArray, z: FloatArray)
 
     t_end = (end_x - origin[:, 0]) / u[:, 0]
     t_side = (side_y - origin[:, 1]) / u[:, 1]
-    for _ in range(2):  # ends bow as the square, sides taper: by centimetres, so this converges at once
+    for _ in range(2):  # ends bow quadratically, sides taper: by centimetres, so this converges at once
         eta = np.clip((origin[:, 1] + t_end * u[:, 1]) / half[1], -1.0, 1.0)
         t_end = (end_x - sign_x * bow * eta**2 - origin[:, 0]) / u[:, 0]
         xi = np.clip((origin[:, 0] + t_side * u[:, 0]) / half[0], -1.0, 1.0)
@@ -282,19 +287,19 @@ def _meet_sides(rays: _Rays, half: FloatArray, shape: FloatArray, z: FloatArray)
 
 @dataclass(frozen=True)
 class _Corners:
-    """The same with the arcs; what meets nothing passes by the corner that it comes nearest to.
+    """Where lines of sight meet the outline with its arcs; those that miss it are assigned to the nearest corner.
 
     Attributes
     ----------
     enter : ndarray, shape (n,)
-        How far along each ray.
+        Distance along each line of sight.
     normal : ndarray, shape (n, 2)
     round_, passes : ndarray of bool, shape (n,)
-        At an arc, or passing by one; and the latter.
+        Whether it meets an arc or passes by one; and whether it passes by.
     misses : ndarray, shape (n,)
-        By how much a ray passes by the arc; negative where it meets it.
+        Distance by which a line of sight misses the arc; negative where it meets it.
     at_front : ndarray of bool, shape (n,)
-        The arc is one of the front's.
+        Whether the arc is one of the front's.
     within : ndarray, shape (n,)
         See `Hits`.
     """
@@ -350,7 +355,7 @@ def _by_shape(rays: _Rays, sides: _Sides, corners: _Corners, shape: FloatArray) 
     by_radius = np.where(round_, np.abs(normal[:, 0]) + np.abs(normal[:, 1]) - 1.0, 0.0) * np.where(of_front, *fading)
     by_shape = np.empty((len(normal), len(SHAPE)))
     by_ends = ((0, -out_x), (SHAPE.index("front_bow"), out_x * bent), (SHAPE.index("front_radius"), by_radius))
-    for column, by_end in by_ends:  # of the front, and next to it of the rear
+    for column, by_end in by_ends:  # the front's column, followed by the rear's
         by_shape[:, column], by_shape[:, column + 1] = np.where(of_front, by_end, 0.0), np.where(of_front, 0.0, by_end)
     by_shape[:, 2], by_shape[:, _LEVER_Y], by_shape[:, SHAPE.index("taper")] = -out_y, -normal[:, 1], out_y * tapered
     by_shape[:, _CAB] = out_y * np.where(round_, of_front, sides.beside_cab)
@@ -359,25 +364,25 @@ def _by_shape(rays: _Rays, sides: _Sides, corners: _Corners, shape: FloatArray) 
 
 
 def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[float, float], shape: FloatArray) -> Hits:
-    """Find by how much lines of sight miss an outline of which each should touch one border.
+    """Find by how much lines of sight miss the borders of an outline that they should touch.
 
-    Whatever the points' ranges, they touch it at the corner that lies farthest to that side.
+    Whatever the points' ranges, a line of sight touches the outline at the corner that lies farthest to that side.
 
     Parameters
     ----------
     xy, origin : ndarray, shape (n, 2)
         Points and the sensor in the vehicle frame, metres.
     to_left : ndarray of bool, shape (n,)
-        It should touch the left border, so that all of the outline lies to its right.
+        Whether the line of sight should touch the left border, so that the whole outline lies to its right.
     size, shape
         See `meet`.
 
     Returns
     -------
     Hits
-        With ``distance`` at right angles to the line of sight, positive where it misses the outline, with the outline's
-        own ``variance``, and with ``reach`` the distance from the sensor to where it is nearest to that corner, over
-        the distance to the point.
+        The ``distance`` is perpendicular to the line of sight and positive where it misses the outline. The
+        ``variance`` is only that of a real body about the outline. The ``reach`` is the ratio of the distance at which
+        the line of sight is nearest to that corner to the distance of the point.
     """
     middle, shape = about_middle(shape)
     xy, origin, (of_front, of_rear) = xy - middle, origin - middle, shape[-2:]
@@ -392,7 +397,7 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
     (out_x, out_y), front = np.abs(normal).T, outward[which, 0] > 0.0
     by_radius = (out_x + out_y - 1.0) / (1.0 + np.exp(-np.where(front, of_front, of_rear) / SHARP_M))
     ends = np.column_stack([front, ~front])
-    by_end, no_sill = out_x[:, None] * ends, np.zeros(len(far))  # the waist is in view as well, and stands out
+    by_end, no_sill = out_x[:, None] * ends, np.zeros(len(far))  # the waist is in view as well, and protrudes
     return Hits(
         distance=-beyond.max(axis=1),
         variance=np.full(len(far), OUTLINE_SIGMA_M**2 + CORNER_SIGMA_M**2),
@@ -408,16 +413,16 @@ def touch(xy: FloatArray, origin: FloatArray, to_left: BoolArray, size: tuple[fl
 
 
 def _tapered(xi: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far the sides have tapered at places along them, from -1 to 1, and the slope there.
+    """Return the fraction of the sides' taper at places along them, from -1 to 1, and its derivative.
 
-    By the fourth power of the distance from the middle, that is over the length of a wing.
+    The taper grows with the fourth power of the distance from the middle, that is over the length of a wing.
     """
     square = xi**2
     return square * square, 4.0 * square * xi
 
 
 def _wheels(x: FloatArray, length_m: float) -> FloatArray:
-    """Return how surely there is a wheel at places along a car's side, shape (n,), from 0 to 1."""
+    """Return how certain a wheel is at places along a car's side, shape (n,), from 0 to 1."""
     ahead, behind = ((0.5 - share) * length_m for share in OVERHANGS)
     away = np.minimum(np.abs(x - ahead), np.abs(x + behind))
     within, beyond = WHEEL_M
@@ -426,7 +431,7 @@ def _wheels(x: FloatArray, length_m: float) -> FloatArray:
 
 
 def _leave(origin: FloatArray, u: FloatArray, half: FloatArray) -> FloatArray:
-    """Return how far along each ray the rectangle is left."""
+    """Return the distance along each line of sight at which it leaves the rectangle."""
     nearer: FloatArray = ((np.sign(u) * half - origin) / u).min(axis=1)
     return nearer
 
@@ -441,7 +446,7 @@ def _corners(half: FloatArray, shape: FloatArray) -> FloatArray:
 
 
 def expected_shape(width_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of the shape of a vehicle of this width, shape (11,) each."""
+    """Return prior mean and standard deviation of the shape of a vehicle of this width, shape (11,) each."""
     mean, sigma = SHAPE_MEAN.copy(), SHAPE_SIGMA.copy()
     if width_m >= HEAVY_WIDTH_M:
         mean[_CAB], sigma[_CAB] = HEAVY_CAB_M
@@ -450,17 +455,17 @@ def expected_shape(width_m: float) -> tuple[FloatArray, FloatArray]:
 
 
 def highest_of(width_m: float, face: IntArray, behind_m: FloatArray, *, matched: bool) -> FloatArray:
-    """Return up to what height a vehicle of this width is upright, shape (n,), metres.
+    """Return the height up to which a vehicle of this width is upright, shape (n,), metres.
 
     Parameters
     ----------
     width_m : float
     face : ndarray of int, shape (n,)
-        Side that is met.
+        Face that the line of sight meets.
     behind_m : ndarray, shape (n,)
-        How far behind the front end.
+        Distance behind the front end.
     matched : bool
-        Seen by a matcher, and not by a scanner.
+        The points are from a matcher, not from a scanner.
     """
     ahead = (face == _FRONT) | (face == PASSED) | (behind_m < MIRRORS_M)
     if width_m >= HEAVY_WIDTH_M:
@@ -472,9 +477,9 @@ def highest_of(width_m: float, face: IntArray, behind_m: FloatArray, *, matched:
 
 
 def lowest_of(sigma_z: FloatArray) -> FloatArray:
-    """Return above what height points with this noise of their heights are surely not of the road, shape (n,), metres.
+    """Return the height above which points with this noise of their heights are surely not of the road, (n,), metres.
 
-    Below five sigma of the road the far half of their noise is missing.
+    Less than five standard deviations above the road, points in the far half of their noise were removed with the road.
     """
     lowest_m: FloatArray = np.maximum(LOWEST_M, GROUND_SIGMAS * sigma_z) + 2.0 * sigma_z
     return lowest_m
@@ -485,20 +490,21 @@ def on_the_wall(
 ) -> BoolArray:
     """Tell which lines of sight meet the outline at a height where it is upright.
 
-    The height is taken where the ray meets the outline, not where the noisy point lies: selecting by the point's own
-    height would keep those of the wall that were measured too near and those of the bonnet that were measured too far.
-    Where the noise of heights hides the wall's lowest part in the road's, the points below are kept as well, so that
-    none are missing (`Low`). What passes by shows no other height than its own.
+    The height is that at which the line of sight meets the outline, not that of the noisy point: selecting by the
+    point's own height would keep points of the wall that were measured too near and points of the bonnet that were
+    measured too far. Where the noise of heights blurs the wall's lowest part into the road, the points below are kept
+    as well (`Low`), so that none are missing. A line of sight that passes by the outline has no other height than that
+    of its point.
 
     Parameters
     ----------
     height_m : float
-        Of the sensor above the ground.
+        Height of the sensor above the ground.
     z, sigma_z : ndarray, shape (n,)
-        Height of the points, and its noise.
+        Height of the points, and its standard deviation.
     hits : Hits
     blur_m : ndarray, shape (n,)
-        How far up from the wall's lower edge what is below it still shows.
+        Height above the wall's lower edge up to which what is below the edge still affects the points.
     highest_m : ndarray, shape (n,)
         See `highest_of`.
     """
