@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sys
 import time
@@ -35,6 +34,7 @@ from laci_stereo.io.lanelets import read_lanelets
 from laci_stereo.io.output import whole_file, write_file
 from laci_stereo.io.stereo_calibration import calibration_files
 from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.job import sha256
 from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import Provider
 from laci_stereo.mask.stage import VehicleMask
@@ -228,7 +228,7 @@ def plan_of(
     MapError
     """
     settings, core = MonitorSettings(), Settings()
-    identity = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    identity = {name: sha256(path) for name, path in files.items()}
     stages = {name: asdict(getattr(core, name)) for name in ("background", "cluster", "box", "vehicle", "track")}
     for stage, values in {"monitor": asdict(settings), **stages}.items():
         identity |= {f"{stage}.{name}": str(value) for name, value in values.items()}

@@ -155,8 +155,8 @@ def test_files_in_and_the_true_transform_out(
     assert ran.code == 0, ran
     *found_so, of_the_scanner = ran.err.splitlines()
     assert "--sweep tells it" in of_the_scanner
-    assert [note[:47] for note in found_so] == (
-        ["note: by the drive, the scanner measures a scan", ASSUMED[:47]] if method is None else []
+    assert [note[:50] for note in found_so] == (
+        ["note: by the drive, the scanner measures a scan's ", ASSUMED[:50]] if method is None else []
     )
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
     found = document(site)

@@ -96,8 +96,8 @@ def locate(
         choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings)
     except MatchError as error:
         raise MatchError(f"{error}{_assumed(vehicles)}", error.nearer_per_m) from error
-    margin, second = choice.log_likelihood_margin, choice.second_is
-    log.info("station %d: %.1f frames explained; log odds %.1f to %s", choice.station, choice.explained, margin, second)
+    log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
+    log.info("next best: %s, by log odds of %.1f less", choice.second_is, choice.log_likelihood_margin)
     for remark in vehicles[choice.station].remarks:
         log.warning("%s", remark)
     own, *others = along_ground(_passages(choice, seen, vehicles, world, settings))

@@ -287,7 +287,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         raise CamError(f"{len(log)} CAMs with a position while it is recorded; needed are at least 2")
     (length, width), guessed, remarks = dimensions(log.length_m, log.width_m)
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
-    held = held_positions(log.stamps_ns / 1e9, xy, log.speed_mps, STANDING_MPS)
+    held = held_positions((log.stamps_ns - epoch_ns) / 1e9, xy, log.speed_mps, STANDING_MPS)
     if held.any():
         of_station = f"messages of station {log.station_id[0]}"
         remarks += (f"{np.count_nonzero(held)} of {len(held)} {of_station} repeat an older position: left out",)
@@ -344,11 +344,9 @@ def _altitudes(altitude_m: FloatArray) -> tuple[FloatArray | None, tuple[str, ..
     A receiver's altitudes vary by centimetres at least: where all are 0, the sender fills in what it does not know.
     """
     known = altitude_m[np.isfinite(altitude_m)]
-    if not len(known):
-        return None, ()
-    if not known.any():
-        return None, ("the messages report 0 m as altitude throughout: taken as unknown",)
-    return altitude_m, ()
+    if known.any():
+        return altitude_m, ()
+    return None, ("the messages report 0 m as altitude throughout: taken as unknown",) if len(known) else ()
 
 
 def _fitting(

@@ -117,5 +117,6 @@ def test_a_focal_length_that_is_far_off_is_named_where_nothing_fits() -> None:
     made = scene(LEFT_TURN, stereo(window_px=5))
     right = made.recording
     wrong = TooShort(right.sensor, right.T_world_sensor, right.static, right.movers, right.times_s)
-    with pytest.raises(MatchError, match=r"focal length were 2\d % longer than its calibration has it, station \d+"):
+    told = r"camera's focal length were 2\d % longer than its calibration has it, station \d+"
+    with pytest.raises(MatchError, match=told):
         calibrate(wrong, made.messages)

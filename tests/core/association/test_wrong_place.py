@@ -115,6 +115,6 @@ def test_the_refusal_of_a_wrong_place_names_the_right_one(
     drive: Drive, size: tuple[float, float], said: ReferencePoint
 ) -> None:
     made = scene(drive, lidar(), size=size)
-    with pytest.raises(MatchError, match=r"another point on the vehicle, .*: --cam-reference front"):
+    with pytest.raises(MatchError, match=r"if .* were of another point on the vehicle, .*: --cam-reference front"):
         calibrate(made.recording, made.messages, reference=said)
     assert calibrate(made.recording, made.messages, reference=FRONT).quality.verdict == "pass"
