@@ -10,9 +10,9 @@ from typing import Literal, TypeAlias
 import click
 
 from laci_stereo.cli_options import PATH, say_written
-from laci_stereo.io.cam_export import to_csv, to_geojson
-from laci_stereo.io.cam_log import read_cam_log
-from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.cam.export import to_csv, to_geojson
+from laci_stereo.io.cam.log import read_cam_log
+from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.images import write_picture
 from laci_stereo.io.output import check_files, check_png, write_file
 from laci_stereo.report.cam_map import draw_log

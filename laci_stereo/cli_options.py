@@ -31,7 +31,7 @@ from laci_stereo.core.settings import (
     above_zero,
 )
 from laci_stereo.io.output import check_output
-from laci_stereo.io.rig import MAX_BASELINE_M, MIN_BASELINE_M
+from laci_stereo.io.rig.stereo_rig import MAX_BASELINE_M, MIN_BASELINE_M
 from laci_stereo.job import DriveOptions, Result, Task
 
 SURE_CLOCK_S, LOST_CLOCK_S = 1e-6, 60.0

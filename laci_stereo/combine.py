@@ -14,10 +14,10 @@ from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
-from laci_stereo.io.calibration_file import Provenance
-from laci_stereo.io.evidence_file import Kept, read_evidence
-from laci_stereo.io.lane_map import LaneMap, read_lane_map
+from laci_stereo.io.maps.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE
+from laci_stereo.io.result.calibration_file import Provenance
+from laci_stereo.io.result.evidence_file import Kept, read_evidence
 from laci_stereo.io.text_file import listed
 from laci_stereo.job import Result, sha256
 from laci_stereo.report.page import Photographs

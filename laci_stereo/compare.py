@@ -22,9 +22,9 @@ from scipy.special import chdtrc
 
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, invert, transform, wrap
-from laci_stereo.io.evidence_file import read_evidence
 from laci_stereo.io.output import EVIDENCE_FILE
-from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.io.result.evidence_file import read_evidence
+from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 
 CONTRADICTION_RATE = 0.01
 """Fraction of pairs of results with correct covariances that are reported as contradictory."""

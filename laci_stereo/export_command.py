@@ -8,10 +8,10 @@ import click
 
 from laci_stereo.cli_options import PATH, say_written
 from laci_stereo.core.errors import SettingError
-from laci_stereo.io.exports import FORMATS, ExportedFile, export_as
 from laci_stereo.io.output import check_files, make_folder, write_file
-from laci_stereo.io.siting import site
-from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.io.result.exports import FORMATS, ExportedFile, export_as
+from laci_stereo.io.result.siting import site
+from laci_stereo.io.result.stored_calibration import read_calibration
 
 
 @click.command()

@@ -8,10 +8,10 @@ import click
 
 from laci_stereo.cli_options import PATH, say_written
 from laci_stereo.core.errors import SettingError
-from laci_stereo.io.calibration_file import to_text
-from laci_stereo.io.imported import Direction, ImportOptions, import_pose, imported_document
 from laci_stereo.io.output import RESULT_FILE, check_output, result_folder
-from laci_stereo.io.written_pose import KINDS
+from laci_stereo.io.result.calibration_file import to_text
+from laci_stereo.io.result.imported import Direction, ImportOptions, import_pose, imported_document
+from laci_stereo.io.result.written_pose import KINDS
 from laci_stereo.job import sha256
 
 

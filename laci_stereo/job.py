@@ -21,14 +21,14 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
-from laci_stereo.io.calibration_file import Provenance, to_document, to_text
-from laci_stereo.io.cam_gnss import OF_ANTENNA
-from laci_stereo.io.cam_log import read_cam_log
-from laci_stereo.io.evidence_file import Kept, write_evidence
+from laci_stereo.io.cam.gnss import OF_ANTENNA
+from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.io.images import write_picture
-from laci_stereo.io.lane_map import LaneMap, read_lane_map
+from laci_stereo.io.maps.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE, result_folder
 from laci_stereo.io.overlap import check_overlap
+from laci_stereo.io.result.calibration_file import Provenance, to_document, to_text
+from laci_stereo.io.result.evidence_file import Kept, write_evidence
 from laci_stereo.report.page import Made, Photographs, write_page
 from laci_stereo.report.summary import summarise
 from laci_stereo.report.topdown import draw_topdown

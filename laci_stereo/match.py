@@ -15,9 +15,9 @@ from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
 from laci_stereo.core.ground.box_ground import HEIGHT_SIGMA_M, LEVEL_SIGMA_DEG, SLOPE_SIGMA, Below, ground_below
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import above_zero
-from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.detections import read_detections
-from laci_stereo.io.lane_map import find_lane_map
+from laci_stereo.io.maps.lane_map import find_lane_map
+from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
 
 CONTRADICTION = 4.0

@@ -29,11 +29,11 @@ from laci_stereo.cli_options import (
 from laci_stereo.core.errors import ImageError, LaciError, OutputError, SettingError
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.images import write_picture
-from laci_stereo.io.lane_map import LaneMap, find_lane_map
-from laci_stereo.io.lanelets import read_lanelets
+from laci_stereo.io.maps.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.maps.lanelets import read_lanelets
 from laci_stereo.io.output import whole_file, write_file
-from laci_stereo.io.stereo_calibration import calibration_files
-from laci_stereo.io.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
+from laci_stereo.io.rig.stereo_calibration import calibration_files
 from laci_stereo.job import sha256
 from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import Provider

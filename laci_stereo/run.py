@@ -16,11 +16,11 @@ from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.background import check_frames
-from laci_stereo.io.calibration_file import Provenance
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
-from laci_stereo.io.lane_map import LaneMap, find_lane_map
-from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME, StereoRig
-from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
+from laci_stereo.io.maps.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.result.calibration_file import Provenance
+from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
+from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME, StereoRig
 from laci_stereo.job import DriveOptions, Job, Result, read_drive, sha256
 from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import MaskOptions

@@ -14,7 +14,7 @@ from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import FloatArray, invert, transform
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
-from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import Result
 from tests.simulated import LEFT_TURN, RIGHT_TURN, STRAIGHT, Drive, Recording, Scene, cam_log, car, lidar, scene
 

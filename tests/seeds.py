@@ -11,10 +11,10 @@ import ezdxf
 import numpy as np
 
 from laci_stereo.core.messages.cam import CamLog
-from laci_stereo.io.calibration_file import to_text
-from laci_stereo.io.exports import FORMATS as EXPORTS
-from laci_stereo.io.exports import export_as
-from laci_stereo.io.imported import ImportOptions, import_pose, imported_document
+from laci_stereo.io.result.calibration_file import to_text
+from laci_stereo.io.result.exports import FORMATS as EXPORTS
+from laci_stereo.io.result.exports import export_as
+from laci_stereo.io.result.imported import ImportOptions, import_pose, imported_document
 from tests.io import cam_writers, map_writers, rig_writers
 from tests.io.sitings import siting
 from tests.io.support import write_images

@@ -15,7 +15,7 @@ from laci_stereo.core.cloud import PointCloud, PointCloudSource
 from laci_stereo.core.frames import Axes, FloatArray, invert, transform
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
-from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.run import prepare
 from tests.cli_support import DEMONSTRATION
 from tests.io.test_cam_log import COMPLETE, POSITIONS, assert_same_track

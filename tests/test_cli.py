@@ -635,7 +635,7 @@ def test_the_result_holds_what_the_schema_and_the_readme_say(demonstration: Fini
     assert topdown is not None
     assert len(np.unique(topdown)) > 10
     document = json.loads((demonstration.out / "calibration.json").read_text(encoding="utf-8"))
-    schema = Path(laci_stereo.__file__).parent / "io" / "calibration.schema.json"
+    schema = Path(laci_stereo.__file__).parent / "io" / "result" / "calibration.schema.json"
     Draft202012Validator(json.loads(schema.read_text(encoding="utf-8"))).validate(document)
     assert document["notes"] == [ASSUMED]
 

@@ -17,8 +17,8 @@ from jsonschema import Draft202012Validator
 from laci_stereo.combine import CombineOptions, combine
 from laci_stereo.core.errors import EvidenceError
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.io.calibration_file import schema
-from laci_stereo.io.evidence_file import read_evidence, write_evidence
+from laci_stereo.io.result.calibration_file import schema
+from laci_stereo.io.result.evidence_file import read_evidence, write_evidence
 from laci_stereo.match import match
 from tests.cli_support import refusal, run, run_installed, snapshot
 from tests.detections import cam_rows, detection_rows, traffic

@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from laci_stereo.cli import cli
-from laci_stereo.io.calibration_file import to_document, to_text
-from laci_stereo.io.exports import FORMATS
+from laci_stereo.io.result.calibration_file import to_document, to_text
+from laci_stereo.io.result.exports import FORMATS
 from tests.cli_support import Ran, Site, refusal, run, run_installed, write_small_recording
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
@@ -132,7 +132,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
 
 def map_csv(osm: Path, path: Path) -> None:
     from laci_stereo.core.world import World
-    from laci_stereo.io.lane_map import read_lane_map
+    from laci_stereo.io.maps.lane_map import read_lane_map
 
     world = World.around(48.4226, 9.9434, "EPSG:32632")
     rows = ["id,x,y,type,subtype"]

@@ -17,7 +17,7 @@ from jsonschema import Draft202012Validator
 from laci_stereo.core.errors import GroundError, InputError
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
-from laci_stereo.io.calibration_file import schema
+from laci_stereo.io.result.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match
 from tests.cli_support import refusal, run, run_installed, snapshot

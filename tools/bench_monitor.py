@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from laci_stereo.io.images import ImageFolder, pair_images, read_image
-from laci_stereo.io.stereo_calibration import calibration_files, read_stereo_calibration
+from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.stereo.recording import StereoRecording
 from tools.bench_run import PLAIN
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.tracking.tracks import Track
-from laci_stereo.io.evidence_file import read_evidence, write_evidence
 from laci_stereo.io.output import EVIDENCE_FILE
+from laci_stereo.io.result.evidence_file import read_evidence, write_evidence
 from tools.bench_run import run, tool
 
 DAY_NS = 86_400_000_000_000

@@ -8,7 +8,7 @@ import numpy as np
 
 from laci_stereo.check.fit import PlanarError
 from laci_stereo.check.lanes import LaneCheck, LineCheck
-from laci_stereo.io.calibration_file import Document
+from laci_stereo.io.result.calibration_file import Document
 
 
 def check_document(check: LaneCheck, map_sigma_m: float) -> Document:

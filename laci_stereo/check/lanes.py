@@ -20,7 +20,7 @@ from laci_stereo.check.sections import MAYBE, PAINTED, WALLS, Sections, sections
 from laci_stereo.check.traces import SURE, Traces
 from laci_stereo.check.verdict import Evidence, Judgement, judge
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
-from laci_stereo.io.lane_map import LaneLine
+from laci_stereo.io.maps.lane_map import LaneLine
 
 MAP_SIGMA_M = 0.05
 """Default standard deviation of a line's position in the map: surveys for lane maps specify 5 to 10 cm."""

@@ -12,7 +12,7 @@ from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.sections import PAINTED, WALLS
 from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.io.lane_map import LaneLine, LaneMap
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
 from laci_stereo.report.lines import subdivide
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke

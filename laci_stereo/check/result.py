@@ -12,7 +12,7 @@ from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
 from laci_stereo.core.result import Calibration
-from laci_stereo.io.calibration_file import boxes_in_world
+from laci_stereo.io.result.calibration_file import boxes_in_world
 
 Checking: TypeAlias = Callable[[Calibration], Checked | None]
 """Compares the map with what one kind of sensor saw; None without a map, or if the sensor cannot see lines."""

@@ -12,8 +12,8 @@ from laci_stereo.check.rig_images import RigCheck
 from laci_stereo.check.rig_parallax import FLOOR_PX
 from laci_stereo.check.rig_verdict import Fit
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.io.calibration_file import Document
-from laci_stereo.io.rig import Lens, StereoRig
+from laci_stereo.io.result.calibration_file import Document
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 from laci_stereo.stereo.rectify import undistorted
 
 DISTANCES_M = (10.0, 20.0, 40.0, 80.0)

@@ -14,7 +14,7 @@ from laci_stereo.check.rig_verdict import Finding, Fit, Outcome, judge, outcome_
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.subsampling import spread
 from laci_stereo.io.images import StereoPair
-from laci_stereo.io.rig import Lens, Size, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, Size, StereoRig
 from laci_stereo.stereo.rectify import already_rectified
 
 PAIRS = 5

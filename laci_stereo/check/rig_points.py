@@ -10,7 +10,7 @@ import numpy as np
 
 from laci_stereo.check.rig_matches import MOVED_PX, PairMatches
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
-from laci_stereo.io.rig import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 from laci_stereo.stereo.rectify import bouguet, undistorted
 
 COLUMNS, ROWS = 8, 6

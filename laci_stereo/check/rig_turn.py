@@ -23,7 +23,7 @@ from laci_stereo.check.rig_verdict import WARN_PX, Fit, contradictions, outcome_
 from laci_stereo.core.errors import ImageError, RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.images import StereoPair
-from laci_stereo.io.rig import StereoRig
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.stereo.rectify import Rectification, with_right_turned
 
 TurnDeg: TypeAlias = tuple[float, float, float]

@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.io.lane_map import LaneLine
+from laci_stereo.io.maps.lane_map import LaneLine
 
 SECTION_M = 1.0
 """Length of a section: long enough to average the road's texture, short relative to the shortest urban dash (3 m)."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from laci_stereo.core.errors import MapError
 from laci_stereo.core.frames import BoolArray, FloatArray, along_line
-from laci_stereo.io.lane_map import LaneMap
-from laci_stereo.io.lanelets import Lane
+from laci_stereo.io.maps.lane_map import LaneMap
+from laci_stereo.io.maps.lanelets import Lane
 
 NO_BOUNDARIES = frozenset(
     {"stop_line", "virtual", "traffic_sign", "traffic_light", "pedestrian_marking", "zebra_marking", "symbol"}

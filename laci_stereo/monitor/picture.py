@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.maps.lane_map import LaneMap
 from laci_stereo.monitor.checkpoint import State
 from laci_stereo.monitor.lanes import Strip
 from laci_stereo.monitor.report import LaneFinding, counted

@@ -8,7 +8,7 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray, Raster
 from laci_stereo.core.messages.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
-from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.report.canvas import TEXT, Canvas, Entry
 from laci_stereo.report.mapview import MARGIN_SHARE, MapView, draw_bar
 from laci_stereo.report.style import BLACK, BLUE, GREY, PURPLE, SKY_BLUE, VERMILLION, WHITE, Colour, Stroke

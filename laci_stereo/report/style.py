@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from laci_stereo.io.lane_map import LaneLine, LaneMap
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
 
 Colour: TypeAlias = tuple[int, int, int]
 """Blue, green, red."""

@@ -12,7 +12,7 @@ import numpy as np
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import MOST_BITS, read_image
-from laci_stereo.io.stereo_calibration import StereoRig
+from laci_stereo.io.rig.stereo_calibration import StereoRig
 
 log = logging.getLogger(__name__)
 

@@ -14,8 +14,8 @@ from laci_lidar.scan import Scan, scan_of
 from laci_lidar.sequence import counted
 from laci_stereo.core.frames import IntArray
 from laci_stereo.io.ahead import map_ahead
-from laci_stereo.io.bag_files import Bag, open_bag
-from laci_stereo.io.bag_records import CutOffError, Message, Topic
+from laci_stereo.io.bag.files import Bag, open_bag
+from laci_stereo.io.bag.records import CutOffError, Message, Topic
 from laci_stereo.io.text_file import listed, quoted, shortened
 
 EARLIEST_NS = 10**17

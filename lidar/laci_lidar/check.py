@@ -21,7 +21,7 @@ from laci_stereo.check.ridges import find_stripes
 from laci_stereo.check.sections import KERBS, PAINTED, WALLS, Sections, sections_of
 from laci_stereo.check.traces import Traces
 from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.io.lane_map import LaneLine, LaneMap
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
 from laci_stereo.report.mapview import MapView
 
 GROUND_M = 0.3

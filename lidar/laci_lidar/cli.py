@@ -17,8 +17,8 @@ from laci_stereo.check_command import check_free, deliver, map_options, needs_ki
 from laci_stereo.cli_options import PATH, Asked, calibrating, parse_background
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
-from laci_stereo.io.lane_map import find_lane_map
-from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.io.maps.lane_map import find_lane_map
+from laci_stereo.io.result.stored_calibration import read_calibration
 from laci_stereo.job import Job
 from laci_stereo.program import run_command
 

@@ -9,7 +9,7 @@ import click
 from laci_lidar.monitor import LidarFrames, stored_settings
 from laci_lidar.settings import LidarSettings
 from laci_stereo.cli_options import PATH
-from laci_stereo.io.stored_calibration import StoredCalibration
+from laci_stereo.io.result.stored_calibration import StoredCalibration
 from laci_stereo.monitor_command import Watch, Watched, monitoring
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_lidar.columns import Column, Columns
 from laci_lidar.errors import ScanError
-from laci_stereo.io.bag_types import known_types, types_told
+from laci_stereo.io.bag.message_types import known_types, types_told
 from laci_stereo.io.text_file import quoted
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"

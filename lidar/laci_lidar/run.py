@@ -17,8 +17,8 @@ from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.subsampling import spread
-from laci_stereo.io.calibration_file import Provenance
-from laci_stereo.io.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.maps.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
 
 LOOKED_AT = 5

@@ -8,8 +8,8 @@ from laci_lidar.errors import ScanError
 from laci_lidar.folder import ScanFolder
 from laci_lidar.read import SUFFIXES
 from laci_lidar.sequence import ScanSequence
+from laci_stereo.io.cam.packet_capture import PCAP_FORMATS, PCAPNG_MAGIC
 from laci_stereo.io.file_content import BAG_MAGICS, begins_with
-from laci_stereo.io.packet_capture import PCAP_FORMATS, PCAPNG_MAGIC
 
 _BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _CAPTURE_SUFFIXES = frozenset({".pcap", ".pcapng"})

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from laci_stereo.io.calibration_file import schema
+from laci_stereo.io.result.calibration_file import schema
 from tests.cli_support import (
     SMALL_LIMIT,
     Ran,

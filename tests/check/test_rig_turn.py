@@ -16,10 +16,10 @@ from laci_stereo.check.rig_turn import LEAST_PX, RightTurn, find_turn
 from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import invert, transform
 from laci_stereo.core.settings import GroundSettings, JointSettings, Settings
-from laci_stereo.io.calibration_file import to_document, to_text
 from laci_stereo.io.images import StereoPair
-from laci_stereo.io.rig import StereoRig
-from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.io.result.calibration_file import to_document, to_text
+from laci_stereo.io.result.stored_calibration import read_calibration
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.rectify import rectify, with_right_turned
 from laci_stereo.stereo.settings import StereoSettings

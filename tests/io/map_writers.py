@@ -14,7 +14,7 @@ from pyproj import Transformer
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.world import World
-from laci_stereo.io.lane_map import LaneLine
+from laci_stereo.io.maps.lane_map import LaneLine
 
 WORLD = World.around(48.4226, 9.9434)
 CAPE_TOWN = World.around(-33.918, 18.423)

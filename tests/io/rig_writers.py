@@ -13,7 +13,7 @@ import yaml
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from laci_stereo.io.rig import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 from laci_stereo.stereo.rectify import bouguet
 
 Write = Callable[[Path, StereoRig], tuple[Path, ...]]

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, rigid
 from laci_stereo.core.world import World
-from laci_stereo.io.siting import Siting
+from laci_stereo.io.result.siting import Siting
 
 ULM = World.around(48.4226, 9.9434)
 CAPE_TOWN = World.around(-33.918, 18.423)

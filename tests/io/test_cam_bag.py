@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.errors import CamError
-from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.cam.log import read_cam_log
 from tests.io import cam_writers as writers
 from tests.io.cam_writers import (
     CAM_TYPE,
@@ -98,7 +98,7 @@ def test_of_a_bag_that_is_cut_off_what_is_whole_is_used(tmp_path: Path):
 
 def test_without_the_extra_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = write_bag1(tmp_path / "a.bag", ros_cams(LOG))
-    for name in ("laci_stereo.io.cam_bag", "laci_stereo.io.bag_files", "laci_stereo.io.bag_records"):
+    for name in ("laci_stereo.io.cam.bag_log", "laci_stereo.io.bag.files", "laci_stereo.io.bag.records"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     for name in ("rosbags.rosbag1", "rosbags.rosbag2", "rosbags.interfaces", "rosbags.typesys"):
         monkeypatch.setitem(sys.modules, name, None)

@@ -12,9 +12,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from laci_stereo.core.messages.cam import CamLog
-from laci_stereo.io.cam_export import to_csv, to_geojson
-from laci_stereo.io.cam_log import read_cam_log
-from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.cam.export import to_csv, to_geojson
+from laci_stereo.io.cam.log import read_cam_log
+from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
 from tests.cli_support import DEMONSTRATION, run, run_installed

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.messages.cam import CamLog
-from laci_stereo.io.cam_csv import read_cam_csv
+from laci_stereo.io.cam.csv_log import read_cam_csv
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 
 START_NS = 1760000002_237000000

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.messages.cam import ELLIPSE_SIGMAS, CamLog
-from laci_stereo.io.cam_columns import ELLIPSE_ORIENTATION, LATITUDE, LONGITUDE, SEMI_MAJOR, SEMI_MINOR
-from laci_stereo.io.cam_gnss import ellipse_95, gnss_messages, recorded_drive
-from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.cam.columns import ELLIPSE_ORIENTATION, LATITUDE, LONGITUDE, SEMI_MAJOR, SEMI_MINOR
+from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
+from laci_stereo.io.cam.log import read_cam_log
 from tests.io import cam_writers as writers
 from tests.io.cam_writers import START_NS, WGS84, drive
 from tests.io.support import fuzz, noise, read_or_refused

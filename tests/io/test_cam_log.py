@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io import file_content
-from laci_stereo.io.cam_log import read_cam_log
-from laci_stereo.io.cam_recording import CamRecording
+from laci_stereo.io.cam.log import read_cam_log
+from laci_stereo.io.cam.recording import CamRecording
 from tests.io import cam_writers as writers
 from tests.io.cam_writers import WGS84, drive
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused

@@ -6,9 +6,9 @@ import dpkt
 import pytest
 
 from laci_stereo.core.errors import CamError
-from laci_stereo.io.cam_log import read_cam_log
-from laci_stereo.io.cam_recording import CamRecording
-from laci_stereo.io.packet_capture import frames
+from laci_stereo.io.cam.log import read_cam_log
+from laci_stereo.io.cam.packet_capture import frames
+from laci_stereo.io.cam.recording import CamRecording
 from tests.io import cam_writers as writers
 from tests.io.cam_asn1 import encode, vehicle_cam
 from tests.io.cam_writers import drive

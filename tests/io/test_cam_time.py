@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.io.its_time import DELTA_PERIOD_MS, generation_times, unix_ns
+from laci_stereo.io.cam.its_time import DELTA_PERIOD_MS, generation_times, unix_ns
 
 EPOCH = datetime(2004, 1, 1, tzinfo=timezone.utc)
 LEAPS = {

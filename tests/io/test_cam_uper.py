@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from laci_stereo.io.cam_columns import AXES, HEADING, LATITUDE, LENGTH, LONGITUDE, QUANTITIES, SPEED, WIDTH
-from laci_stereo.io.cam_etsi import Cam, DamagedError, OtherKindError, in_units, value_notes
-from laci_stereo.io.cam_uper import decode_cam, is_cam
+from laci_stereo.io.cam.columns import AXES, HEADING, LATITUDE, LENGTH, LONGITUDE, QUANTITIES, SPEED, WIDTH
+from laci_stereo.io.cam.etsi import Cam, DamagedError, OtherKindError, in_units, value_notes
+from laci_stereo.io.cam.uper import decode_cam, is_cam
 from tests.io.cam_asn1 import decode, encode, vehicle_cam
 from tests.io.support import SHARED, mutations, needs_shared
 

@@ -21,7 +21,7 @@ from laci_stereo.core.messages.slope import Slope
 from laci_stereo.core.tracking.box import Box
 from laci_stereo.core.tracking.sighting import NOTHING_LOW, Low
 from laci_stereo.core.tracking.tracks import Track
-from laci_stereo.io.evidence_file import LAYOUT, Kept, read_evidence, write_evidence
+from laci_stereo.io.result.evidence_file import LAYOUT, Kept, read_evidence, write_evidence
 from tests.report.support import calibration
 
 FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
-from laci_stereo.io.exports import FORMATS, export_as, frame_id
-from laci_stereo.io.siting import Siting
+from laci_stereo.io.result.exports import FORMATS, export_as, frame_id
+from laci_stereo.io.result.siting import Siting
 from tests.io.sitings import SITINGS, siting, ten_points
 
 MILLIMETRE = 1e-3

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.errors import CalibrationFileError, InputError, SettingError
 from laci_stereo.core.frames import FloatArray, invert, transform
-from laci_stereo.io.calibration_file import to_text
-from laci_stereo.io.exports import FORMATS, export_as
-from laci_stereo.io.imported import Imported, ImportOptions, import_pose, imported_document
-from laci_stereo.io.rig import RAW_FRAME, RECTIFIED_FRAME
-from laci_stereo.io.siting import Siting, site
-from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.io.result.calibration_file import to_text
+from laci_stereo.io.result.exports import FORMATS, export_as
+from laci_stereo.io.result.imported import Imported, ImportOptions, import_pose, imported_document
+from laci_stereo.io.result.siting import Siting, site
+from laci_stereo.io.result.stored_calibration import read_calibration
+from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME
 from tests.io.sitings import CONTINUED, FIJI, SITINGS, ULM, siting, sitings, ten_points
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from laci_stereo.core.errors import MapError
 from laci_stereo.core.world import World
-from laci_stereo.io.lane_map import find_lane_map, read_lane_map
+from laci_stereo.io.maps.lane_map import find_lane_map, read_lane_map
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 
 WORLD = World.around(48.4226, 9.9434)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.world import World
-from laci_stereo.io.lane_map import read_lane_map
-from laci_stereo.io.lanelets import Lane, lane_between, read_lanelets
+from laci_stereo.io.maps.lane_map import read_lane_map
+from laci_stereo.io.maps.lanelets import Lane, lane_between, read_lanelets
 
 WORLD = World.around(48.42, 9.94)
 LEFT = np.array([[0.0, 2.0], [20.0, 2.0], [40.0, 3.0]])

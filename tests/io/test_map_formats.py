@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from laci_stereo.core.errors import MapError, SettingError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.world import World
-from laci_stereo.io.lane_map import LaneLine, LaneMap, read_lane_map
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap, read_lane_map
 from tests.io.map_writers import (
     CAPE_TOWN,
     WORLD,

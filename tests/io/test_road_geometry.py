@@ -10,7 +10,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.special import fresnel
 
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.io.road_geometry import (
+from laci_stereo.io.maps.road_geometry import (
     CHORD_M,
     Bend,
     Cubic,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.errors import CalibrationFileError
-from laci_stereo.io.calibration_file import to_text
-from laci_stereo.io.exports import export_as
-from laci_stereo.io.imported import ImportOptions, import_pose, imported_document
-from laci_stereo.io.siting import site
-from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.io.result.calibration_file import to_text
+from laci_stereo.io.result.exports import export_as
+from laci_stereo.io.result.imported import ImportOptions, import_pose, imported_document
+from laci_stereo.io.result.siting import site
+from laci_stereo.io.result.stored_calibration import read_calibration
 from tests.io.sitings import siting
 
 BEYOND_FLOATS = 10**400

@@ -17,8 +17,8 @@ from laci_lidar.scans import open_scans
 from laci_stereo.check.images import Checked
 from laci_stereo.check.placed import Placed
 from laci_stereo.core.frames import FloatArray, rigid, rotation_z, transform
-from laci_stereo.io.calibration_file import to_document
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.maps.lane_map import LaneMap
+from laci_stereo.io.result.calibration_file import to_document
 from tests.check.support import CENTRE, CLAIMED, CROSSING, Painted, shift, turn_about
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration

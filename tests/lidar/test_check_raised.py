@@ -19,7 +19,7 @@ from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.sections import sections_of
 from laci_stereo.core.frames import FloatArray, rigid, rotation_z, transform
-from laci_stereo.io.lane_map import LaneLine, LaneMap
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
 from tests.check.support import CLAIMED, line, moved_by, shift, turn_about
 from tests.lidar.scanner import Listed, listed
 from tools.scenes.geometry import Body, Material, RayCaster

@@ -109,7 +109,7 @@ def test_without_the_extra_for_bags_it_is_named(tmp_path: Path, monkeypatch: pyt
     path = write_bag1(tmp_path / "a.bag", {"/points": SCANS})
     for name in (
         *("laci_lidar.bag", "laci_lidar.pointcloud2"),
-        *("laci_stereo.io.bag_files", "laci_stereo.io.bag_records"),
+        *("laci_stereo.io.bag.files", "laci_stereo.io.bag.records"),
     ):
         monkeypatch.delitem(sys.modules, name, raising=False)
     for name in ("rosbags.rosbag1", "rosbags.rosbag2", "rosbags.interfaces", "rosbags.typesys"):

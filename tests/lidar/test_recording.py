@@ -19,7 +19,7 @@ from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.io.axes import parse_axes
-from laci_stereo.io.cam_csv import read_cam_csv
+from laci_stereo.io.cam.csv_log import read_cam_csv
 from tests.io.support import SHARED, needs_shared
 from tests.lidar.scanner import Listed, listed, road
 from tests.lidar.support import (

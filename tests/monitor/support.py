@@ -12,8 +12,8 @@ import numpy as np
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.world import World
-from laci_stereo.io.lane_map import LaneMap
-from laci_stereo.io.lanelets import lane_between
+from laci_stereo.io.maps.lane_map import LaneMap
+from laci_stereo.io.maps.lanelets import lane_between
 from laci_stereo.monitor.lanes import Strip, strips_of
 from laci_stereo.monitor.run import Monitor, Plan
 from laci_stereo.monitor.settings import MonitorSettings

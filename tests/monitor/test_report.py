@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from laci_stereo.check.placed import Placed
-from laci_stereo.io.lane_map import LaneLine, LaneMap
-from laci_stereo.io.lanelets import lane_between
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
+from laci_stereo.io.maps.lanelets import lane_between
 from laci_stereo.monitor.checkpoint import State
 from laci_stereo.monitor.lanes import strips_of
 from laci_stereo.monitor.picture import MAP, draw_histogram

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.errors import GroundError, MapError
-from laci_stereo.io.lane_map import LaneLine, LaneMap
+from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
 from laci_stereo.monitor.lanes import Strip, strips_of
 from laci_stereo.monitor.run import Monitor
 from tests.monitor.support import (

@@ -14,7 +14,7 @@ import pytest
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, invert, planar
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.world import World
-from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.report.drawn import drives_of, sender_track
 from laci_stereo.report.page import Made, Photograph, Photographs
 from laci_stereo.report.page.photo import MOST_BYTES, jpeg

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
-from laci_stereo.io.calibration_file import schema, to_document
+from laci_stereo.io.result.calibration_file import schema, to_document
 from laci_stereo.report.page import Made, write_page
 from tests.report.page_support import PROVENANCE, Element, read
 from tests.report.support import calibration

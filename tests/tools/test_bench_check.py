@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.frames import invert, transform
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.maps.lane_map import LaneMap
 from tests.check.support import BARREL, CENTRE, LENS, looking_north
 from tools.bench_check import RIGHT, Shown, Trial, errors_of, report, scaled
 from tools.scenes.cameras import project

@@ -451,8 +451,8 @@ def test_a_data_set_is_what_was_simulated(tmp_path: Path):
     from laci_lidar.recording import LidarRecording
 
     from laci_stereo.core.calibrate import world_around
-    from laci_stereo.io.cam_csv import read_cam_csv
-    from laci_stereo.io.lane_map import read_lane_map
+    from laci_stereo.io.cam.csv_log import read_cam_csv
+    from laci_stereo.io.maps.lane_map import read_lane_map
 
     scene = draw_scene(8, "lidar_16", frames=60, point_times=True, turning="counter-clockwise", **QUIET)
     write_scene(scene, tmp_path)

@@ -10,15 +10,15 @@ from laci_lidar.read import read_scan
 from laci_lidar.scans import open_scans
 
 from laci_stereo.core.world import World
-from laci_stereo.io.cam_log import read_cam_log
+from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.io.detections import read_detections
-from laci_stereo.io.evidence_file import read_evidence
 from laci_stereo.io.images import ImageFolder, pair_images, read_image
-from laci_stereo.io.imported import ImportOptions, import_pose
-from laci_stereo.io.lane_map import read_lane_map
-from laci_stereo.io.siting import site
-from laci_stereo.io.stereo_calibration import read_stereo_calibration
-from laci_stereo.io.stored_calibration import read_calibration
+from laci_stereo.io.maps.lane_map import read_lane_map
+from laci_stereo.io.result.evidence_file import read_evidence
+from laci_stereo.io.result.imported import ImportOptions, import_pose
+from laci_stereo.io.result.siting import site
+from laci_stereo.io.result.stored_calibration import read_calibration
+from laci_stereo.io.rig.stereo_calibration import read_stereo_calibration
 from laci_stereo.mask.contract import read_contract
 from laci_stereo.mask.model_file import check_model
 from tools.fuzz.worker import Readers

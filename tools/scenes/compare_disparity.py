@@ -19,7 +19,7 @@ import numpy as np
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, transform
 from laci_stereo.core.robust import NORMAL
 from laci_stereo.io.images import ImageFolder
-from laci_stereo.io.stereo_calibration import read_stereo_calibration
+from laci_stereo.io.rig.stereo_calibration import read_stereo_calibration
 from laci_stereo.stereo.disparity import Region, match
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.recording import with_context

@@ -15,7 +15,7 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.world import World
 from laci_stereo.io.images import ImageFolder, pair_images
-from laci_stereo.io.stereo_calibration import read_stereo_calibration
+from laci_stereo.io.rig.stereo_calibration import read_stereo_calibration
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.recording import StereoRecording
 from laci_stereo.stereo.settings import StereoSettings

@@ -13,7 +13,7 @@ from laci_stereo.core.estimation.drive_prior import Correction
 from laci_stereo.core.frames import FloatArray, planar
 from laci_stereo.core.placement import CONTRADICTED
 from laci_stereo.core.result import Calibration, viewing_angles
-from laci_stereo.io.calibration_file import Provenance
+from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.report.page.residuals import SIDES, Laid
 from laci_stereo.report.summary import LEFT_OUT, others_of
 

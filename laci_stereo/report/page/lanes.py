@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.io.calibration_file import Document
+from laci_stereo.io.result.calibration_file import Document
 from laci_stereo.report.page.facts import Fact
 
 

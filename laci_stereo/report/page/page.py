@@ -19,8 +19,8 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.threads import in_one_thread
-from laci_stereo.io.calibration_file import Document, Provenance
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.maps.lane_map import LaneMap
+from laci_stereo.io.result.calibration_file import Document, Provenance
 from laci_stereo.report.page import facts
 from laci_stereo.report.page.charts import Chart, OutlineChart, Series, chart, outline_chart
 from laci_stereo.report.page.lanes import lane_facts

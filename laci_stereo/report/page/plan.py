@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray, transform
 from laci_stereo.core.result import Calibration
-from laci_stereo.io.lane_map import LaneMap
+from laci_stereo.io.maps.lane_map import LaneMap
 from laci_stereo.report.drawn import (
     T_world_level,
     background_corners,

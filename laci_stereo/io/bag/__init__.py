@@ -1,0 +1,1 @@
+"""Messages in ROS 1 and ROS 2 bags and MCAP files."""

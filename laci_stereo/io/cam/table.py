@@ -1,0 +1,63 @@
+"""The columns of a table of messages: station numbers, and quantities with ETSI's codes for missing values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.io.cam.columns import COLUMNS, MOTION, STATION_ID, Quantity
+from laci_stereo.io.stamps import number
+from laci_stereo.io.table import Parsed, Table, is_missing
+from laci_stereo.io.text_file import quoted
+
+
+def column_notes(table: Table) -> list[str]:
+    """Return notes on columns that were recognised by a synonym, and on missing heading and speed columns."""
+    places = {column: column.find(table.header) for column in COLUMNS}
+    notes = [
+        f"column {table.header[place]} read as {column.name}"
+        for column, place in places.items()
+        if place is not None and table.header[place] != column.name
+    ]
+    lacking = [f"no column {each.name}; it follows from the positions" for each in MOTION if places[each] is None]
+    return notes + lacking
+
+
+def station_ids(table: Table) -> Parsed[IntArray]:
+    """Return the station that sent each message; without such a column, all are from station 0."""
+    texts = table.texts(STATION_ID)
+    if texts is None or all(is_missing(text) for text in texts):
+        note = "no station_id; all rows are taken for those of one station, 0"
+        return Parsed(np.zeros(len(table.rows), dtype=np.int64), {}, (note,))
+    ids = [_whole(text) for text in texts]
+    problems = {
+        i: f"station_id is {quoted(text)}; needed is a whole number below 2^63"
+        for i, (text, station) in enumerate(zip(texts, ids, strict=True))
+        if station is None
+    }
+    return Parsed(np.array([station or 0 for station in ids], dtype=np.int64), problems)
+
+
+def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:
+    """Return a quantity's numbers in the unit of the file: NaN if missing, infinite as `in_units` expects."""
+    found = table.numbers(quantity)
+    known, notes = found.values, []
+    for meaning, code in quantity.codes.items():
+        coded = quantity.is_code(found.values, code)
+        known = np.where(coded, np.nan, known)
+        if coded.any():
+            times = f"{int(coded.sum())} times {code}"
+            notes.append(f'{quantity.name}: {times}, ETSI\'s "{meaning}"; taken as missing')
+    if quantity.is_at_least and quantity.out_of_range is not None:
+        beyond = quantity.is_code(found.values, quantity.out_of_range)
+        known = np.where(beyond, np.inf, known)
+        if beyond.any():
+            times = f"{int(beyond.sum())} times {quantity.out_of_range}"
+            least = f"{quantity.least_beyond:g} {quantity.unit}"
+            notes.append(f'{quantity.name}: {times}, ETSI\'s "out of range"; taken as {least}, the least that it means')
+    return Parsed(known, found.problems, tuple(notes))
+
+
+def _whole(text: str) -> int | None:
+    value = number(text)
+    return int(value) if value is not None and -(2**63) <= value < 2**63 and value % 1 == 0 else None

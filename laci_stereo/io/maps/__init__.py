@@ -1,0 +1,1 @@
+"""Lane maps: their lines, and the lanes between them."""

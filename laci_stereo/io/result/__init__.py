@@ -1,0 +1,1 @@
+"""Results of this project, their evidence, and their exchange with other tools."""

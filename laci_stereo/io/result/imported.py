@@ -1,0 +1,339 @@
+"""Transforms of other tools, imported as results of this project, with null for what they leave unknown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pyproj import Transformer
+
+from laci_stereo.core.errors import CalibrationFileError, SettingError
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, FloatArray, invert
+from laci_stereo.core.result import viewing_angles
+from laci_stereo.core.world import World, utm_code
+from laci_stereo.io.file_content import read_content
+from laci_stereo.io.output import RESULT_FILE
+from laci_stereo.io.result.calibration_file import Document, validate
+from laci_stereo.io.result.siting import Siting, Statement, rigid_in_grid
+from laci_stereo.io.result.written_pose import WrittenPose, read_pose
+from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME
+from laci_stereo.io.text_file import quoted, shortened
+
+HIGHEST_M = 100.0
+"""Largest height of a sensor above the ground: the tallest masts beside roads have half of it, so a greater value is in
+another unit, or an altitude."""
+
+MOST_UP_DEG = 45.0
+"""Largest elevation of a camera's line of sight: beyond it, no lens with a field of view of 90 deg sees the ground. A
+camera tilted down by 0 to 35 deg appears to look 55 to 90 deg up if its pose is that of axes with x forward, z up."""
+
+FARTHEST_CENTRE_M = 1000.0
+"""Largest distance of the centre from the sensor, which sees no farther; over this distance, the grid scale makes a
+difference of 0.4 m."""
+
+DAIR_WORLD, DAIR_CAMERA = "virtuallidar_to_world.json", "virtuallidar_to_camera.json"
+
+_KIND_AXES = {"stereo": OPENCV_AXES, "lidar": FORWARD_LEFT_UP_AXES, "detections": FORWARD_LEFT_UP_AXES}
+_KIND_FRAMES = {"stereo": RAW_FRAME, "lidar": "as in the scans"}
+
+Direction = Literal["sensor-to-map", "map-to-sensor"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """A user's statements about a transform of another tool.
+
+    Attributes
+    ----------
+    kind : str or None
+        Of the sensor: stereo or lidar; None: as the file states.
+    crs : str or None
+        The UTM zone of the map; None: as the file states.
+    origin : tuple of float or None
+        UTM east and north of the map frame's origin, and the ground's z in the map; None: as the file states, else
+        zeros.
+    direction : str or None
+        Direction of the transform; None: as the names in the file imply, or from sensor to map.
+    centre : tuple of float or None
+        UTM east and north at which the rigid transform is true to scale; None: as the file states, or at the sensor.
+    rectified : bool
+        Whether it is the pose of a camera for already rectified images; an export of this project states that itself.
+    name : str or None
+    entry : str or None
+        Name of the transform, if the file holds several.
+    form : str or None
+        Format of the file; None: recognised by its content.
+    """
+
+    kind: str | None = None
+    crs: str | None = None
+    origin: tuple[float, ...] | None = None
+    direction: Direction | None = None
+    centre: tuple[float, float] | None = None
+    rectified: bool = False
+    name: str | None = None
+    entry: str | None = None
+    form: str | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A transform of another tool in our frames, with notes on its interpretation."""
+
+    siting: Siting
+    notes: tuple[str, ...]
+
+
+def import_pose(path: Path, options: ImportOptions) -> Imported:
+    """Read a transform that another tool wrote.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or a folder with DAIR-V2X's two files of a camera.
+    options : ImportOptions
+
+    Raises
+    ------
+    CalibrationFileError
+        If the file cannot be read, holds no rigid transform, or puts the sensor at an impossible position.
+    SettingError
+        If neither the file nor the options state a required quantity, or they contradict each other.
+    """
+    pose, told = _read(path, options)
+    kind = _said("the sensor's kind", "--kind stereo or lidar", options.kind, told.kind if told else None, path)
+    if kind not in _KIND_AXES:
+        raise CalibrationFileError(f"{path}: the sensor's kind is {quoted(kind)}; needed is {', '.join(_KIND_AXES)}")
+    told_crs = told.world.crs if told else None
+    crs = utm_code(shortened(_said("its UTM zone", "--crs EPSG:326..", options.crs, told_crs, path)))
+    if told is not None and pose.from_map is None:  # in our other exports, a name states the direction
+        pose = replace(pose, from_map=False)
+    T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
+    T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, told)
+    _check_place(path, T_utm_sensor, told)
+    if kind == "stereo":
+        _check_sight(path, T_utm_sensor)
+    world = _world(crs, T_utm_sensor, told)
+    world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale)
+    siting = Siting(
+        options.name or (told.name if told else path.absolute().stem),
+        kind,
+        _frame(path, kind, told.frame if told else None, options.rectified),
+        world,
+        *_in_world(world, T_utm_sensor, pose.grid_scale, _centre(world, T_utm_sensor, options.centre, told)),
+    )
+    notes = (f"transform {pose.name} of {path.name}, {direction_note}", *local, *pose.notes)
+    return Imported(siting, notes)
+
+
+def _read(path: Path, options: ImportOptions) -> tuple[WrittenPose, Statement | None]:
+    if not path.is_dir():
+        _check_foreign(path, path)
+        return read_pose(path, options.entry, options.form)
+    if not (path / DAIR_WORLD).exists():
+        _check_foreign(path, path / RESULT_FILE)
+    world, told = read_pose(path / DAIR_WORLD, options.entry, options.form)
+    camera, _ = read_pose(path / DAIR_CAMERA, options.entry, options.form)
+    T = world.T @ invert(camera.T)
+    return WrittenPose(f"{DAIR_WORLD} after the inverse of {DAIR_CAMERA}", T, from_map=False), told
+
+
+def _check_foreign(path: Path, file: Path) -> None:
+    """Raise if a file is a result of this project, which needs no import."""
+    if file.is_file() and b'"schema": "laci-calibration/' in read_content(file, CalibrationFileError)[:1000]:
+        raise CalibrationFileError(
+            f"{path} is a result already; needed is a file of another tool: check, compare and export take a result as "
+            "it is"
+        )
+
+
+def _said(what: str, option: str, asked: str | None, told: str | None, path: Path) -> str:
+    if asked is None and told is None:
+        raise SettingError(f"{path} does not say {what}; needed is {option}")
+    if asked is not None and told is not None and asked != told:
+        raise SettingError(
+            f"{path} says that {what} is {shortened(told)}, the option {asked}; needed is {option} as the file has it, "
+            "or without"
+        )
+    return asked or told or ""
+
+
+def _frame(path: Path, kind: str, told: str | None, rectified: bool) -> str:
+    """Return the description of the sensor's frame."""
+    if rectified and (kind != "stereo" or told not in (None, RECTIFIED_FRAME)):
+        what = kind if told is None else f"{kind}, its frame {quoted(told)}"
+        raise SettingError(
+            f"{path}: the sensor is {what}; needed is a stereo camera of rectified images, or no --rectified"
+        )
+    return told or (RECTIFIED_FRAME if rectified else _KIND_FRAMES[kind])
+
+
+def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, axes: Axes) -> tuple[FloatArray, str]:
+    """Return the transform from sensor to map, and a note on how its direction is known."""
+    asked, ground = options.direction, (*(options.origin or ()), 0.0, 0.0, 0.0)[2]
+    from_map = asked == "map-to-sensor" if asked is not None else bool(pose.from_map)
+    T, other = (invert(pose.T), pose.T) if from_map else (pose.T, invert(pose.T))
+    if not _stands(T, axes, ground) and _stands(other, axes, ground):
+        raise CalibrationFileError(
+            f"{path}: {pose.name} read {_way(from_map)} puts the sensor {T[2, 3]:.2f} m above the ground or upside "
+            f"down, the other way {other[2, 3]:.2f} m and upright; needed is --direction {_way(not from_map)}"
+        )
+    known = (
+        "as the file says" if asked is None and pose.from_map is not None else "as was asked" if asked else "assumed"
+    )
+    return T, f"{_way(from_map)}, {known}"
+
+
+def _way(from_map: bool) -> Direction:
+    return "map-to-sensor" if from_map else "sensor-to-map"
+
+
+def _stands(T_map_sensor: FloatArray, axes: Axes, ground: float) -> bool:
+    """Return whether a sensor is upright and above the ground, which is at z = ``ground`` in the map."""
+    return bool(0.0 < T_map_sensor[2, 3] - ground <= HIGHEST_M and (T_map_sensor[:3, :3] @ np.array(axes.up))[2] > 0.0)
+
+
+def _in_utm(
+    path: Path, T_map_sensor: FloatArray, origin: tuple[float, ...] | None, told: Statement | None
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Add the map frame's origin, unless the numbers are UTM coordinates already; return the result with notes."""
+    T = T_map_sensor.copy()
+    east, north = T[:2, 3]
+    if told is not None:
+        begins = (0.0, 0.0) if _is_of_grid(east, north, told.world.origin_utm) else told.world.origin_utm
+        if origin is not None and (*origin, 0.0)[:3] != (*begins, 0.0):
+            raise SettingError(
+                f"{path} says that its map begins at UTM {begins[0]:.10g}, {begins[1]:.10g} on the ground, --origin "
+                f"{', '.join(f'{value:.10g}' for value in origin)}; needed is --origin as the file has it, or without"
+            )
+        T[:2, 3] += begins
+        return T, ()
+    if origin is not None:
+        T[:3, 3] += (*origin[:2], -(*origin, 0.0)[2])
+        return T, (f"its map begins at UTM {origin[0]:.3f}, {origin[1]:.3f}, as was asked",)
+    if _is_utm(east, north):
+        return T, ()
+    if _is_utm(east / 1000.0, north / 1000.0):
+        raise CalibrationFileError(
+            f"{path}: the translation is {east:.0f}, {north:.0f}; needed are UTM coordinates in metres: is it in "
+            "millimetres?"
+        )
+    raise CalibrationFileError(
+        f"{path}: the translation is {east:.6g}, {north:.6g}; needed are UTM coordinates in metres, --origin E,N where "
+        "they count from, or --direction map-to-sensor"
+    )
+
+
+def _is_utm(east: float, north: float) -> bool:
+    """Return whether coordinates are plausible in UTM: zones, even widened ones, lie within 450 km of 500 km east."""
+    return 5e4 <= east <= 9.5e5 and 0.0 <= north <= 1e7
+
+
+def _is_of_grid(east: float, north: float, origin: tuple[float, float]) -> bool:
+    """Return whether coordinates are in the grid itself, not relative to its point ``origin``, which is near."""
+    return math.hypot(east - origin[0], north - origin[1]) < math.hypot(east, north)
+
+
+def _check_place(path: Path, T_utm_sensor: FloatArray, told: Statement | None) -> None:
+    east, north, height = T_utm_sensor[:3, 3]
+    # A file of ours states the origin of its grid, and may extend into the neighbouring zone.
+    if not (_is_utm(east, north) if told is None else _is_of_grid(east, north, told.world.origin_utm)):
+        raise CalibrationFileError(
+            f"{path}: the sensor would stand at UTM {east:.6g}, {north:.6g}; needed are metres in a UTM zone: look at "
+            "--origin, and at the unit"
+        )
+    if not 0.0 < height <= HIGHEST_M:
+        raise CalibrationFileError(
+            f"{path}: the sensor would stand {height:.6g} m above the ground; needed are 0 to {HIGHEST_M:g}: where z "
+            "is an altitude, --origin E,N,Z takes the ground's away; otherwise look at the unit and at --direction"
+        )
+
+
+def _check_sight(path: Path, T_utm_sensor: FloatArray) -> None:
+    """Raise if a camera's pose is in another frame than its optical one."""
+    up_deg = -viewing_angles(T_utm_sensor, OPENCV_AXES).down_deg
+    if up_deg > MOST_UP_DEG:
+        raise CalibrationFileError(
+            f"{path}: the camera would look {up_deg:.0f} deg up; needed is the pose of its optical frame, x right, "
+            "y down, z forward (of DAIR-V2X's cameras, the folder with both files)"
+        )
+
+
+def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None) -> World:
+    if told is not None and told.world.crs == crs:
+        return told.world
+    to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    longitude, latitude = to_degrees.transform(float(T_utm_sensor[0, 3]), float(T_utm_sensor[1, 3]))
+    if not (math.isfinite(longitude) and math.isfinite(latitude)):
+        raise CalibrationFileError(f"{crs} knows no latitude at UTM {T_utm_sensor[0, 3]:.0f}, {T_utm_sensor[1, 3]:.0f}")
+    return World.around(latitude, longitude, crs)
+
+
+def _centre(
+    world: World, T_utm_sensor: FloatArray, asked: tuple[float, float] | None, told: Statement | None
+) -> FloatArray:
+    if asked is None and told is not None:
+        return told.centre_world
+    utm = T_utm_sensor[:2, 3] if asked is None else np.array(asked)
+    away_m = float(np.linalg.norm(utm - T_utm_sensor[:2, 3]))
+    if away_m > FARTHEST_CENTRE_M:
+        raise SettingError(
+            f"--centre is {utm[0]:.10g},{utm[1]:.10g}, {away_m:.0f} m from the sensor; needed are UTM coordinates "
+            f"within {FARTHEST_CENTRE_M:.0f} m of it"
+        )
+    return np.append(world.from_utm(utm[None])[0], 0.0)
+
+
+def _in_world(
+    world: World, T_utm_sensor: FloatArray, grid_scale: float | None, centre_world: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``T_world_sensor`` and the centre; a transform that includes the grid scale is exact everywhere."""
+    T_map_sensor = T_utm_sensor.copy()
+    T_map_sensor[:2, 3] -= world.origin_utm
+    if grid_scale is None:
+        return rigid_in_grid(world, T_map_sensor, centre_world), centre_world
+    T_map_sensor[:2, 3] /= grid_scale
+    return T_map_sensor, centre_world
+
+
+def imported_document(imported: Imported, inputs: dict[str, str], options: dict[str, object]) -> Document:
+    """Return an imported transform as a result document, with null for unknown quantities.
+
+    Raises
+    ------
+    CalibrationFileError
+        If the document does not conform to the schema.
+    """
+    siting = imported.siting
+    angles = viewing_angles(siting.T_world_sensor, _KIND_AXES[siting.kind])
+    document: Document = {
+        "schema": "laci-calibration/1",
+        "version": version("laci-stereo"),
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "method": "imported",
+        "sensor": {"name": siting.name, "kind": siting.kind, "frame": siting.frame},
+        "world": {
+            "crs": siting.world.crs,
+            "origin_utm": list(siting.world.origin_utm),
+            "grid_scale": siting.world.grid_scale,
+        },
+        "T_world_sensor": siting.T_world_sensor.tolist(),
+        "T_utm_sensor": siting.T_utm_sensor.tolist(),
+        "T_enu_sensor": None,
+        "slope": None,
+        "height_m": float(siting.T_world_sensor[2, 3]),
+        "euler_deg": {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg},
+        **dict.fromkeys(("time_offset_s", "time_sigma_s", "station_id", "vehicle", "covariance", "quality", "paper")),
+        "covariance_centre_world": siting.centre_world.tolist(),
+        "background_boxes": [],
+        "inputs": inputs,
+        "notes": list(imported.notes),
+        "config": {"import": options, **({"stereo": {"rectified": True}} if siting.frame == RECTIFIED_FRAME else {})},
+    }
+    validate(document)
+    return document

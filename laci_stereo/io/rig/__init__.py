@@ -1,0 +1,1 @@
+"""Stereo calibrations in the formats of the tools that write them."""

@@ -1,0 +1,80 @@
+"""The syntaxes of calibration files, recognised by content: FileStorage, KITTI's and Middlebury's lines, MATLAB's."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from laci_stereo.core.errors import RigError
+from laci_stereo.io.file_storage import Node, StorageError, parse_file_storage
+from laci_stereo.io.rig.document import Document
+from laci_stereo.io.rig.mat_file import is_mat, parse_mat
+from laci_stereo.io.text_file import read_text
+
+LARGEST_FILE = 1 << 23
+"""Bytes: a calibration with all corners that were detected for it has a tenth of that."""
+
+_KITTI = re.compile(r"^(?:K_0\d|P_rect_0\d|P\d):\s+[-+.\d]+e?[-+\d]*(?:\s|$)", re.MULTILINE)
+_KITTI_LINE = re.compile(r"(\w+):\s*(.*)")
+_MIDDLEBURY = re.compile(r"^\s*cam0\s*=\s*\[", re.MULTILINE)
+_MIDDLEBURY_LINE = re.compile(r"\s*(\w+)\s*=\s*(.*)")
+
+
+def read_document(path: Path) -> Document:
+    """Read a calibration file.
+
+    Raises
+    ------
+    RigError
+        If the file is missing, larger than calibrations are, or in none of these syntaxes.
+    """
+    try:
+        length = path.stat().st_size if path.is_file() else 0
+    except (OSError, ValueError):
+        length = 0  # reading the file raises the error
+    if length > LARGEST_FILE:
+        raise RigError(f"{path} has {length} bytes; needed is a stereo calibration, of at most {LARGEST_FILE}")
+    if length and is_mat(path):
+        return Document(str(path), parse_mat(path))
+    text = read_text(path, RigError)
+    if len(text) > LARGEST_FILE:
+        raise RigError(
+            f"{path} unpacks to {len(text)} letters; needed is a stereo calibration, of at most {LARGEST_FILE}"
+        )
+    return Document(str(path), _parsed(path, text))
+
+
+def _parsed(path: Path, text: str) -> dict[str, Node]:
+    if _KITTI.search(text):
+        return _lines(text, _KITTI_LINE)
+    if _MIDDLEBURY.search(text):
+        return _lines(text, _MIDDLEBURY_LINE)
+    try:
+        return dict(parse_file_storage(text))
+    except StorageError as problem:
+        raise RigError(
+            f"{path} is no OpenCV FileStorage file (YAML, JSON or XML), nor in any other known format: {problem}"
+        ) from problem
+
+
+def _lines(text: str, pattern: re.Pattern[str]) -> dict[str, Node]:
+    """Return the entries of a file with one entry per line; semicolons separate the rows of a matrix in brackets."""
+    root: dict[str, Node] = {}
+    for line in text.splitlines():
+        match = pattern.fullmatch(line.strip())
+        if match:
+            root[match[1]] = _values(match[2])
+    return root
+
+
+def _values(text: str) -> Node:
+    rows: list[Node] = [_row(row) for row in text.strip("[] ").split(";")]
+    return rows[0] if len(rows) == 1 else rows
+
+
+def _row(text: str) -> Node:
+    try:
+        numbers: list[Node] = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        return text.strip()
+    return numbers[0] if len(numbers) == 1 else numbers
