@@ -382,6 +382,9 @@ def _in_words(correction: Correction, vehicle: VehicleTrack) -> str:
         return f"the clocks are {1e3 * value:.0f} ms apart, where {1e3 * sigma:.0f} ms were expected: --clock unknown"
     if correction.what == "heading":
         return f"the messages' heading is {np.degrees(value):.1f} deg off the vehicle's body, clockwise"
+    if correction.what == "lag":
+        age = "older" if value > 0 else "newer"
+        return f"the messages' headings are {1e3 * abs(value):.0f} ms {age} than their positions"
     if correction.what == "ahead":
         where = f"{abs(value):.2f} m {'behind' if value > 0 else 'ahead of'}"
         return f"the messages' positions are {where} the point that --cam-reference gives"

@@ -290,6 +290,9 @@ class JointSettings:
     heading_sigma_deg : float
         Standard deviation of the messages' heading relative to the vehicle's body, constant over a drive: the mounting
         error of the receiver in the car.
+    heading_lag_s : float
+        Standard deviation of the time by which the messages' headings lag behind their positions: both are those of the
+        same moment (ETSI EN 302 637-2), whose time is given to 1 ms, unless the points contradict that.
     lever_sigma_m : float
         Standard deviation of the reference point's place on the vehicle (the lever arm), which was measured by hand to
         5 cm.
@@ -322,6 +325,7 @@ class JointSettings:
 
     clock_sigma_s: float = 0.010
     heading_sigma_deg: float = 0.3
+    heading_lag_s: float = 0.001
     lever_sigma_m: float = 0.05
     size_sigma_m: float = 0.05
     position_sigma_m: float = 0.02

@@ -281,6 +281,18 @@ def test_a_heading_that_is_wrong_by_far_is_put_right() -> None:
     covered(TURNING, found)
 
 
+@pytest.mark.parametrize("lag_s", [0.2, 0.4])
+def test_headings_that_are_older_than_the_positions(lag_s: float) -> None:
+    log = TURNING.messages
+    sent_s = 1e-9 * (log.stamps_ns - log.stamps_ns[0])
+    heading = np.degrees(np.interp(sent_s - lag_s, sent_s, np.unwrap(np.radians(log.heading_deg))))
+    found = calibrate(TURNING.recording, replace(log, heading_deg=heading % 360.0))
+    words = reason(found, "headings are")
+    assert words.endswith(" ms older than their positions")
+    assert float(words.split()[4]) == pytest.approx(1e3 * lag_s, abs=80.0)
+    covered(TURNING, found)
+
+
 def test_positions_that_their_sender_hardly_knows() -> None:
     log = TURNING.messages
     semi = np.full(len(log), 0.6 * np.sqrt(-2.0 * np.log(0.05)))  # of the ellipse that holds 95 %

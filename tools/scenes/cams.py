@@ -74,6 +74,8 @@ class CamFlaws:
         RTK with two antennas 1 m apart: 0.2 to 0.4 deg; from Doppler at 10 m/s: 0.3 deg.
     heading_of : {"body", "front"}
         Direction of motion of the rear axle, or of the reference point at the front, which differs in bends.
+    heading_lag_s : float
+        Time by which headings are older than the positions beside them.
     speed_sigma_mps : float
         0.05 m/s (u-blox ZED-F9P).
     quantised : bool
@@ -92,6 +94,7 @@ class CamFlaws:
     clock_offset_s: float = 0.0
     heading_sigma_deg: float = 0.2
     heading_of: Literal["body", "front"] = "body"
+    heading_lag_s: float = 0.0
     speed_sigma_mps: float = 0.05
     quantised: bool = True
     rounding: Rounding = "nearest"
@@ -136,7 +139,7 @@ def cam_log(
     reference = reference + _wandering(kind, times, rng) + kind.white_m * rng.normal(size=(len(times), 2))
     latitude, longitude = place.geodetic(reference)
     speed = np.abs(mover.drive.speed(times) + flaws.speed_sigma_mps * rng.normal(size=len(times)))
-    heading = place.heading_deg(centre, _direction(mover, flaws, times, yaw))
+    heading = place.heading_deg(centre, _direction(mover, flaws, times))
     heading = heading + flaws.heading_sigma_deg * rng.normal(size=len(times))
     # ETSI's smallest semi-axis is 1 cm.
     semi = np.full(len(times), max(NINETY_FIVE * float(np.hypot(kind.white_m, kind.correlated_m)), 0.01))
@@ -175,8 +178,8 @@ def _sent(mover: Mover, flaws: CamFlaws, span_s: tuple[float, float], rng: np.ra
 
 def _triggered(mover: Mover, flaws: CamFlaws, times_s: FloatArray) -> list[int]:
     """Return the indices of the messages that are sent: those whose contents have changed since the last one."""
-    xy, yaw = mover.track(times_s)
-    heading = _direction(mover, flaws, times_s, yaw)
+    xy, _ = mover.track(times_s)
+    heading = _direction(mover, flaws, times_s)
     speed = mover.drive.speed(times_s)
     sent = [0]
     for index in range(1, len(times_s)):
@@ -202,8 +205,10 @@ def _wandering(kind: Receiver, times_s: FloatArray, rng: np.random.Generator) ->
     return wandered
 
 
-def _direction(mover: Mover, flaws: CamFlaws, times_s: FloatArray, yaw: FloatArray) -> FloatArray:
+def _direction(mover: Mover, flaws: CamFlaws, times_s: FloatArray) -> FloatArray:
     """Return the direction of motion, which is reversed when the vehicle reverses, and kept while it is stationary."""
+    times_s = times_s - flaws.heading_lag_s
+    _, yaw = mover.track(times_s)
     speed = mover.drive.speed(times_s)
     direction = np.where(speed < 0.0, yaw + np.pi, yaw)
     if flaws.heading_of == "front":

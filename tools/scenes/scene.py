@@ -125,7 +125,9 @@ class Factors:
         None is the sensor's own.
     min_seen, min_driven_m
         Least number of frames in which the sender is in view, and least distance that it drives in them, metres.
-    receiver, cam_rate_hz, loss, clock_offset_s, heading_sigma_deg, heading_of, quantised, rounding, over_mirrors
+    receiver, cam_rate_hz, loss, clock_offset_s, heading_sigma_deg, heading_of, heading_lag_s
+        See `CamFlaws`.
+    quantised, rounding, over_mirrors
         See `CamFlaws`.
     lever_sigma_m : float
         Standard deviation of the lever arm's error, per axis.
@@ -185,6 +187,7 @@ class Factors:
     clock_offset_s: float | None = None
     heading_sigma_deg: float | None = None
     heading_of: Literal["body", "front"] | None = None
+    heading_lag_s: float = 0.0
     quantised: bool = True
     rounding: Rounding | None = None
     over_mirrors: bool | None = None
@@ -615,6 +618,7 @@ def _cam_flaws(draw: Draw, factors: Factors, whose: str = "") -> CamFlaws:
             factors.heading_sigma_deg, f"heading{whose}", lambda rng: float(rng.uniform(0.1, 0.5))
         ),
         heading_of=draw.choice(factors.heading_of, f"heading of{whose}", ("body", "front"), (0.7, 0.3)),
+        heading_lag_s=factors.heading_lag_s,
         quantised=factors.quantised,
         rounding=draw.choice(factors.rounding, f"rounding{whose}", ("nearest", "up"), (0.5, 0.5)),
         over_mirrors=draw.choice(factors.over_mirrors, f"over mirrors{whose}", (False, True), (0.85, 0.15)),

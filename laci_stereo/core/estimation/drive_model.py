@@ -21,6 +21,7 @@ from laci_stereo.core.estimation.drive_prior import (
     GROWTH,
     HEADING,
     KNOTS,
+    LAG,
     LEVER,
     PARTIAL,
     SHAPE,
@@ -56,8 +57,8 @@ _NORMAL = slice(1, 3)
 BY_OPTICS = slice(FOCAL, BASELINE + 1)
 """Focal length and baseline among the parameters and the columns of the derivatives."""
 
-_CLOCK, _HEADING, _LEVER, _BEGIN, _GROWTH, _KNOTS = (
-    FIRST_OWN + own for own in (CLOCK, HEADING, LEVER, BEGIN, GROWTH, KNOTS)
+_CLOCK, _HEADING, _LAG, _LEVER, _BEGIN, _GROWTH, _KNOTS = (
+    FIRST_OWN + own for own in (CLOCK, HEADING, LAG, LEVER, BEGIN, GROWTH, KNOTS)
 )
 _SHAPE = slice(FIRST_OWN + SHAPE.start, FIRST_OWN + SHAPE.stop)
 _GLOSS = slice(FIRST_OWN + GLOSS.start, FIRST_OWN + GLOSS.stop)
@@ -187,8 +188,8 @@ class Rows(Columns):
         Cosine of the angle of incidence, the ratio of distance to range; 0 where there is no range.
     jacobian : ndarray, shape (n, FIRST_OWN + KNOTS)
         Derivative of the range, multiplied by the cosine: the range is measured, while the line of sight is known.
-    by_time : ndarray, shape (n,)
-        The same derivative by the time of the messages, at that moment.
+    by_time, by_lag : ndarray, shape (n,)
+        The same derivative by the time of the messages and by the lag of their headings, at that moment.
     late_s : ndarray, shape (n,)
         Delay with which a scanner that rotates counter-clockwise sees it, relative to the mean.
     face, frame : ndarray of int, shape (n,)
@@ -204,6 +205,7 @@ class Rows(Columns):
     cos: FloatArray
     jacobian: FloatArray
     by_time: FloatArray
+    by_lag: FloatArray
     late_s: FloatArray
     face: IntArray
     frame: IntArray
@@ -264,8 +266,8 @@ class DriveModel:
         The messages report the direction of motion, often that of the front, which differs from the body's in a bend.
         """
         vehicle = self.drive.vehicle
-        heading_error, lever, begin = own[[HEADING, LEVER, BEGIN]].tolist()
-        poses = poses_at(vehicle.stamps_s, vehicle, heading_error, lever, begin)
+        heading_error, lever, begin, lag_s = own[[HEADING, LEVER, BEGIN, LAG]].tolist()
+        poses = poses_at(vehicle.stamps_s, vehicle, heading_error, lever, begin, lag_s)
         yaw = vehicle.yaw_rad + np.where(poses.known, poses.yaw - poses.heading, 0.0)
         reference = np.tile(np.asarray(vehicle.reference), (len(yaw), 1))
         xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, reference) - rotate_xy(yaw, reference)
@@ -337,6 +339,7 @@ class DriveModel:
         pull = mixed.slope * rows.share
         now = jacobian.copy()
         now[:, _CLOCK] = rows.by_time
+        now[:, _LAG] = rows.by_lag
         now[:, SWEEP] = rows.by_time * rows.late_s
         scores = now * pull[:, None]
         of_outline = rows.face < outline.FACES
@@ -481,7 +484,7 @@ class DriveModel:
 
     def _poses(self, x: FloatArray) -> Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
-        return poses_at(at, self.drive.vehicle, x[_HEADING], x[_LEVER], x[_BEGIN])
+        return poses_at(at, self.drive.vehicle, x[_HEADING], x[_LEVER], x[_BEGIN], x[_LAG])
 
     def _into_vehicle(
         self, x: FloatArray, poses: Poses, frame: IntArray, arm: FloatArray
@@ -499,9 +502,7 @@ class DriveModel:
         count = len(self.knots_s)
         bias = np.column_stack([self.hat @ x[_KNOTS : _KNOTS + count], self.hat @ x[_KNOTS + count :]])
         yaw = poses.yaw
-        reference = np.tile(np.asarray(self.drive.vehicle.reference), (len(yaw), 1))
-        swing = rotate_xy(yaw, reference) - rotate_xy(poses.heading, reference)
-        shift = x[1:3] + bias - poses.xy + swing
+        shift = x[1:3] + bias - poses.xy
         xy = rotate_xy(-yaw[frame], rotate_xy(x[0], arm) + shift[frame])
         origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre * _scale(x)) + shift)
         return xy, origin[frame], yaw[frame]
@@ -583,6 +584,7 @@ class DriveModel:
             cos=hits.cos,
             jacobian=jacobian,
             by_time=by_time(poses.now, frame, xy, hits.normal, jacobian[:, _NORMAL]),
+            by_lag=poses.now.yaw[frame] * jacobian[:, _HEADING],
             late_s=late_s,
             face=hits.face,
             frame=frame,
@@ -621,6 +623,7 @@ class DriveModel:
                     cos=np.ones(len(frame)),
                     jacobian=jacobian,
                     by_time=by_time(poses.now, frame, xy, normal, jacobian[:, _NORMAL]),
+                    by_lag=poses.now.yaw[frame] * jacobian[:, _HEADING],
                     late_s=late_s,
                     face=np.full(len(frame), axis),
                     frame=frame,
@@ -643,8 +646,8 @@ class DriveModel:
     ) -> FloatArray:
         """Return the derivatives of normal . xy, shape (n, FIRST_OWN + KNOTS).
 
-        They are those by yaw, x, y, rotation of the scanner, clock offset, heading error, heading lever and initial
-        angle of the body; the other columns are 0.
+        They are those by yaw, x, y, rotation of the scanner, clock offset, heading error and lag, heading lever and
+        initial angle of the body; the other columns are 0.
         """
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
@@ -654,6 +657,7 @@ class DriveModel:
         jacobian[:, SWEEP] = late_s * jacobian[:, _CLOCK]
         about = -dot_xy(normal, perpendicular(xy - np.asarray(self.drive.vehicle.reference)))
         jacobian[:, _HEADING] = about
+        jacobian[:, _LAG] = about * poses.rates.yaw[frame]
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         jacobian[:, _BEGIN] = about * poses.by_begin[frame]
         return jacobian

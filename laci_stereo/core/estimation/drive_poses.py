@@ -47,7 +47,7 @@ class Poses:
     Attributes
     ----------
     xy : ndarray, shape (m, 2)
-        World frame.
+        The middle of the vehicle, world frame.
     heading, yaw : ndarray, shape (m,)
         Yaw of its motion, and of its body.
     by_lever, by_begin : ndarray, shape (m,)
@@ -71,7 +71,9 @@ class Poses:
     known: BoolArray
 
 
-def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever: float, begin: float = 0.0) -> Poses:
+def poses_at(
+    at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever: float, begin: float = 0.0, lag_s: float = 0.0
+) -> Poses:
     """Return a vehicle's poses at some times.
 
     Parameters
@@ -86,38 +88,49 @@ def poses_at(at: FloatArray, vehicle: VehicleTrack, heading_error: float, lever:
     begin : float
         Initial angle of the body when the messages began: 1 if it pointed where that point moved, -1 if it had settled
         in a bend.
+    lag_s : float
+        Time by which the reported headings lag behind the positions. At the end of the messages the heading is that of
+        the last one.
     """
-    stretch_s = vehicle.stretch(at)
-    now, rate = (
-        [np.clip(at + shift_s, *stretch_s) for shift_s in (-within_s, within_s)] for within_s in (NOW_S, RATE_S)
-    )
+    first, last = vehicle.stretch(at)
     # Rows: at the times themselves, a moment before and after them, and so long before and after them that noise does
     # not look like a manoeuvre.
-    smoothed, told = smooth(vehicle, np.concatenate([at, *now])), vehicle.at(np.concatenate(rate))
-    xy, heading, known = (
-        np.concatenate(each).reshape(5, len(at), *each[0].shape[1:]) for each in zip(smoothed, told, strict=True)
-    )
-    times_s = np.concatenate([at, *now, *rate])
+    shifts_s = np.array([[0.0], [-NOW_S], [NOW_S], [-RATE_S], [RATE_S]])
+    times_s = np.vstack([at, np.clip(at + shifts_s[1:], first, last)])
+    xy, heading, known = _partly_smooth(vehicle, times_s)
+    later_s = np.clip(times_s + lag_s, first, last)
+    motion = _partly_smooth(vehicle, later_s)[1] if lag_s else heading
     (turned, by_lever), (begun, begun_by_lever) = (
-        each(times_s, lever) for each in (vehicle.body.at, vehicle.body.begun_at)
+        [each.reshape(heading.shape) for each in way(later_s.ravel(), lever)]
+        for way in (vehicle.body.at, vehicle.body.begun_at)
     )
-    times_s, yaw = times_s.reshape(heading.shape), heading + (turned + begin * begun).reshape(heading.shape)
+    yaw = motion + turned + begin * begun + heading_error
+    # The messages' track is that of the vehicle's middle if its heading were the body's yaw; what they report is the
+    # position of the reference point.
+    reference = np.asarray(vehicle.reference)
+    xy = xy + rotate_xy(heading, reference) - rotate_xy(yaw, reference)
     rates = [
         _rates(heading[0], times_s[ends], xy[ends], heading[ends], yaw[ends], known[ends])
         for ends in (slice(1, 3), slice(3, 5))
     ]
-    here = slice(len(at))
     return Poses(
         xy=xy[0],
         heading=heading[0],
-        yaw=yaw[0] + heading_error,
-        by_lever=(by_lever + begin * begun_by_lever)[here],
-        by_begin=begun[here],
+        yaw=yaw[0],
+        by_lever=by_lever[0] + begin * begun_by_lever[0],
+        by_begin=begun[0],
         now=rates[0],
         rates=rates[1],
         unsure=_unsure(vehicle, at),
         known=known[0],
     )
+
+
+def _partly_smooth(vehicle: VehicleTrack, times_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the same as `VehicleTrack.at`, each with shape (5, m, ...); the first three rows are those of `smooth`."""
+    parts = smooth(vehicle, times_s[:3].ravel()), vehicle.at(times_s[3:].ravel())
+    xy, heading, known = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return xy.reshape(*times_s.shape, 2), heading.reshape(times_s.shape), known.reshape(times_s.shape)
 
 
 def smooth(vehicle: VehicleTrack, at: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

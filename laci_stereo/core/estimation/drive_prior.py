@@ -13,18 +13,18 @@ from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.vehicle import outline
 
-CLOCK, HEADING, LEVER, BEGIN = range(4)
-SHAPE = slice(4, 4 + len(outline.SHAPE))
+CLOCK, HEADING, LAG, LEVER, BEGIN = range(5)
+SHAPE = slice(5, 5 + len(outline.SHAPE))
 PARTIAL = SHAPE.stop
 GLOSS = slice(PARTIAL + 1, PARTIAL + 1 + len(gloss.EXPECTED))
 GROWTH = GLOSS.stop
 KNOTS = GROWTH + 2
-"""Indices of a drive's own parameters: clock offset, heading error, heading lever, initial angle of the body when the
-messages began, shape, how partial a detector's boxes are, strength of specular reflection for any paint and the
-difference of the vehicle's own paint, growth of each of two borders, and from `KNOTS` on the position errors at the
-knots, all x first, then all y."""
+"""Indices of a drive's own parameters: clock offset, heading error, lag of the heading, heading lever, initial angle of
+the body when the messages began, shape, how partial a detector's boxes are, strength of specular reflection for any
+paint and the difference of the vehicle's own paint, growth of each of two borders, and from `KNOTS` on the position
+errors at the knots, all x first, then all y."""
 
-LASTING = (HEADING, LEVER, *range(SHAPE.start, SHAPE.stop), *range(GLOSS.start, GLOSS.stop))
+LASTING = (HEADING, LAG, LEVER, *range(SHAPE.start, SHAPE.stop), *range(GLOSS.start, GLOSS.stop))
 """The parameters that a sender and its vehicle have in common in all of their drives."""
 
 HEADING_LEVER = 0.4
@@ -53,8 +53,9 @@ OPTICS = ("depth", "breadth")
 """Corrections to a stereo camera's points along its axis and across it, each relative: a wrong focal length scales only
 depths, since it cancels out across the axis; a wrong baseline scales both."""
 
-CORRECTED = ("clock", "heading", "ahead", "left", "length", "width")
-"""Corrections to the messages: clock [s], heading [rad], place of the reported position on the vehicle, size [m]."""
+CORRECTED = ("clock", "heading", "lag", "ahead", "left", "length", "width")
+"""Corrections to the messages: clock [s], heading [rad], lag of the heading behind the position [s], place of the
+reported position on the vehicle, size [m]."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class DrivePrior:
     mean : ndarray, shape (own,)
         Prior mean.
     drift : ndarray, shape (k, k)
-    sigmas : ndarray, shape (6,)
+    sigmas : ndarray, shape (7,)
         Prior standard deviation of each of `CORRECTED`.
     """
 
@@ -120,6 +121,7 @@ class DrivePrior:
             [
                 clock_sigma_s,
                 np.radians(settings.heading_sigma_deg),
+                settings.heading_lag_s,
                 settings.lever_sigma_m,
                 settings.lever_sigma_m,
                 *np.hypot(settings.size_sigma_m, vehicle.guessed_m),
@@ -183,8 +185,9 @@ class DrivePrior:
     def _covariance(self, variances: FloatArray) -> FloatArray:
         """Return the covariance of the prior for these variances of `CORRECTED`."""
         covariance: FloatArray = self._otherwise.copy()
-        covariance[CLOCK, CLOCK], covariance[HEADING, HEADING] = variances[:2]
-        covariance[SHAPE, SHAPE] += (self._ways.T * variances[2:]) @ self._ways
+        errors = range(CLOCK, LAG + 1)
+        covariance[errors, errors] = variances[: LAG + 1]
+        covariance[SHAPE, SHAPE] += (self._ways.T * variances[LAG + 1 :]) @ self._ways
         return covariance
 
     def _sigmas_of(self, covariance: FloatArray) -> FloatArray:
@@ -193,12 +196,12 @@ class DrivePrior:
 
 
 def _corrected(own: int) -> FloatArray:
-    """Return the linear map from a drive's own parameters to `CORRECTED`, shape (6, own)."""
+    """Return the linear map from a drive's own parameters to `CORRECTED`, shape (7, own)."""
     by = np.zeros((len(CORRECTED), own))
-    by[0, CLOCK] = by[1, HEADING] = 1.0
+    by[0, CLOCK] = by[1, HEADING] = by[2, LAG] = 1.0
     by_shape = by[:, SHAPE]
-    by_shape[2, :2] = 0.5, -0.5
-    by_shape[3, 3] = 1.0
-    by_shape[4, :2] = 1.0
-    by_shape[5, 2] = 2.0
+    by_shape[3, :2] = 0.5, -0.5
+    by_shape[4, 3] = 1.0
+    by_shape[5, :2] = 1.0
+    by_shape[6, 2] = 2.0
     return by

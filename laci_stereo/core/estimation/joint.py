@@ -17,16 +17,18 @@ from scipy.linalg import block_diag
 
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.estimation.drive_model import (
+    BASELINE,
     BIAS,
     BY_OPTICS,
     FIRST_OWN,
+    FOCAL,
     SWEEP,
     Chosen,
     DriveModel,
     Fitness,
     Rows,
 )
-from laci_stereo.core.estimation.drive_prior import LASTING, OPTICS, Correction
+from laci_stereo.core.estimation.drive_prior import LAG, LASTING, OPTICS, Correction
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.recordings import Recordings
 from laci_stereo.core.estimation.residual_scatter import Blocks, grown
@@ -121,6 +123,13 @@ focal length and baseline together, if their Mahalanobis distance does: with 3, 
 calibrations were found to be wrong. A wrong place of the reference point on the vehicle is only determined in a turn of
 at least the second number, in which an error of half the vehicle's length moves the position by half of that error; on
 a straight drive the noise of the headings looks like it."""
+
+IN_TURNS = frozenset({"ahead", "left", "lag"})
+"""Corrections that only a turn determines."""
+
+LAGGING_S = 0.2
+"""Standard deviation of the lag of headings that are not of the same moment as the positions: those of filtered
+positions, or of a direction of motion that waits for the next epoch, which in some receivers is 0.2 s later."""
 
 
 @dataclass(frozen=True)
@@ -365,11 +374,11 @@ def _mistaken(problem: _Problem, x: FloatArray) -> tuple[FloatArray, JointSettin
 def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
     """Return the hypotheses of mistakes that the drives could reveal.
 
-    These are: headings that are not those of the drive; a reference point at another place on the vehicle than was
-    reported, which is only determined in a turn; another focal length or baseline of a stereo camera; and a clock that
-    was never set, if some clocks seem to be apart or could not seem so. Small errors of many other parameters are a
-    more likely explanation the smaller a mistake is; from such a solution the path to the mistake leads downhill, so
-    that a descent from there finds it.
+    These are: headings that are not those of the drive; headings that are older than the positions beside them, or a
+    reference point at another place on the vehicle than was reported, both of which only a turn determines; another
+    focal length or baseline of a stereo camera; and a clock that was never set, if some clocks seem to be apart or
+    could not seem so. Small errors of many other parameters are a more likely explanation the smaller a mistake is;
+    from such a solution the path to the mistake leads downhill, so that a descent from there finds it.
     """
     settings, drives = problem.settings, [model.drive for model in problem.models]
     senders = len(set(problem.recordings.stations))
@@ -380,6 +389,7 @@ def _mistakes(problem: _Problem, solved: _Solved) -> list[_Mistake]:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(_Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
+        likely.append(_Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S)))
     # Where all disparities may be off, as after one camera has rotated relative to the other, a wrong focal length or
     # baseline would only seem to be found.
     if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
@@ -617,14 +627,17 @@ class _Problem:
         return fitness.log_likelihood
 
     def log_room_of(self, solved: _Solved) -> float:
-        """Return the log prior density of the solution, plus the log ratio of posterior to prior volume of the optics.
+        """Return the log prior density of the solution, plus a log ratio of posterior to prior volume.
 
-        The optics are focal length and baseline. The prior volume of other mistakes is in `_Mistake.log_wider`: their
-        posterior volumes are far smaller than the prior ones.
+        The volume is that of focal length, baseline and the lags of headings, which are exact unless a hypothesis says
+        otherwise. The prior volume of other mistakes is in `_Mistake.log_wider`: their posterior volumes are far
+        smaller than the prior ones.
         """
         self.loosen(solved.x)
-        after = np.linalg.slogdet(solved.covariance[BY_OPTICS, BY_OPTICS])[1] / 2
-        return self._log_prior(solved.x) + float(after - 2.0 * np.log(self.settings.optics_sigma))
+        exact = np.array([FOCAL, BASELINE, *(own.start + LAG for own in self.own)])
+        before, after = np.linalg.inv(self.precision), solved.covariance
+        volumes = [np.linalg.slogdet(each[np.ix_(exact, exact)])[1] / 2 for each in (after, before)]
+        return self._log_prior(solved.x) + float(volumes[0] - volumes[1])
 
     def tells(self, solved: _Solved, mistake: _Mistake) -> bool:
         """Tell whether a correction of this mistake is significant."""
@@ -636,7 +649,7 @@ class _Problem:
         return any(
             each.what in mistake.what and abs(each.value) > SURELY * each.after
             for model, its in self.corrections(solved)
-            if "ahead" not in mistake.what or _turned_rad(model.drive) > TURNED_RAD
+            if not mistake.what & IN_TURNS or _turned_rad(model.drive) > TURNED_RAD
             for each in its
         )
 

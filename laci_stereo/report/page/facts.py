@@ -80,13 +80,13 @@ def verdict_of(calibration: Calibration, has_image: bool, contradicted: bool) ->
         f"objects on the vehicle's path are placed on the map to ±{quality.track_xy_sigma_m:.2f} m and the viewing "
         f"direction is known to ±{quality.yaw_sigma_deg:.2f}° (one standard deviation)"
     )
-    told = {
+    sentences = {
         "pass": f"This calibration can be used: {known}.",
         "warn": f"Use this calibration with care: {known}, but there is something to check.",
         "fail": f"Do not use this calibration: {known}, which is not enough.",
     }
     if contradicted and quality.verdict == "warn":
-        told["warn"] = (
+        sentences["warn"] = (
             f"Do not use this calibration before it is clear whether it or the map is wrong. It claims: {known}."
         )
     look = (
@@ -99,7 +99,7 @@ def verdict_of(calibration: Calibration, has_image: bool, contradicted: bool) ->
     steps = {"pass": (look, use), "warn": ("Check what is named above.", look, use), "fail": (again,)}
     advice = f"To make it better: {quality.advice}." if quality.advice else ""
     todo = (*steps[quality.verdict], *filter(None, [advice]))
-    return Verdict(quality.verdict, told[quality.verdict], quality.reasons, todo)
+    return Verdict(quality.verdict, sentences[quality.verdict], quality.reasons, todo)
 
 
 def matrices(calibration: Calibration, provenance: Provenance) -> tuple[Matrix, ...]:
@@ -252,6 +252,7 @@ class Corrected:
 
 _WORDS = {
     "heading": ("direction of the body against the heading sent, clockwise", 180.0 / np.pi, 2, "°"),
+    "lag": ("headings sent are older than positions", 1e3, 0, " ms"),
     "ahead": ("position sent is behind the reference point", 1.0, 3, " m"),
     "left": ("position sent is to the right of the reference point", 1.0, 3, " m"),
     "length": ("length of the vehicle, more than sent", 1.0, 3, " m"),
@@ -310,12 +311,12 @@ def beside_paper(calibration: Calibration) -> tuple[Compared, ...]:
     if paper is None or differs is None:
         return ()
     T_paper = planar(paper.yaw_rad, paper.shift) @ calibration.T_level_sensor
-    ours, theirs = (calibration.world.to_utm(T[None, :2, 3])[0] for T in (calibration.T_world_sensor, T_paper))
+    xy, xy_paper = (calibration.world.to_utm(T[None, :2, 3])[0] for T in (calibration.T_world_sensor, T_paper))
     yaw, yaw_paper = calibration.viewing_angles.yaw_deg, viewing_angles(T_paper, calibration.axes).yaw_deg
     turn = (yaw_paper - yaw + 180.0) % 360.0 - 180.0
     return (
-        Compared("Easting", f"{ours[0]:.3f} m", f"{theirs[0]:.3f} m", f"{_signed(theirs[0] - ours[0], 3)} m"),
-        Compared("Northing", f"{ours[1]:.3f} m", f"{theirs[1]:.3f} m", f"{_signed(theirs[1] - ours[1], 3)} m"),
+        Compared("Easting", f"{xy[0]:.3f} m", f"{xy_paper[0]:.3f} m", f"{_signed(xy_paper[0] - xy[0], 3)} m"),
+        Compared("Northing", f"{xy[1]:.3f} m", f"{xy_paper[1]:.3f} m", f"{_signed(xy_paper[1] - xy[1], 3)} m"),
         Compared("Looks to", f"{yaw:.3f}°", f"{yaw_paper:.3f}°", f"{_signed(turn, 3)}°"),
         Compared("Objects on the track", "–", "–", f"{differs[0]:.3f} m apart (root mean square)"),
     )

@@ -15,6 +15,7 @@ from laci_stereo.core.estimation.drive_prior import (
     GROWTH,
     HEADING,
     KNOTS,
+    LAG,
     LEVER,
     PARTIAL,
     SHAPE,
@@ -197,6 +198,23 @@ def test_the_noise_of_headings_tells_neither_clock_nor_lever(drive: Drive) -> No
     assert all(off @ np.linalg.solve(fit.covariance, off) < 9.0 for off, fit in zip(errors, fits, strict=True))
 
 
+@pytest.mark.parametrize("lag_s", [-0.3, 0.0, 0.2, 0.4])
+def test_a_turn_tells_how_late_headings_are(lag_s: float) -> None:
+    drive = evidence(TURN)
+    vehicle = drive.vehicle
+    front = np.array([vehicle.length_m / 2, 0.0])
+    yaw = TURN.at(vehicle.stamps_s - lag_s)[1]
+    centre = vehicle.xy + rotate_xy(vehicle.yaw_rad, front) - rotate_xy(yaw, front)
+    late = replace(vehicle, xy=centre, yaw_rad=yaw, reference=(float(front[0]), 0.0))
+    fit = fit_jointly([replace(drive, vehicle=late)], TRUTH)
+    (lag,) = (each for each in fit.corrections[0] if each.what == "lag")
+    assert lag.value == pytest.approx(lag_s, abs=0.1)  # headings of a point 0.8 m farther ahead look 0.1 s older
+    assert (lag.surprise > 4.0) == (lag_s != 0.0)
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 9.0
+    assert np.linalg.norm(off[1:]) < 0.03
+
+
 def test_two_drives_know_more_than_either() -> None:
     back = replace(STRAIGHT, start=(0.0, -4.0), yaw_deg=120.0)
     one, other = evidence(STRAIGHT, seed=1), evidence(back, seed=2)
@@ -316,14 +334,13 @@ def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
     model, x = at_the_truth(drive)
     x += np.random.default_rng(2).normal(0.0, 0.01, len(x))
-    step = 1e-6 * np.eye(len(x))[index]
+    size = 1e-2 if index == FIRST_OWN + LAG else 1e-6  # the body's yaw is interpolated linearly over 0.02 s
+    step = size * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
     touched, its, theirs = (each[each.face >= FACES] for each in (rows, more, less))
-    slope = (its.distance - theirs.distance) / 2e-6
-    told_by = (
-        model.weigh(touched, 0.0, model.shares()).jacobian[:, index] if index != FIRST_OWN + CLOCK else touched.by_time
-    )
-    off = np.abs(slope - told_by)
+    slope = (its.distance - theirs.distance) / (2.0 * size)
+    by_moment = {FIRST_OWN + CLOCK: touched.by_time, FIRST_OWN + LAG: touched.by_lag}
+    off = np.abs(slope - by_moment.get(index, model.weigh(touched, 0.0, model.shares()).jacobian[:, index]))
     assert len(off) == 2 * len(drive)
     # But where another corner is touched from there on, or a bend of the way begins.
     assert np.quantile(off, 0.9) < 2e-3 * max(1.0, float(np.abs(slope).max()))
