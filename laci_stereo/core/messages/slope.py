@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from laci_stereo.core.frames import FloatArray, rigid
-from laci_stereo.core.robust import NORMAL
+from laci_stereo.core.robust import NORMAL, TUKEY
 
 ALONG_SIGMA, ACROSS_SIGMA = 0.10, 0.025
 """Prior standard deviations of the slope along and across a road: 10 % along it is steep; across it falls by 2.5 % to
@@ -24,12 +24,18 @@ HEIGHT_SIGMA_M = 1000.0
 STRETCH_M = 10.0
 """Correlation length of the errors of altitudes along the path."""
 
+STEEPEST = 3.0 * ALONG_SIGMA
+"""Steepest slope between two messages; what altitudes change beyond that and their noise is a step of the receiver's,
+as when it changes to another solution."""
+
+STEP_SIGMAS = 4.0
+"""Least size of such a step, in standard deviations of the difference of two altitudes."""
+
 FALSE_ALARM = 0.003
 """Probability that a level road is mistaken for a slope: three standard deviations."""
 
-HUBER, TUKEY = 1.345, 4.685
-"""Tuning constants in standard deviations, with 95 % of the efficiency of least squares without outliers (Huber 1981,
-Tukey)."""
+HUBER = 1.345
+"""Tuning constant in standard deviations, for 95 % efficiency on normal noise (Huber 1981)."""
 
 HUBER_STEPS, TUKEY_STEPS = 30, 10
 """Numbers of reweighting steps: each Huber step reduces the influence of outliers at least by a factor, from hundreds
@@ -112,14 +118,15 @@ def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
     """Return the slope of the ground below the given drives, 0 if it is level; None if their altitudes leave it open.
 
     A drive determines the slope along itself; across it the prior remains, unless the drive turns. The altitudes of
-    each receiver have an offset of their own, and outliers are given a small weight (Huber), then none (Tukey).
+    each receiver have an offset of their own, another one after each step, and outliers are given a small weight
+    (Huber), then none (Tukey).
 
     Parameters
     ----------
     drives : sequence of (ndarray, shape (n, 2); ndarray, shape (n,))
         Positions of each drive, metres on the map, and the altitudes there, metres; NaN where not reported.
     """
-    told = [(xy[known], z[known]) for xy, z in drives if (known := np.isfinite(z)).any()]
+    told = [part for xy, z in drives if (known := np.isfinite(z)).any() for part in _parted(xy[known], z[known])]
     if not told:
         return None
     xy, z = (np.concatenate(each) for each in zip(*told, strict=True))
@@ -127,7 +134,7 @@ def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
     drive = np.repeat(np.arange(len(told)), counts)
     driven_m = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each, _ in told])
     worth = np.minimum(1.0, np.maximum(driven_m / STRETCH_M, 1.0) / counts)[drive]
-    spare = float(worth.sum()) - len(told) - 1.0  # beyond the receivers' offsets and the slope along
+    spare = float(worth.sum()) - len(told) - 1.0  # beyond the offsets and the slope along
     if spare <= 0.0:
         return None
     pivot = xy.mean(axis=0)
@@ -153,6 +160,30 @@ def slope_of(drives: Sequence[tuple[FloatArray, FloatArray]]) -> Slope | None:
             return None
         gradient = np.zeros(2)
     return Slope(gradient, covariance, pivot)
+
+
+def _parted(xy: FloatArray, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Divide a drive, positions of shape (n, 2) and altitudes of shape (n,), where its altitudes step.
+
+    What comes back from an excursion of less than `STRETCH_M` belongs to what was before.
+    """
+    way_m = np.append(0.0, np.linalg.norm(np.diff(xy, axis=0), axis=1).cumsum())
+    noise_m = max(np.sqrt(2.0) * ALTITUDE_SIGMA_M, NORMAL * float(np.median(np.abs(np.diff(z)))) if len(z) > 1 else 0.0)
+    least_m = _digit_m(z) + STEP_SIGMAS * noise_m  # two rounded values are apart by up to one digit more
+    part = np.zeros(len(z), dtype=int)
+    ends: list[int] = []  # the last message of each part
+    for new in range(len(z)):
+        near = [end for end in ends if end == new - 1 or way_m[new] - way_m[end] < STRETCH_M]
+        fits = [end for end in near if abs(z[new] - z[end]) <= least_m + STEEPEST * (way_m[new] - way_m[end])]
+        part[new] = part[max(fits)] if fits else len(ends)
+        ends[part[new] : part[new] + 1] = [new]
+    return [(xy[part == each], z[part == each]) for each in range(len(ends))]
+
+
+def _digit_m(z: FloatArray) -> float:
+    """Return the value of the last decimal digit to which altitudes are rounded, from 1 m down to 1 mm."""
+    digits = (digit for digit in (1.0, 0.1, 0.01) if np.allclose(z / digit, np.rint(z / digit), 0.0, 1e-3))
+    return next(digits, 1e-3)
 
 
 def _solved(rows: FloatArray, z: FloatArray, weight: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -154,6 +154,31 @@ def test_altitudes_that_do_not_follow_from_the_others_count_for_nothing(
     assert np.sqrt(slope.covariance[0, 0]) < 0.002
 
 
+@pytest.mark.parametrize("percent", [0.0, 6.0])
+@pytest.mark.parametrize("step_m", [-3.0, -0.7, 0.7, 1.0, 20.0])
+@pytest.mark.parametrize("at", [30, 40, 60])
+@pytest.mark.parametrize("noise_m", [0.0, 0.03])
+def test_altitudes_that_step_tell_the_slope_before_and_after(
+    percent: float, step_m: float, at: int, noise_m: float
+) -> None:
+    xy = np.column_stack([np.linspace(0.0, 60.0, 80), np.zeros(80)])
+    altitude_m = 560.37 + percent / 100 * xy[:, 0] + np.random.default_rng(at).normal(0.0, noise_m, 80)
+    altitude_m[at:] += step_m
+    slope = slope_of([(xy, altitude_m.round(2))])
+    assert slope is not None
+    assert slope.gradient[0] == pytest.approx(percent / 100, abs=3 * np.sqrt(slope.covariance[0, 0]))
+    assert np.sqrt(slope.covariance[0, 0]) < 0.005
+
+
+@pytest.mark.parametrize("percent", [6.0, 10.0])
+def test_altitudes_in_whole_metres_have_no_steps(percent: float) -> None:
+    xy = np.column_stack([np.linspace(0.0, 60.0, 80), np.zeros(80)])
+    slope = slope_of([(xy, (560.3 + percent / 100 * xy[:, 0]).round())])
+    assert slope is not None
+    assert slope.gradient[0] == pytest.approx(percent / 100, abs=3 * np.sqrt(slope.covariance[0, 0]))
+    assert np.sqrt(slope.covariance[0, 0]) < 0.02
+
+
 def test_each_receivers_altitudes_count_from_a_height_of_its_own() -> None:
     xy = np.column_stack([np.linspace(0.0, 40.0, 40), np.zeros(40)])
     farther = xy + np.array([60.0, 0.0])
