@@ -15,11 +15,9 @@ from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.images import write_picture
 from laci_stereo.io.output import check_files, check_png, write_file
+from laci_stereo.program import NEGATIVE
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
-
-OF_NO_USE = 1
-"""Exit code for a log none of whose stations a run could use."""
 
 Format: TypeAlias = Literal["csv", "geojson"]
 
@@ -54,7 +52,7 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
             write_picture(out, draw_log(recording))
             say_written(out)
         if not summary.of_use:
-            sys.exit(OF_NO_USE)
+            sys.exit(NEGATIVE)
         return
     for note in recording.notes:
         click.echo(f"note: {note}", err=True)

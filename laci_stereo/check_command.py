@@ -20,11 +20,9 @@ from laci_stereo.io.maps.lane_map import MAP_FILES, LaneMap, find_lane_map, read
 from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
+from laci_stereo.program import NEGATIVE
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.rectify import already_rectified
-
-CONTRADICTED = 1
-"""Exit code of a check that fails."""
 
 UNCLAIMED = np.diag([0.0, 0.0, TOO_FAR_RAD**2, TOO_FAR_M**2, TOO_FAR_M**2, 0.0])
 """Assumed covariance of a calibration without one: within the plane, errors that a pass rules out must be possible.
@@ -164,4 +162,4 @@ def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path
         write_document(json_file, check_document(checked.check, map_sigma_m))
     say_written(*(path for path in (picture, json_file) if path is not None))
     if checked.check.judgement.outcome == "fail":
-        sys.exit(CONTRADICTED)
+        sys.exit(NEGATIVE)

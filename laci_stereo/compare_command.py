@@ -10,10 +10,8 @@ import click
 from laci_stereo.cli_options import PATH, say_written
 from laci_stereo.compare import SHARED, Comparison, chance, compare, to_csv, to_summary, to_table
 from laci_stereo.io.output import check_files, write_file
+from laci_stereo.program import NEGATIVE
 from laci_stereo.report.page.compare import Pair, Row, write_compare_page
-
-CONTRADICTED = 1
-"""Exit code where results contradict each other."""
 
 
 @click.command(name="compare")
@@ -45,7 +43,7 @@ def compare_command(
     if files:
         say_written(*files)
     if any(each.outcome == "contradict" for each in comparisons):
-        sys.exit(CONTRADICTED)
+        sys.exit(NEGATIVE)
 
 
 def _pair(comparison: Comparison) -> Pair:

@@ -22,11 +22,11 @@ from laci_stereo.mask.detect import NetworkFinder, Vehicle
 from laci_stereo.mask.network import PROVIDERS, MaskOptions, Network, Provider
 from laci_stereo.mask.picture import Cell, Crop
 from laci_stereo.mask.stage import outlines
-from laci_stereo.program import INTERRUPTED
+from laci_stereo.report.style import BLACK, YELLOW
+from laci_stereo.start import INTERRUPTED
 from laci_stereo.stereo.reader import EightBit
 from laci_stereo.stereo.recording import LOOK_FRAMES
 
-YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 MASK_SHARE = 0.4
 """Opacity of a mask's colour in the picture."""
 

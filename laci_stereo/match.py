@@ -14,15 +14,12 @@ from laci_stereo.core.errors import DetectionError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
 from laci_stereo.core.ground.box_ground import HEIGHT_SIGMA_M, LEVEL_SIGMA_DEG, SLOPE_SIGMA, Below, ground_below
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import above_zero
 from laci_stereo.io.detections import read_detections
 from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
-
-CONTRADICTION = 4.0
-"""Number of standard deviations beyond which two heights contradict each other, and beyond which no road is as
-steep."""
 
 STEEP = 2.0
 """Number of standard deviations beyond which a slope is mentioned."""
@@ -171,13 +168,13 @@ def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> Below
 
 def _check_level(path: Path, below: Below, level_m: float) -> None:
     """Raise if the boxes are at another height below the sensor, or on ground that is steeper than roads are."""
-    if abs(below.height_m - level_m) > CONTRADICTION * np.hypot(below.height_sigma_m, HEIGHT_SIGMA_M):
+    if abs(below.height_m - level_m) > TAIL * np.hypot(below.height_sigma_m, HEIGHT_SIGMA_M):
         raise DetectionError(
             f"{path}: the boxes stand {below.height_m:.1f} m below the sensor, give or take {below.height_sigma_m:.1f} "
             f"m, by their z and height; --level is {level_m:g} m: needed is one height (see --box-origin and --axes), "
             "or boxes without z"
         )
-    if below.slope > CONTRADICTION * np.hypot(below.slope_sigma, SLOPE_SIGMA):
+    if below.slope > TAIL * np.hypot(below.slope_sigma, SLOPE_SIGMA):
         raise DetectionError(
             f"{path}: the ground below the boxes falls or rises by {below.slope:.0%}, "
             f"{np.degrees(np.arctan(below.slope)):.1f} deg, by their z and height; by --level the sensor is level to "

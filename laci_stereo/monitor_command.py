@@ -47,7 +47,7 @@ from laci_stereo.monitor.report import document_of, findings, summary_of
 from laci_stereo.monitor.run import STATE_FILE, TABLE_FILE, Monitor, Plan
 from laci_stereo.monitor.settings import MonitorSettings
 from laci_stereo.monitor.stereo import StereoFrames
-from laci_stereo.program import INTERRUPTED
+from laci_stereo.start import INTERRUPTED
 from laci_stereo.stereo.settings import StereoSettings
 
 PICTURE_FILE, FIGURES_FILE, LABELS_FILE = "histogram.png", "monitor.json", "objects.json"

@@ -11,10 +11,14 @@ from types import FrameType
 import click
 
 from laci_stereo.core.errors import CalibrationError, LaciError
+from laci_stereo.start import INTERRUPTED
 
-NOT_CALIBRATED = 1
+NEGATIVE = 1
+"""Exit code where the input was read, but it does not determine a calibration, a verdict is fail, results contradict
+each other, or a log is of no use."""
+
 UNUSABLE_INPUT = 2
-INTERRUPTED = 130
+"""Exit code where the input cannot be read or makes no sense."""
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> None:
@@ -47,7 +51,7 @@ def _outcome(command: click.Command, program: str) -> tuple[str, int]:
         asked = error.ctx.command_path if error.ctx is not None else program
         return f"{error.format_message().rstrip('.')}; see {asked} --help", UNUSABLE_INPUT
     except CalibrationError as error:
-        return f"not calibrated: {error}", NOT_CALIBRATED
+        return f"not calibrated: {error}", NEGATIVE
     except LaciError as error:
         return str(error), UNUSABLE_INPUT
     except OSError as error:  # a file system that fails under a path that was readable before

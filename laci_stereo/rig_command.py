@@ -16,10 +16,8 @@ from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, p
 from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.rig.stereo_calibration import ForImages, calibration_files, read_rig
 from laci_stereo.io.timed_files import names_in
+from laci_stereo.program import NEGATIVE
 from laci_stereo.stereo.rectify import already_rectified
-
-DOES_NOT_FIT = 1
-"""Exit code of a calibration that does not fit."""
 
 
 @click.command()
@@ -65,7 +63,7 @@ def rig(
     if outputs:
         say_written(*outputs)
     if check.outcome == "fail":
-        sys.exit(DOES_NOT_FIT)
+        sys.exit(NEGATIVE)
 
 
 def _pairs(left: Path, right: Path) -> tuple[StereoPair, ...]:

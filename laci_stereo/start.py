@@ -7,7 +7,8 @@ import signal
 from importlib import import_module
 from types import FrameType
 
-_INTERRUPTED = 130
+INTERRUPTED = 130
+"""Exit code after an interrupt: 128 and the number of the signal."""
 
 
 def start(module: str) -> None:
@@ -22,7 +23,7 @@ def start(module: str) -> None:
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
-    os._exit(_INTERRUPTED)
+    os._exit(INTERRUPTED)
 
 
 def main() -> None:

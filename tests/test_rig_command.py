@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -359,6 +360,16 @@ def test_images_that_promise_gigabytes_are_one_line(tmp_path: Path) -> None:
         each.left.write_bytes(png_bomb(40_000, 20_000))
     ran = run(arguments(tmp_path / "left", tmp_path / "right"), tmp_path)
     refusal(ran, 2, "has 40000 x 20000 pixels; needed are at most 100 megapixels")
+
+
+def test_a_pair_before_a_damaged_image_is_used(tmp_path: Path) -> None:
+    found = pairs(tmp_path, "five")
+    os.truncate(found[1].left, 500)
+    matched = match_images(found)
+    assert len(matched.matches) == 1
+    assert len(matched.matches[0]) > 500
+    assert [str(found[1].left) in reason for reason in matched.skipped] == [True]
+    assert check_rig(RIGS["five"], matched).outcome == "pass"
 
 
 def test_a_damaged_first_image_is_skipped(tmp_path: Path) -> None:

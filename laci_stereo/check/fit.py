@@ -101,16 +101,16 @@ def fit_planar(offsets: Offsets, placed: Placed, map_sigma_m: float) -> PlanarEr
     centre = sections.xy.mean(axis=0)
     rows = planar_rows(sections, centre)
     claimed = np.einsum("ij,ijk->ik", sections.left, placed.jacobian(sections.xy))
-    others = covariance_of(offsets, placed, map_sigma_m)
+    unclaimed = covariance_of(offsets, placed, map_sigma_m)
     free = placed.covariance.copy()
     free[[2, 3, 4]], free[:, [2, 3, 4]] = 0.0, 0.0
-    weights = np.linalg.inv(others + claimed @ free @ claimed.T)
+    weights = np.linalg.inv(unclaimed + claimed @ free @ claimed.T)
     # Errors beyond the search range are not found, so it is the prior of a direction that no line determines.
     known = np.diag(1.0 / np.array([SHIFT_M, SHIFT_M, TURN_RAD]) ** 2)
     covariance = np.linalg.inv(rows.T @ weights @ rows + known)
     gain = covariance @ rows.T @ weights
     value = gain @ offsets.left_m
-    expected = gain @ (others + claimed @ placed.covariance @ claimed.T) @ gain.T + covariance @ known @ covariance
+    expected = gain @ (unclaimed + claimed @ placed.covariance @ claimed.T) @ gain.T + covariance @ known @ covariance
     return PlanarError(centre, value, covariance, expected)
 
 

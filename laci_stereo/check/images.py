@@ -87,7 +87,7 @@ def at_rest(files: Sequence[Path], reader: GreyReader) -> Raster:
     chosen = spread(files, FRAMES)
     reader.eight_bit.learn_from(chosen)
     read = [image for image in map(reader.read, chosen) if image is not None]
-    reader.check(len(chosen))
+    reader.check([(path,) for path in chosen])
     if not read:
         raise ImageError("0 images; needed is at least one")
     median: Raster = np.median(np.stack(read), axis=0).astype(np.uint8)

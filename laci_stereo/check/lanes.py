@@ -235,10 +235,10 @@ def _look(lines: Sequence[LaneLine], placed: Placed, see: See, map_sigma_m: floa
     kept = visible & (counts[sections.line] >= LEAST_SECTIONS)
     sections, traces = sections[kept], traces[kept]
     still = Offsets(sections, np.zeros(len(sections)), traces.cell_m, traces.loose_m)
-    own = covariance_of(still, placed, map_sigma_m)
+    covariance = covariance_of(still, placed, map_sigma_m)
     painted = np.array([DASHED_SHARE if line.subtype == "dashed" else 1.0 for line in lines])
     least = FOUND_SHARE * painted * np.bincount(sections.line, minlength=len(lines))
-    return View(sections, traces, hidden[np.isfinite(see(hidden).cell_m)], np.sqrt(np.diag(own)), least)
+    return View(sections, traces, hidden[np.isfinite(see(hidden).cell_m)], np.sqrt(np.diag(covariance)), least)
 
 
 def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float) -> Fitted | None:
@@ -260,10 +260,10 @@ def _fit(view: View, expected_m: FloatArray, placed: Placed, map_sigma_m: float)
 
 def _ends_elsewhere(rival: Alignment, fitted: Fitted | None, view: View, placed: Placed, map_sigma_m: float) -> bool:
     """Return whether the fit that starts from a rival differs from the best one in at least `LEAST_MOVED` sections."""
-    other = _fit(view, rival.offsets(view.sections), placed, map_sigma_m)
-    if fitted is None or other is None:
+    moved = _fit(view, rival.offsets(view.sections), placed, map_sigma_m)
+    if fitted is None or moved is None:
         return False
-    ends = [planar_rows(view.sections, each.centre) @ each.value for each in (fitted.error, other.error)]
+    ends = [planar_rows(view.sections, each.centre) @ each.value for each in (fitted.error, moved.error)]
     return bool(apart(ends[1] - ends[0], view.alone_m).sum() >= LEAST_MOVED)
 
 
@@ -302,24 +302,24 @@ def _astray(offsets: Offsets, beside: FloatArray) -> frozenset[int]:
 
 def _line_checked(line: LaneLine, number: int, view: View, fitted: Fitted | None, placed: Placed) -> LineCheck:
     in_view, hidden = (int((each.line == number).sum()) for each in (view.sections, view.hidden))
-    mine = None if fitted is None else fitted.offsets[fitted.offsets.sections.line == number]
-    if fitted is None or mine is None or len(mine) == 0:
+    on_line = None if fitted is None else fitted.offsets[fitted.offsets.sections.line == number]
+    if fitted is None or on_line is None or len(on_line) == 0:
         return LineCheck(line.id, line.kind, in_view, hidden, 0, found=False)
-    weights = np.linalg.inv(covariance_of(mine, placed, 0.0))
+    weights = np.linalg.inv(covariance_of(on_line, placed, 0.0))
     sigma_m = 1.0 / float(np.sqrt(weights.sum()))
     mean = weights.sum(axis=0) * sigma_m**2
-    per_m = float(mean @ (1.0 / mine.cell_m)) if view.traces.in_image else None
-    offset_m = float(mean @ mine.left_m)
+    per_m = float(mean @ (1.0 / on_line.cell_m)) if view.traces.in_image else None
+    offset_m = float(mean @ on_line.left_m)
     return LineCheck(
         line.id,
         line.kind,
         in_view,
         hidden,
-        len(mine),
+        len(on_line),
         found=True,
         offset_m=offset_m,
         sigma_m=sigma_m,
-        offset_px=None if per_m is None else float(mean @ (mine.left_m / mine.cell_m)),
+        offset_px=None if per_m is None else float(mean @ (on_line.left_m / on_line.cell_m)),
         sigma_px=None if per_m is None else sigma_m * per_m,
         astray=number in fitted.astray,
     )

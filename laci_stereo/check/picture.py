@@ -15,6 +15,7 @@ from laci_stereo.core.frames import FloatArray, Raster
 from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
 from laci_stereo.report.lines import subdivide
+from laci_stereo.report.overlay import MARGIN, PANEL_SHARE
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
 
 Project: TypeAlias = Callable[[FloatArray], list[FloatArray]]
@@ -24,7 +25,6 @@ LINE_WIDTH, DOT_RADIUS = 1.4, 2.2
 LANE = Stroke(YELLOW, LINE_WIDTH, halo=False)
 HIDDEN = Stroke(YELLOW, LINE_WIDTH, dash=(4.0, 9.0), halo=False)
 STEP_M = 0.5
-PANEL_SHARE, MARGIN = 0.62, 14.0
 
 
 def draw_check(

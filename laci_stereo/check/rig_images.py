@@ -105,8 +105,8 @@ def check_rig(rig: StereoRig, matched: Matched) -> RigCheck:
 
 def fit_of(rig: StereoRig, matches: Sequence[PairMatches]) -> Fit:
     """Evaluate matches under a calibration."""
-    everything = rectified(rig, matches)
-    points, strange = in_common(everything)
+    all_points = rectified(rig, matches)
+    points, strange = in_common(all_points)
     strange += sum(not len(found) for found in matches)
     # Moving points may show a delay between the images, so they are not used to judge the calibration.
     still = points.chosen(~points.moves)
@@ -118,7 +118,7 @@ def fit_of(rig: StereoRig, matches: Sequence[PairMatches]) -> Fit:
         strange,
         parallax,
         # In images of different times, moving points do not satisfy the common epipolar geometry.
-        None if parallax is None else lag(everything.chosen(everything.moves), parallax),
+        None if parallax is None else lag(all_points.chosen(all_points.moves), parallax),
         _together([found.moving for found in matches]),
         _together([found.still for found in matches]),
     )
@@ -151,11 +151,11 @@ def _sized(rig: StereoRig, size: Size) -> tuple[StereoRig | None, tuple[Finding,
     """Return the rig for images of a size, scaled if only the scale differs; None if they are of other cameras."""
     if rig.left.size == size:
         return rig, ()
-    said = "the images are {} x {} pixels, the calibration is for {} x {}".format(*size, *rig.left.size)
+    mismatch = "the images are {} x {} pixels, the calibration is for {} x {}".format(*size, *rig.left.size)
     factor = size[0] / rig.left.size[0]
     if abs(rig.left.size[1] * factor - size[1]) > 1:
-        return None, (Finding("fail", f"{said}: another camera's, or cropped"),)
-    return scaled(rig, factor), (Finding("fail", f"{said}: were they scaled by {factor:g}?"),)
+        return None, (Finding("fail", f"{mismatch}: another camera's, or cropped"),)
+    return scaled(rig, factor), (Finding("fail", f"{mismatch}: were they scaled by {factor:g}?"),)
 
 
 def _one_camera(first: Compared) -> Iterator[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import cv2
@@ -85,7 +86,7 @@ class Compared:
     ----------
     left, right : ndarray, shape (height, width)
     later : ndarray or None
-        None at the end of the recording, if its size differs, or if the times are unknown.
+        None at the end of the recording, if it cannot be read, if its size differs, or if the times are unknown.
     later_s : float
     """
 
@@ -101,20 +102,22 @@ def read_compared(pairs: Sequence[StereoPair], number: int) -> Compared:
     Raises
     ------
     ImageError
-        If an image cannot be read, or left and right differ in size.
+        If an image of the pair cannot be read, or left and right differ in size.
     """
     pair = pairs[number]
     eight_bit = EightBit()
-    eight_bit.learn_from((pair.left, pair.right))
-    left, right = (eight_bit.grey(read_image(path)) for path in (pair.left, pair.right))
+    eight_bit.learn_from(pair.images)
+    left, right = (eight_bit.grey(read_image(path)) for path in pair.images)
     if left.shape != right.shape:
         (h, w), (right_h, right_w) = left.shape, right.shape
         raise ImageError(f"{pair.right}: the image is {right_w}x{right_h} pixels; needed are {w}x{h}, as the left one")
     later, later_s = None, 0.0
     if number + 1 < len(pairs):
-        following = eight_bit.grey(read_image(pairs[number + 1].left))
-        later_s = (pairs[number + 1].stamp_ns - pair.stamp_ns) / 1e9
-        later = following if following.shape == left.shape and later_s > 0 else None
+        following = pairs[number + 1]
+        later_s = (following.stamp_ns - pair.stamp_ns) / 1e9
+        with suppress(ImageError):  # the pair itself is good all the same
+            image = eight_bit.grey(read_image(following.left))
+            later = image if image.shape == left.shape and later_s > 0 else None
     return Compared(left, right, later, later_s)
 
 
@@ -187,12 +190,12 @@ def _refined(
     """Return the positions of points in another image, shape (n, 2), and which of them are reliable."""
     if not len(points):
         return start, np.zeros(0, dtype=bool)
-    there, seen = _followed(image, other, points, start, levels)
-    back, also = _followed(other, image, there, points, levels)
+    found, seen = _followed(image, other, points, start, levels)
+    back, seen_back = _followed(other, image, found, points, levels)
     returned = np.linalg.norm(back - points, axis=1) < RETURNED_PX
-    near = np.linalg.norm(there - start, axis=1) <= most_px
-    usable: BoolArray = seen & also & returned & near
-    return there, usable
+    near = np.linalg.norm(found - start, axis=1) <= most_px
+    usable: BoolArray = seen & seen_back & returned & near
+    return found, usable
 
 
 def _followed(image: Raster, other: Raster, points: Raster, start: Raster, levels: int) -> tuple[Raster, BoolArray]:

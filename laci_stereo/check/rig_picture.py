@@ -9,6 +9,7 @@ from laci_stereo.check.rig_points import Rectified
 from laci_stereo.check.rig_verdict import FAIL_PX, WARN_PX
 from laci_stereo.core.frames import FloatArray, Raster
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
+from laci_stereo.report.overlay import PANEL_SHARE
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
 from laci_stereo.stereo.rectify import rectify
 
@@ -17,7 +18,7 @@ ROWS = 12
 
 ROW = Stroke(WHITE, 0.5, halo=False)
 RADIUS = 2.6
-PANEL_SHARE, MARGIN = 0.62, 12.0
+MARGIN = 12.0
 _COLOURS = (
     (SKY_BLUE, f"within {WARN_PX:g} px of its row", 0.0, WARN_PX),
     (YELLOW, f"within {FAIL_PX:g} px", WARN_PX, FAIL_PX),

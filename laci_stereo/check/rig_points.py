@@ -140,12 +140,12 @@ def in_common(points: Rectified) -> tuple[Rectified, int]:
     keep = np.zeros(len(points), dtype=bool)
     strange = 0
     for number in np.unique(points.pair):
-        mine = np.flatnonzero(points.pair == number)
-        agreeing = _on_one_geometry(points.left[mine], points.right[mine])
-        expected = len(mine) * 2 * TOLERANCE_PX / points.size[1]
+        in_pair = np.flatnonzero(points.pair == number)
+        agreeing = _on_one_geometry(points.left[in_pair], points.right[in_pair])
+        expected = len(in_pair) * 2 * TOLERANCE_PX / points.size[1]
         chance = 8 + expected + np.sqrt(2 * expected * np.log(TRIES)) + np.log(TRIES)
         if agreeing.sum() > chance:
-            keep[mine[agreeing]] = True
+            keep[in_pair[agreeing]] = True
         else:
             strange += 1
     return points.chosen(keep), strange

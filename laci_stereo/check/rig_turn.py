@@ -128,12 +128,12 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
     doubts = tuple(f"stereo calibration: {finding.text}" for finding in against)
     if turn_deg == NO_TURN:
         return RightTurn(doubts=doubts)
-    said, turn_rad = _in_words(fits(NO_TURN), turn_deg), float(np.radians(np.linalg.norm(turn_deg)))
+    words, turn_rad = _in_words(fits(NO_TURN), turn_deg), float(np.radians(np.linalg.norm(turn_deg)))
     off_px = fit.points.focal_px * turn_rad
     if off_px <= WARN_PX:
-        return RightTurn(turn_deg, off_px, by_rows=(f"{said}; this is compensated",), doubts=doubts, fits=fits)
+        return RightTurn(turn_deg, off_px, by_rows=(f"{words}; this is compensated",), doubts=doubts, fits=fits)
     doubt = (
-        f"{said}; this is compensated, but a yaw of the same size, which only the drive can show, would put what is "
+        f"{words}; this is compensated, but a yaw of the same size, which only the drive can show, would put what is "
         f"{SAID_AT_M:.0f} m away {SAID_AT_M**2 * turn_rad / rig.baseline_m:.1f} m nearer or farther: calibrate the "
         "cameras again"
     )

@@ -58,10 +58,10 @@ def _shared(noise: FloatArray, line: IntArray) -> FloatArray:
     """Return each section's noise or its line's median, whichever is greater; infinite if unknown."""
     shared = np.full(len(noise), np.inf)
     for number in np.unique(line):
-        mine = line == number
-        known = noise[mine & np.isfinite(noise)]
+        on_line = line == number
+        known = noise[on_line & np.isfinite(noise)]
         if len(known):
-            shared[mine] = np.maximum(np.nan_to_num(noise[mine], nan=np.inf), np.median(known))
+            shared[on_line] = np.maximum(np.nan_to_num(noise[on_line], nan=np.inf), np.median(known))
     return shared
 
 

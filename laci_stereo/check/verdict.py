@@ -115,7 +115,7 @@ def _not_ruled_out(error: PlanarError) -> list[str]:
     """Return, as text, the errors that cannot be ruled out."""
     variances, directions = np.linalg.eigh(error.covariance[:2, :2])
     found_m, sigmas_m = np.abs(error.value[:2] @ directions), np.sqrt(variances)
-    said = [
+    sentences = [
         f"a shift of {100 * TOO_FAR_M:.0f} cm towards {np.degrees(np.arctan2(y, x)) % 180:.0f} deg, or back, is not "
         f"ruled out: the lines say {100 * found:.0f} +- {100 * sigma:.0f} cm"
         for found, sigma, (x, y) in zip(found_m, sigmas_m, directions.T, strict=True)
@@ -123,8 +123,8 @@ def _not_ruled_out(error: PlanarError) -> list[str]:
     ]
     turn_rad, sigma_rad = float(error.value[2]), float(np.sqrt(error.covariance[2, 2]))
     if abs(turn_rad) + ONE_SIDED * sigma_rad > TOO_FAR_RAD:
-        said.append(
+        sentences.append(
             f"a turn of {np.degrees(TOO_FAR_RAD):.1f} deg is not ruled out: the lines say "
             f"{np.degrees(turn_rad):+.2f} +- {np.degrees(sigma_rad):.2f} deg"
         )
-    return said
+    return sentences

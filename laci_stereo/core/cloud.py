@@ -10,6 +10,9 @@ import numpy as np
 
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
 
+MAX_BAD_SHARE = 0.2
+"""Largest tolerated fraction of unreadable frames of a recording; a larger one is an error."""
+
 
 @dataclass(frozen=True)
 class PointCloud:

@@ -24,17 +24,17 @@ def parse_axes(text: str) -> Axes:
     SettingError
         If the text cannot be parsed, or forward and up are not perpendicular.
     """
-    told: dict[str, tuple[float, float, float]] = {}
+    directions: dict[str, tuple[float, float, float]] = {}
     for part in re.split(r"[,;]\s*", text.strip().lower()):
         for sign, axis, way in _parts(part, text):
             backwards = (sign == "-") != (way in ("backward", "down"))
             direction = "forward" if way in ("forward", "backward") else "up"
-            if direction in told:
+            if direction in directions:
                 raise SettingError(f"the axes {quoted(text)} tell {direction} twice; {_NEEDED}")
             unit = [0.0, 0.0, 0.0]
             unit["xyz".index(axis)] = -1.0 if backwards else 1.0
-            told[direction] = (unit[0], unit[1], unit[2])
-    axes = Axes(told.get("forward", (1.0, 0.0, 0.0)), told.get("up", (0.0, 0.0, 1.0)))
+            directions[direction] = (unit[0], unit[1], unit[2])
+    axes = Axes(directions.get("forward", (1.0, 0.0, 0.0)), directions.get("up", (0.0, 0.0, 1.0)))
     if np.dot(axes.forward, axes.up) != 0.0:
         raise SettingError(f"the axes {quoted(text)} make forward and up parallel; {_NEEDED}")
     return axes

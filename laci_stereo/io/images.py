@@ -84,6 +84,11 @@ class StereoPair:
     left: Path
     right: Path
 
+    @property
+    def images(self) -> tuple[Path, Path]:
+        """The left and the right image."""
+        return self.left, self.right
+
 
 @dataclass(frozen=True)
 class Pairs:

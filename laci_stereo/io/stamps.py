@@ -13,7 +13,7 @@ _ISO = re.compile(
     r"([0-9]{4})-?([0-9]{2})-?([0-9]{2})[Tt ]+([0-9]{2}):?([0-9]{2}):?([0-9]{2})(?:[.,]([0-9]+))?"
     r"\s*(?:([Zz])|([+-])([0-9]{2}):?([0-9]{2})?)?"
 )
-_UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 POSSIBLE_NS = range(10**17, 9 * 10**18)
@@ -88,7 +88,7 @@ def iso_time(text: str) -> IsoTime | None:
     try:
         moment = datetime(*map(int, clock), tzinfo=timezone.utc)  # type: ignore[misc, arg-type]
         offset = timedelta(hours=int(hours or 0), minutes=int(minutes or 0))
-        since_epoch = moment - _UNIX_EPOCH - (-offset if sign == "-" else offset)
+        since_epoch = moment - UNIX_EPOCH - (-offset if sign == "-" else offset)
     except (ValueError, OverflowError):
         return None
     ns = (since_epoch // timedelta(seconds=1)) * 10**9 + int((fraction or "0")[:9].ljust(9, "0"))
@@ -98,4 +98,4 @@ def iso_time(text: str) -> IsoTime | None:
 
 def iso_text(stamp_ns: int) -> str:
     """Return a Unix time as ISO 8601 in UTC, to the millisecond."""
-    return (_UNIX_EPOCH + timedelta(milliseconds=round(stamp_ns / 10**6))).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
+    return (UNIX_EPOCH + timedelta(milliseconds=round(stamp_ns / 10**6))).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"

@@ -205,13 +205,13 @@ def _surfaces(moving: Moving, standing: BoolArray, window_px: int | None = None)
     pairs = []
     for step in range(1, BRIDGED_PX + 1):
         sigmas = NOISE_SIGMAS * min(1.0, step / window_px if window_px else 1.0) ** 0.5
-        for other in (at[v + step, u], at[v, u + step]):
-            one = np.flatnonzero(other >= 0)
-            other = other[one]
-            near = np.abs(distance[one] - distance[other]) <= sigmas * np.hypot(sigma[one], sigma[other])
-            pairs.append((one[near], other[near]))
-    one, other = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    links = coo_array((np.ones(len(one), dtype=bool), (one, other)), shape=(len(points), len(points)))
+        for neighbour in (at[v + step, u], at[v, u + step]):
+            point = np.flatnonzero(neighbour >= 0)
+            neighbour = neighbour[point]
+            near = np.abs(distance[point] - distance[neighbour]) <= sigmas * np.hypot(sigma[point], sigma[neighbour])
+            pairs.append((point[near], neighbour[near]))
+    point, neighbour = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    links = coo_array((np.ones(len(point), dtype=bool), (point, neighbour)), shape=(len(points), len(points)))
     numbers[points] = connected_components(links, directed=False)[1] + 1
     return numbers
 

@@ -142,7 +142,7 @@ def _contract(document: dict[str, Any], path: Path) -> Contract:
         if count not in (1, spec.channels):
             raise MaskError(f"{path}: input.{name} has {count} numbers; needed are 1 or {spec.channels} ({spec.color})")
     boxes: dict[str, Any] = {"box_format": "cxcywh", "normalized": True} if kind == "detr" else {}
-    said = {
+    output = {
         key: tuple(value) if isinstance(value, list) else value for key, value in document.get("output", {}).items()
     }
-    return Contract(kind, tuple(document["vehicle_ids"]), spec, OutputSpec(**{**boxes, **said}), path)
+    return Contract(kind, tuple(document["vehicle_ids"]), spec, OutputSpec(**{**boxes, **output}), path)

@@ -142,10 +142,10 @@ class Network:
                 f"{shape[0]}x{shape[1]}"
             )
         types = {"tensor(float)": "float32", "tensor(float16)": "float16", "tensor(uint8)": "uint8"}
-        own = self._session.get_inputs()[0].type
-        if types.get(own) != self.contract.input.dtype:
+        input_type = self._session.get_inputs()[0].type
+        if types.get(input_type) != self.contract.input.dtype:
             raise MaskError(
-                f"{self.model}: its input is of type {types.get(own, own)}; the contract says "
+                f"{self.model}: its input is of type {types.get(input_type, input_type)}; the contract says "
                 f"{self.contract.input.dtype}"
             )
 
@@ -191,11 +191,11 @@ def _load_cuda(onnxruntime: Any) -> str:
 
     On its own, the runtime searches only the system's library paths.
     """
-    said = io.StringIO()
+    printed = io.StringIO()
     if hasattr(onnxruntime, "preload_dlls"):  # available since 1.21
-        with redirect_stdout(said):
+        with redirect_stdout(printed):
             onnxruntime.preload_dlls()
-    return said.getvalue().partition("\n")[0]
+    return printed.getvalue().partition("\n")[0]
 
 
 def _ports(session: Any) -> Ports:

@@ -110,12 +110,12 @@ def tensor(placed: list[Placed], size: tuple[int, int], spec: InputSpec) -> Rast
     ndarray, shape (1, channels, height, width) or (1, height, width, channels)
     """
     canvas: Raster = np.full((size[1], size[0], 3), round(spec.pad), dtype=np.uint8)
-    for each in placed:
-        x, y = each.offset.astype(int).tolist()
-        shrinks = bool((each.scale < 1).any())
+    for placement in placed:
+        x, y = placement.offset.astype(int).tolist()
+        shrinks = bool((placement.scale < 1).any())
         method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        canvas[y : y + each.size[1], x : x + each.size[0]] = cv2.resize(
-            each.crop.image, each.size, interpolation=method
+        canvas[y : y + placement.size[1], x : x + placement.size[0]] = cv2.resize(
+            placement.crop.image, placement.size, interpolation=method
         )
     if spec.color == "GRAY":
         canvas = cv2.cvtColor(canvas, cv2.COLOR_BGR2GRAY)[:, :, None]

@@ -134,7 +134,7 @@ class Tally:
         """Return the mask's effect, and its disagreements with the background test, as sentences."""
         points = self.kept + self.dropped
         share, each_ms = self.dropped / max(points, 1), 1000 * self.seconds / max(self.runs, 1)
-        told = [
+        facts = [
             f"of {points} moving points {self.kept} were kept and {self.dropped} dropped ({share:.0%})",
             f"things move in {self.frames} frames; in {self.fallback} of them it found none, and all points stayed",
             f"it ran {self.runs} times for {self.crops} crops, {each_ms:.0f} ms each time",
@@ -144,8 +144,8 @@ class Tally:
             (self.at_rest, "vehicles by the mask do not move by the background test"),
             (self.grown, "masks cut through a surface that goes on beyond them, which was kept as a whole"),
         )
-        told += [f"mask and background test disagree: {count} {what}" for count, what in disagreement if count]
-        return tuple(filter(None, (*told, self.warning)))
+        facts += [f"mask and background test disagree: {count} {what}" for count, what in disagreement if count]
+        return tuple(filter(None, (*facts, self.warning)))
 
 
 class VehicleMask:

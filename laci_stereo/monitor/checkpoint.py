@@ -158,8 +158,8 @@ def _of_tally(tally: Tally) -> dict[str, Any]:
 def _tally(document: Mapping[str, Any]) -> Tally:
     cells = Counter({(i, j): count for i, j, count in document["cells"]})
     strips = {
-        name: StripTally(**{**one, "profile": Counter(dict(one["profile"]))})
-        for name, one in document["strips"].items()
+        name: StripTally(**{**strip, "profile": Counter(dict(strip["profile"]))})
+        for name, strip in document["strips"].items()
     }
     return Tally(**{**document, "cells": cells, "strips": strips})
 
@@ -183,9 +183,9 @@ def _live(document: Mapping[str, Any], settings: TrackSettings) -> Live:
     return Live(moving, [_sighting(one) for one in document["head"]], [_kept(one) for one in document["kept"]])
 
 
-def _of_kept(one: Kept) -> list[Any]:
-    outline = base64.b64encode(one.outline.tobytes()).decode()
-    return [one.frame, one.stamp_s, one.middle.tolist(), one.whole, outline, one.top_m, one.sigma_m]
+def _of_kept(kept: Kept) -> list[Any]:
+    outline = base64.b64encode(kept.outline.tobytes()).decode()
+    return [kept.frame, kept.stamp_s, kept.middle.tolist(), kept.whole, outline, kept.top_m, kept.sigma_m]
 
 
 def _kept(values: Sequence[Any]) -> Kept:
@@ -194,8 +194,8 @@ def _kept(values: Sequence[Any]) -> Kept:
     return Kept(frame, stamp_s, np.array(middle), whole, points, top_m, sigma_m)
 
 
-def _of_sighting(one: Sighting) -> list[float]:
-    return [one.stamp_s, one.frame_s, *one.middle.tolist(), one.count]
+def _of_sighting(sighting: Sighting) -> list[float]:
+    return [sighting.stamp_s, sighting.frame_s, *sighting.middle.tolist(), sighting.count]
 
 
 def _sighting(values: list[float]) -> Sighting:

@@ -196,11 +196,11 @@ class Linker:
         strains = {}
         for stray in range(min(2, len(live.head))):
             begin = backwards(live.head[stray:], settings)
-            for number, one in enumerate(self.lost):
-                gap_s = live.head[stray].stamp_s - one.last_s
+            for number, lost in enumerate(self.lost):
+                gap_s = live.head[stray].stamp_s - lost.last_s
                 if 0.0 < gap_s <= settings.max_lost_s:
-                    surely = stray == 0 or live.first_s <= one.last_s
-                    strains[number, stray] = strain(one.moving, begin, gap_s, settings) + (0.0 if surely else STRAY)
+                    surely = stray == 0 or live.first_s <= lost.last_s
+                    strains[number, stray] = strain(lost.moving, begin, gap_s, settings) + (0.0 if surely else STRAY)
         if strains and min(strains.values()) < 1.0:
             number, stray = min(strains, key=lambda pair: strains[pair])
             before = self.lost.pop(number)
@@ -231,37 +231,37 @@ class Linker:
         return alone
 
 
-def _one_body(one: Sequence[Kept], other: Sequence[Kept]) -> bool:
+def _one_body(track: Sequence[Kept], other: Sequence[Kept]) -> bool:
     """Return whether two tracks move together within the extent of a car's body."""
-    if one[-1].frame < other[0].frame or other[-1].frame < one[0].frame:
+    if track[-1].frame < other[0].frame or other[-1].frame < track[0].frame:
         return False
-    there = {kept.frame: kept.middle for kept in other}
-    pairs = [(kept.middle, there[kept.frame]) for kept in one if kept.frame in there]
+    middle_at = {kept.frame: kept.middle for kept in other}
+    pairs = [(kept.middle, middle_at[kept.frame]) for kept in track if kept.frame in middle_at]
     if len(pairs) < COMMON_FRAMES:
         return False
-    mine, theirs = (np.array(side) for side in zip(*pairs, strict=True))
-    if np.linalg.norm(mine[-1] - mine[0]) < BODY_M[0]:
+    middles, other_middles = (np.array(side) for side in zip(*pairs, strict=True))
+    if np.linalg.norm(middles[-1] - middles[0]) < BODY_M[0]:
         return False
-    place = np.arange(len(mine))
-    way = mine[np.minimum(place + NEARBY, len(mine) - 1)] - mine[np.maximum(place - NEARBY, 0)]
-    apart = np.abs(rotate_xy(-np.arctan2(way[:, 1], way[:, 0]), mine - theirs))
+    place = np.arange(len(middles))
+    way = middles[np.minimum(place + NEARBY, len(middles) - 1)] - middles[np.maximum(place - NEARBY, 0)]
+    apart = np.abs(rotate_xy(-np.arctan2(way[:, 1], way[:, 0]), middles - other_middles))
     return bool((apart < BODY_M).all(axis=1).mean() >= NEARLY_ALL)
 
 
-def _merged(one: Sequence[Kept], other: Sequence[Kept]) -> list[Kept]:
+def _merged(track: Sequence[Kept], other: Sequence[Kept]) -> list[Kept]:
     """Merge two parts of one body, frame by frame."""
     merged = {kept.frame: kept for kept in other}
-    for kept in one:
+    for kept in track:
         part = merged.get(kept.frame)
         merged[kept.frame] = kept if part is None else _together(kept, part)
     return [merged[frame] for frame in sorted(merged)]
 
 
-def _together(one: Kept, other: Kept) -> Kept:
-    if not (len(one.outline) and len(other.outline)):
-        return one if len(one.outline) or not len(other.outline) else other
-    moved = other.outline + np.rint((other.middle - one.middle) / UNIT_M).astype(np.int16)
-    return replace(one, outline=np.concatenate([one.outline, moved]), top_m=max(one.top_m, other.top_m))
+def _together(kept: Kept, other: Kept) -> Kept:
+    if not (len(kept.outline) and len(other.outline)):
+        return kept if len(kept.outline) or not len(other.outline) else other
+    moved = other.outline + np.rint((other.middle - kept.middle) / UNIT_M).astype(np.int16)
+    return replace(kept, outline=np.concatenate([kept.outline, moved]), top_m=max(kept.top_m, other.top_m))
 
 
 def _bare(sighting: Sighting) -> Sighting:

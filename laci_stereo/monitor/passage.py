@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
-from laci_stereo.core.settings import TrackSettings
+from laci_stereo.core.settings import BoxSettings, TrackSettings
 from laci_stereo.core.tracking.deskew import WINDOW_S, motion
 from laci_stereo.monitor.linking import UNIT_M, Kept
 from laci_stereo.monitor.settings import MonitorSettings
@@ -32,8 +32,8 @@ ROUNDS = 2
 OUTER_SHARE = 0.02
 """Fraction of an outline's points that may lie beyond its near side: outliers that the density filter kept."""
 
-SIDE_M = 0.2
-"""Points of one upright side lie within this, see `BoxSettings.line_tolerance_m`, or within twice the standard
+SIDE_M = BoxSettings.line_tolerance_m
+"""Points of one upright side lie within this, or within twice the standard
 deviation of their noise if that is larger."""
 
 OUTER_SIDES = 2.0

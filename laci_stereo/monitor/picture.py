@@ -14,7 +14,7 @@ from laci_stereo.monitor.lanes import Strip
 from laci_stereo.monitor.report import LaneFinding, counted
 from laci_stereo.monitor.run import Plan
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Rect, emptiest_corner
-from laci_stereo.report.mapview import MapView
+from laci_stereo.report.mapview import LEAST_EXTENT_M, MapView
 from laci_stereo.report.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILLION, WHITE, Stroke, lane_strokes
 
 SIZE = (1600, 1000)
@@ -28,7 +28,6 @@ SEEN_SHARE = 0.005
 """Fraction of the positions that may lie beyond each side of the map: an object far away must not shrink the rest."""
 
 MARGIN_M = 5.0
-LEAST_EXTENT_M = 20.0
 BAR_SHARE = 0.3
 HALF_PROFILE_M = 2.5
 """Distance to which a profile extends on either side of the line: beyond it is the next lane."""
@@ -176,26 +175,26 @@ def _across(offset_m: float) -> float:
     return (left + right) / 2 - offset_m / HALF_PROFILE_M * (right - left) / 2
 
 
-def _draw_profile(canvas: Canvas, one: LaneFinding, rect: Rect, plan: Plan) -> None:
+def _draw_profile(canvas: Canvas, lane: LaneFinding, rect: Rect, plan: Plan) -> None:
     left, top, right, base = rect
     label, bin_m = LINE_HEIGHT * SMALL * canvas.unit_px, plan.settings.profile_bin_m
     full = base - top - label - 8.0
-    most = max(one.tally.profile.values(), default=1)
-    for number, count in one.tally.profile.items():
+    most = max(lane.tally.profile.values(), default=1)
+    for number, count in lane.tally.profile.items():
         ends = [_across(edge) for edge in (number * bin_m, (number + 1) * bin_m)]
         x0, x1 = max(min(ends), left), min(max(ends), right)
         if x1 > x0:
             y = base - full * count / most
             canvas.area(np.array([[x0, y], [x1, y], [x1, base], [x0, base]]), LIGHT_GREY)
-    for edge in _edges(one.strip):
+    for edge in _edges(lane.strip):
         if abs(edge) <= HALF_PROFILE_M:
             canvas.lines([np.array([[_across(edge), base - full], [_across(edge), base]])], MAP_LINE)
     canvas.lines([np.array([[_across(0.0), base - full], [_across(0.0), base]])], ZERO)
     canvas.lines([np.array([[left, base], [right, base]])], FRAME)
-    if one.tally.offset_m is not None:
-        x = _across(one.tally.offset_m)
+    if lane.tally.offset_m is not None:
+        x = _across(lane.tally.offset_m)
         canvas.lines([np.array([[x, base - full], [x, base]])], MEAN)
-    text = _caption(one)
+    text = _caption(lane)
     canvas.text(text, (left, top + label / 2), BLACK, size=canvas.fitting(text, right - left, SMALL))
 
 
@@ -204,10 +203,10 @@ def _edges(strip: Strip) -> tuple[float, ...]:
     return (float(np.median(strip.low_m)), float(np.median(strip.high_m)))
 
 
-def _caption(one: LaneFinding) -> str:
-    tally = one.tally
+def _caption(lane: LaneFinding) -> str:
+    tally = lane.tally
     passages = counted(tally.along + tally.against, "passage")
-    name = f"{'lane ' if one.strip.is_lane else ''}{one.strip.id}: {passages}"
+    name = f"{'lane ' if lane.strip.is_lane else ''}{lane.strip.id}: {passages}"
     if tally.offset_m is None:
         return f"{name}, wrong way"
     error = "" if tally.error_m is None else f" ± {tally.error_m:.2f}"

@@ -99,16 +99,16 @@ def document_of(plan: Plan, state: State, found: Sequence[LaneFinding], recordin
     }
 
 
-def _lane(one: LaneFinding, bin_m: float) -> Document:
-    tally = one.tally
+def _lane(lane: LaneFinding, bin_m: float) -> Document:
+    tally = lane.tally
     return {
-        "id": one.strip.id,
+        "id": lane.strip.id,
         "passages": tally.along + tally.against,
         "passages_along": tally.along,
-        "passages_against": tally.against if one.strip.one_way else None,
+        "passages_against": tally.against if lane.strip.one_way else None,
         "offset_left_m": tally.offset_m,
         "standard_error_m": tally.error_m,
-        "calibration_sigma_m": one.calibration_sigma_m,
+        "calibration_sigma_m": lane.calibration_sigma_m,
         "profile": {"bin_m": bin_m, "from": [[round(i * bin_m, 6), n] for i, n in sorted(tally.profile.items())]},
     }
 
@@ -140,16 +140,16 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def describe(one: LaneFinding) -> str:
+def describe(lane: LaneFinding) -> str:
     """Describe the traffic in a lane in one line: passages, mean offset, its standard error, and which side."""
-    tally = one.tally
-    passages = f"{one.strip.id}: {counted(tally.along + tally.against, 'passage')}"
+    tally = lane.tally
+    passages = f"{lane.strip.id}: {counted(tally.along + tally.against, 'passage')}"
     if tally.offset_m is None:
         return f"{passages}, all against its direction"
     side = "left" if tally.offset_m >= 0 else "right"
     error = "" if tally.error_m is None else f" +- {tally.error_m:.2f} m"
-    of = "its middle" if one.strip.is_lane else "the line"
+    of = "its middle" if lane.strip.is_lane else "the line"
     return (
         f"{passages}, {abs(tally.offset_m):.2f} m{error} {side} of {of} (the calibration's own doubt: "
-        f"{one.calibration_sigma_m:.2f} m)"
+        f"{lane.calibration_sigma_m:.2f} m)"
     )

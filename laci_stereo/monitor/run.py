@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from laci_stereo.core.cloud import MAX_BAD_SHARE
 from laci_stereo.core.errors import ImageError, LaciError, OutputError
 from laci_stereo.core.frames import FloatArray, planar, transform
 from laci_stereo.core.settings import Settings
@@ -27,16 +28,15 @@ from laci_stereo.monitor.linking import Live
 from laci_stereo.monitor.objects import header, rows_of
 from laci_stereo.monitor.passage import passage_of
 from laci_stereo.monitor.settings import MonitorSettings
+from laci_stereo.stereo.recording import LOOK_FRAMES
 
 log = logging.getLogger(__name__)
 
 STATE_FILE, TABLE_FILE = "state.json", "objects.csv"
-MAX_BAD_SHARE = 0.2
-"""Largest tolerated fraction of unreadable frames; a larger one is an error."""
 
-LEAST_SURVEY = 31
-"""Number of frames from which the static scene is normally learnt. From a block with fewer frames, the background of
-the next block is not learnt. With fewer frames done, the fraction of unreadable ones is not checked either."""
+LEAST_SURVEY = LOOK_FRAMES
+"""From a block with fewer frames, the background of the next block is not learnt. With fewer frames done, the fraction
+of unreadable ones is not checked either."""
 
 
 @dataclass(frozen=True)
@@ -233,11 +233,11 @@ class Monitor:
 
         These are the frames of the block before, if it has at least `LEAST_SURVEY`, or else of the frame's own block.
         """
-        own = self._stretch(frame)
-        if own.start == 0:
-            return own
-        before = self._stretch(own.start - 1)
-        return before if len(before) >= LEAST_SURVEY else own
+        block = self._stretch(frame)
+        if block.start == 0:
+            return block
+        before = self._stretch(block.start - 1)
+        return before if len(before) >= LEAST_SURVEY else block
 
     def _against(self, frame: int) -> _Learnt:
         frames = self._survey(frame)

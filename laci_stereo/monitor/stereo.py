@@ -6,7 +6,7 @@ import copy
 import hashlib
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -101,7 +101,7 @@ class StereoFrames:
         new = [pair for pair in listed if pair.stamp_ns > last_ns]
         if self._arrivals is not None:
             known = max(whole - len(self._pairs), 0)
-            waiting = [(pair.left, pair.right) for pair in new[known:]]
+            waiting = [pair.images for pair in new[known:]]
             new = new[: known + self._arrivals.whole(waiting, time.monotonic())]
         self._pairs += new
 
@@ -125,7 +125,7 @@ class StereoFrames:
 class _Patient(GreyReader):
     """A reader without a limit on unusable images; the monitor has its own."""
 
-    def check(self, attempted: int) -> None:
+    def check(self, frames: Sequence[tuple[Path, ...]]) -> None:
         """Accept any number of unusable images."""
 
 

@@ -94,17 +94,17 @@ class Tally:
         return strips[driven[0][0]].id if driven else ""
 
     def _drove(
-        self, strip: Strip, place: Located, mine: BoolArray, yaw_rad: FloatArray, settings: MonitorSettings
+        self, strip: Strip, place: Located, in_strip: BoolArray, yaw_rad: FloatArray, settings: MonitorSettings
     ) -> None:
         tally = self.strips.setdefault(strip.id, StripTally())
-        if strip.one_way and np.cos(yaw_rad[mine] - place.yaw_rad[mine]).mean() < 0.0:
+        if strip.one_way and np.cos(yaw_rad[in_strip] - place.yaw_rad[in_strip]).mean() < 0.0:
             tally.against += 1
             return
-        offset_m = float(np.median(place.offset_m[mine]))
+        offset_m = float(np.median(place.offset_m[in_strip]))
         tally.along += 1
         tally.offset_sum_m += offset_m
         tally.offset_square_m2 += offset_m**2
-        tally.profile.update(np.floor(place.offset_m[mine] / settings.profile_bin_m).astype(int).tolist())
+        tally.profile.update(np.floor(place.offset_m[in_strip] / settings.profile_bin_m).astype(int).tolist())
 
 
 def _driven(
@@ -125,9 +125,9 @@ def _driven(
     found: list[tuple[int, BoolArray]] = []
     while len(fit):
         best = int(fit.sum(axis=1).argmax())
-        mine: BoolArray = fit[best] > 0.0
-        if mine.sum() * settings.step_m < settings.min_in_lane_m:
+        in_strip: BoolArray = fit[best] > 0.0
+        if in_strip.sum() * settings.step_m < settings.min_in_lane_m:
             return found
-        found.append((best, mine))
-        fit[:, mine] = 0.0
+        found.append((best, in_strip))
+        fit[:, in_strip] = 0.0
     return found

@@ -44,11 +44,11 @@ def draw_log(recording: CamRecording) -> Raster:
     canvas.specks(view.pixels(xy[others]), GREY)
     entries = [Entry("others", "dot", Stroke(GREY, _DOT))] if others.any() else []
     for station, colour in reversed(list(zip(named, _COLOURS, strict=False))):
-        mine = log.station_id == station
-        for piece in _pieces(log.stamps_ns[mine] / 1e9, xy[mine]):
+        of_station = log.station_id == station
+        for piece in _pieces(log.stamps_ns[of_station] / 1e9, xy[of_station]):
             canvas.lines([view.pixels(piece)], Stroke(colour, _LINE))
-        canvas.dots(view.pixels(xy[mine]), colour, _DOT)
-        entries.insert(0, Entry(f"station {station}, {int(mine.sum())} messages", "dot", Stroke(colour, _DOT)))
+        canvas.dots(view.pixels(xy[of_station]), colour, _DOT)
+        entries.insert(0, Entry(f"station {station}, {int(of_station.sum())} messages", "dot", Stroke(colour, _DOT)))
     margin = 1.5 * TEXT * canvas.unit_px
     canvas.legend(entries, (margin, margin), BLACK)
     draw_bar(canvas, view, (margin, SIZE[1] - margin), BAR_SHARE, ", north is up")

@@ -98,12 +98,12 @@ def match(left: Raster, right: Raster, region: Region, settings: StereoSettings)
         speckleRange=2,
     )
     coarse = (matcher.compute(left, _exposed_like(left, right)).astype(np.float32) / 16)[:, region.reach :]
-    own = np.ascontiguousarray(left[:, region.reach :])
+    inner = np.ascontiguousarray(left[:, region.reach :])
     # A best match at either end of the range is no minimum.
     found = (coarse > region.smallest) & (coarse < region.smallest + region.count - 1)
-    refined = _refine_in_bands(own, right, region.reach, coarse, found, settings.refine_window_px)
+    refined = _refine_in_bands(inner, right, region.reach, coarse, found, settings.refine_window_px)
     sigma = np.sqrt(refined.variance + settings.disparity_floor_px**2)
-    white = cv2.blur((own >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
+    white = cv2.blur((inner >= SATURATED).astype(np.float32), (settings.block_size, settings.block_size)) > 0.5
     # A shift of a pixel or more means that the window contains something other than the matched surface.
     keep = found & (np.abs(refined.values - coarse) < 1) & (sigma <= settings.max_disparity_sigma_px) & ~white
     values = np.where(keep, refined.values, np.nan)
@@ -162,10 +162,11 @@ def check_matched(disparity: Disparity, folder: Path, images: Sequence[Raster], 
     height, width = images[0].shape
     region = Region(0, 0, width, height, 0, min(width // 4, 128))
     flipped = [cv2.copyMakeBorder(np.fliplr(image), 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
-    other = float(np.isfinite(match(flipped[0], flipped[1], region, settings).values).mean())
+    exchanged = float(np.isfinite(match(flipped[0], flipped[1], region, settings).values).mean())
     hint = (
-        f"with the cameras exchanged {other:.0%} would: are the folders swapped, or is T given in the other direction?"
-        if other >= max(2 * share, MIN_MATCHED_SHARE)
+        f"with the cameras exchanged {exchanged:.0%} would: are the folders swapped, or is T given in the other "
+        "direction?"
+        if exchanged >= max(2 * share, MIN_MATCHED_SHARE)
         else "is the calibration another rig's, or stale, or are the images dark? `laci-stereo rig` looks for the cause"
     )
     raise RigError(

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from laci_stereo.core.cloud import MAX_BAD_SHARE
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import MOST_BITS, read_image
 from laci_stereo.io.rig.stereo_calibration import StereoRig
 
 log = logging.getLogger(__name__)
-
-MAX_BAD_SHARE = 0.2
-"""A recording with a larger fraction of unreadable frames is an error."""
 
 FILLED_BITS = (10, 12, 14, 16)
 """Numbers of bits that cameras use of 16-bit images."""
@@ -134,17 +132,18 @@ class GreyReader:
         """
         return self.eight_bit.colour(read_image(path))
 
-    def check(self, attempted: int) -> None:
-        """Check the fraction of unreadable frames.
+    def check(self, frames: Sequence[tuple[Path, ...]]) -> None:
+        """Check the fraction of frames one of whose images could not be used.
 
         Raises
         ------
         ImageError
-            If more than a fifth of the frames could not be read.
+            If it is more than a fifth.
         """
-        if len(self.skipped) > MAX_BAD_SHARE * attempted:
+        unusable = sum(any(path in self.skipped for path in images) for images in frames)
+        if unusable > MAX_BAD_SHARE * len(frames):
             raise ImageError(
-                f"of what was read so far, {len(self.skipped)} of {attempted} frames are unusable; needed are at least "
+                f"of what was read so far, {unusable} of {len(frames)} frames are unusable; needed are at least "
                 f"{1 - MAX_BAD_SHARE:.0%} usable ones; the first: {self.first_complaint()}"
             )
 

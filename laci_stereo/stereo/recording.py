@@ -175,7 +175,7 @@ class StereoRecording:
         else:
             frames = map_ahead(partial(self._moving_pixels, scene, self.mask), self.pairs, self._threads)
             yield from self.mask.apply(frames, self.settings.refine_window_px // 2)
-        self.reader.check(len(self.pairs))
+        self.reader.check([pair.images for pair in self.pairs])
 
     def survey(self) -> Iterator[PointCloud]:
         """Yield whole frames, subsampled: those that differ least from the scene at rest, and some others."""
@@ -206,7 +206,7 @@ class StereoRecording:
         candidates = spread(self.pairs if self._background is None else self._background, LOOK_FRAMES)
         self.reader.eight_bit.learn_from(pair.left for pair in spread(self.pairs, LOOK_FRAMES))
         read = [(pair, self._shrunken(pair)) for pair in candidates]
-        self.reader.check(len(candidates))
+        self.reader.check([pair.images for pair in candidates])
         usable = [(pair, image) for pair, image in read if image is not None]
         look = learn_look([image for _, image in usable])
         ranked = [pair for pair, _ in sorted(usable, key=lambda item: float(look.changed(item[1]).mean()))]
@@ -250,7 +250,7 @@ class StereoRecording:
             left, right = self.reader.read(pair.left), self.reader.read(pair.right)
             if left is not None and right is not None:
                 return pair, left, right
-        self.reader.check(len(pairs))
+        self.reader.check([pair.images for pair in pairs])
         raise ImageError(self.reader.first_complaint())
 
     def _whole_cloud(self, pair: StereoPair) -> PointCloud | None:

@@ -127,10 +127,10 @@ def refine(left: Raster, right: Raster, reach: int, coarse: Raster, found: BoolA
         if step:
             shifted = _shifted(fine, u - FINER * (start + held), v)
         apart = (shifted - grey) * weight
-        other = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
-        mean = (gradient + other) / 2
+        other_gradient = cv2.filter2D(shifted, cv2.CV_32F, DERIVATIVE) * weight
+        mean = (gradient + other_gradient) / 2
         # The product of both images' gradients, because the square of one would count its noise as texture.
-        texture = gradient * other
+        texture = gradient * other_gradient
         information = np.maximum(_sums(texture, side), LEAST_INFORMATION)
         # A pixel's difference already includes its own start value; wanted is one shift for the whole window.
         shift = _sums(mean * apart + texture * held, side) / information

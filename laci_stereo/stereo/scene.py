@@ -143,10 +143,10 @@ def _densest_look(grey: Raster, typical: float) -> tuple[FloatArray, FloatArray,
     low, width = _narrowest(grey, mostly)
     reach = CHANGE_SIGMAS * np.maximum(width / CENTRAL_QUARTER, typical)
     alike = np.abs(grey - (low + width / 2)) <= reach
-    another = _narrowest(np.where(alike, np.inf, grey), at_times)[1]
+    another_width = _narrowest(np.where(alike, np.inf, grey), at_times)[1]
     look = np.where(alike, grey, np.nan)
     median = np.nanmedian(look, axis=0)
-    return median, NORMAL * np.nanmedian(np.abs(look - median), axis=0), another > reach
+    return median, NORMAL * np.nanmedian(np.abs(look - median), axis=0), another_width > reach
 
 
 def _narrowest(grey: Raster, count: int) -> tuple[FloatArray, FloatArray]:

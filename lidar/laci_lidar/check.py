@@ -144,11 +144,11 @@ def find_paint(road: Surroundings, sections: Sections) -> Traces:
 
 def _backdrop(view: MapView, around: Surroundings) -> Raster:
     """Return a picture of the intensity, or of the height if there is none, shape (height, width), uint8."""
-    told = np.isfinite(around.intensity)
-    values = np.where(told, around.intensity, 0.0) if told.any() else around.points[:, 2]
+    has_intensity = np.isfinite(around.intensity)
+    values = np.where(has_intensity, around.intensity, 0.0) if has_intensity.any() else around.points[:, 2]
     width, height = np.ceil(view.size).astype(int) + 1
     column, row = np.rint(view.pixels(around.points[:, :2])).astype(int).T
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (told | ~told.any())
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (has_intensity | ~has_intensity.any())
     flat = row[inside] * width + column[inside]
     count = np.bincount(flat, minlength=width * height)
     mean = np.bincount(flat, values[inside], minlength=width * height) / np.maximum(count, 1)

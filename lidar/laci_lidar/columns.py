@@ -12,6 +12,9 @@ import numpy.typing as npt
 from laci_lidar.errors import ScanError
 from laci_stereo.io.text_file import quoted
 
+LONGEST_HEADER = 1 << 16
+"""Largest size of a file's header, bytes."""
+
 Column: TypeAlias = npt.NDArray[Any]
 Columns: TypeAlias = Mapping[str, Column]
 """The columns of a scan by name, each of shape (n,) or, for fields that repeat, (n, count)."""

@@ -57,12 +57,12 @@ def find_kerbs(around: Surroundings, placed: Placed, sections: Sections) -> Trac
     bare = step - _slope(step)
     noise = noise_of(bare, sections.line, CLEAR_M + FLANK_M, np.full(len(heights), EVEN_M))
     sigmas = np.where(np.abs(step) < HIGHEST_M, np.abs(bare) / noise, 0.0)
-    told = (sigmas.max(axis=1) >= SURE) | (SURE * noise[:, len(OFFSETS_M) // 2] <= LOWEST_M)
+    judged = (sigmas.max(axis=1) >= SURE) | (SURE * noise[:, len(OFFSETS_M) // 2] <= LOWEST_M)
     left_m = np.zeros(heights.shape)
     shadow_per_m = _shadow_per_m(placed, sections)
     for row, at in np.argwhere(highest(sigmas) & (sigmas > 0.0)).tolist():
         left_m[row, at] = _edge(heights[row], at, float(shadow_per_m[row]))
-    return traces.put(seen, Traces(sigmas, left_m, np.where(told, cell_m[seen], np.inf), np.zeros(len(told))))
+    return traces.put(seen, Traces(sigmas, left_m, np.where(judged, cell_m[seen], np.inf), np.zeros(len(judged))))
 
 
 def _profiles(around: Surroundings, sections: Sections) -> tuple[FloatArray, FloatArray]:

@@ -116,13 +116,13 @@ def _differences(points: FloatArray, ground: GroundPlane) -> FloatArray:
     directions = _directions(road)
     steepness = np.maximum(-directions @ ground.normal, _SMALLEST_STEEPNESS)
     residuals = np.linalg.norm(road, axis=1) - ground.height_m / steepness
-    sample, other, angle = _neighbours(directions)
+    sample, neighbour, angle = _neighbours(directions)
     if len(angle) == 0:
         return np.zeros((2, 0))
     near = angle < 2 * np.median(angle)
-    sample, other = sample[near], other[near]
+    sample, neighbour = sample[near], neighbour[near]
     leverage = ground.height_m / steepness[sample] * np.sqrt(1 / steepness[sample] ** 2 - 1)
-    return np.stack([residuals[sample] - residuals[other], leverage])
+    return np.stack([residuals[sample] - residuals[neighbour], leverage])
 
 
 def _steps(directions: FloatArray) -> FloatArray:

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_lidar import lzf
-from laci_lidar.columns import Columns, Field, from_text, named, unpacked
+from laci_lidar.columns import LONGEST_HEADER, Columns, Field, from_text, named, unpacked
 from laci_lidar.errors import ScanError
 from laci_stereo.io.text_file import quoted
 
-LONGEST_HEADER = 1 << 16
 _TYPES = {("F", 2): "<f2", ("F", 4): "<f4", ("F", 8): "<f8"} | {
     (kind, size): f"<{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)
 }

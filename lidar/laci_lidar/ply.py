@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_lidar.columns import Columns, Field, from_text, unpacked
+from laci_lidar.columns import LONGEST_HEADER, Columns, Field, from_text, unpacked
 from laci_lidar.errors import ScanError
 from laci_stereo.io.text_file import quoted
 
-LONGEST_HEADER = 1 << 16
 _TYPES = {
     "char": "i1",
     "int8": "i1",

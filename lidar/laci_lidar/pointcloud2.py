@@ -35,13 +35,13 @@ def is_known(ros1: bool, definition: str, digest: str) -> bool:
     if not definition.strip():
         return True
     try:
-        told = types_told(definition, POINT_CLOUD)
+        parsed = types_told(definition, POINT_CLOUD)
     except Exception:  # exceptions of many types, all of which mean that this is no definition
         return False
     # Only names and types of fields are compared; constants and comments do not matter.
-    return POINT_CLOUD in told and all(
+    return POINT_CLOUD in parsed and all(
         [name for name, _ in fields] == [name for name, _ in types.fielddefs[known][1]]
-        for known, (_, fields) in told.items()
+        for known, (_, fields) in parsed.items()
         if known in types.fielddefs
     )
 

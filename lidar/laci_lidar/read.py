@@ -106,14 +106,14 @@ def _content(path: Path) -> bytes:
 def _format(content: bytes, path: Path) -> ScanFormat:
     head = content[:_HEAD]
     found = next((known for known in FORMATS if known.begins(head)), None)
-    told = next((known for known in FORMATS if path.suffix.lower() in known.suffixes), None)
-    if found is not None and told is not None and found is not told:
+    by_name = next((known for known in FORMATS if path.suffix.lower() in known.suffixes), None)
+    if found is not None and by_name is not None and found is not by_name:
         raise ScanError(
-            f"{path} is a {found.name} file by its content; needed is {told.name} as its name says, or a name that "
+            f"{path} is a {found.name} file by its content; needed is {by_name.name} as its name says, or a name that "
             f"ends in {found.suffixes[0]}"
         )
-    if found is None and told is not KITTI_FORMAT:
-        named = f"no {told.name} file" if told is not None else "of no known format"
+    if found is None and by_name is not KITTI_FORMAT:
+        named = f"no {by_name.name} file" if by_name is not None else "of no known format"
         raise ScanError(
             f"{path} is {named}: it begins with {head[:8]!r}; needed is PCD, PLY, LAS, LAZ, .bin, .npy or .npz"
         )

@@ -192,12 +192,14 @@ class LidarRecording:
         """
         first = min(index, len(self._quiet) - 2)
         scans = islice(self._quiet.read([first, first + 1], 1), 2)  # read to its end, it raises if one is unusable
-        one, other = ({tuple(point) for point in scan.points.tolist()} if scan is not None else set() for scan in scans)
-        if 2 * len(one & other) > min(len(one), len(other)) > 0:
+        earlier, later = (
+            {tuple(point) for point in scan.points.tolist()} if scan is not None else set() for scan in scans
+        )
+        if 2 * len(earlier & later) > min(len(earlier), len(later)) > 0:
             raise ScanError(
-                f"{self._quiet.path}: scans {first} and {first + 1} have {len(one & other)} points in common: a scan's "
-                f"points were taken within {span_s:.2f} s, and scans are {period_s:.2f} s apart; needed is each point "
-                "in one scan"
+                f"{self._quiet.path}: scans {first} and {first + 1} have {len(earlier & later)} points in common: a "
+                f"scan's points were taken within {span_s:.2f} s, and scans are {period_s:.2f} s apart; needed is each "
+                "point in one scan"
             )
 
     def _survey_frames(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:

@@ -133,17 +133,17 @@ def scan_of(columns: Columns, what: str, stamp_ns: int | None = None) -> Scan:
             f"{what}: 0 of {len(points)} points have a return; needed are finite coordinates off the origin"
         )
     intensity = _first(plain, INTENSITY_NAMES)
-    told = None if times is None else point_times(times[keep], stamp_ns)
-    if times is not None and told is None and (times[keep] != 0).any():  # 0 marks points without a time
-        told = point_times(times[keep & (times != 0)], stamp_ns)
-        keep &= (times != 0) | (told is None)
-    understood = {*"xyz", *INTENSITY_NAMES, *(TIME_NAMES if told is not None else ())}
+    timing = None if times is None else point_times(times[keep], stamp_ns)
+    if times is not None and timing is None and (times[keep] != 0).any():  # 0 marks points without a time
+        timing = point_times(times[keep & (times != 0)], stamp_ns)
+        keep &= (times != 0) | (timing is None)
+    understood = {*"xyz", *INTENSITY_NAMES, *(TIME_NAMES if timing is not None else ())}
     return Scan(
         points[keep],
         None if intensity is None else intensity[keep].astype(np.float64),
-        None if told is None else told.offset_s,
+        None if timing is None else timing.offset_s,
         tuple(name for name in columns if _plain(name) not in understood),
-        "stamp" if told is None else told.clock,
+        "stamp" if timing is None else timing.clock,
     )
 
 

@@ -9,12 +9,10 @@ from typing import Protocol
 
 from laci_lidar.errors import ScanError
 from laci_lidar.scan import Scan
+from laci_stereo.core.cloud import MAX_BAD_SHARE
 from laci_stereo.core.frames import IntArray
 
 log = logging.getLogger(__name__)
-
-MAX_BAD_SHARE = 0.2
-"""A recording with a larger fraction of unreadable scans is an error."""
 
 
 class ScanSequence(Protocol):

@@ -81,7 +81,7 @@ def test_boxes_without_points_have_corrections_but_no_outline() -> None:
     ]
     fit = fitted(track=replace(passage.track, sightings=tuple(bare)))
     assert fit.laid is None
-    assert len(fit.corrections) == 6
+    assert len(fit.corrections) == 7
 
 
 def test_no_message_at_the_time_is_no_fit() -> None:

@@ -255,6 +255,15 @@ def test_more_than_a_fifth_of_bad_frames_is_an_error(wrong: str, tmp_path: Path)
         list(StereoRecording(pairs, RIGS["ideal"]))
 
 
+def test_frames_are_counted_once_and_no_images_of_others(tmp_path: Path) -> None:
+    """The left images of two frames cannot be read, nor the right image of any: of the other ten, ten are unusable."""
+    pairs = record(tmp_path)
+    for path in (*(pair.left for pair in pairs[:2]), *(pair.right for pair in pairs)):
+        os.truncate(path, 500)
+    with pytest.raises(ImageError, match="10 of 10 frames are unusable"):
+        list(StereoRecording(pairs, RIGS["ideal"]).survey())
+
+
 def test_a_background_of_the_users_choice_is_used(ideal: list[StereoPair], clouds: list[PointCloud]) -> None:
     chosen = [ideal[number] for number in EMPTY[:6]]
     recording = StereoRecording(ideal, RIGS["ideal"], background=chosen)

@@ -7,10 +7,8 @@ from dataclasses import replace
 from laci_stereo.core.association.case import Alternative, Case, log_odds_between
 from laci_stereo.core.association.choice import Choice, Likeness, no_likeness
 from laci_stereo.core.association.hypotheses import BOXES_S
+from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, with_turn
-
-SURELY = 4.0
-"""Clocks that are as synchronised as specified never differ by more than this many standard deviations."""
 
 
 def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> Alternative | None:
@@ -40,7 +38,7 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> A
         other = replace(loose, likeness=no_likeness).chosen()
         clearly = other is not None and _explains_more(other, choice, case)
     turn_s = max((track.turn_s for track in case.tracks), default=0.0)
-    least_s = max(BOXES_S, SURELY * with_turn(known_s, turn_s))
+    least_s = max(BOXES_S, TAIL * with_turn(known_s, turn_s))
     if other is None or not clearly or abs(other.time_offset_s) < least_s:
         return None
     seen = _together(other)

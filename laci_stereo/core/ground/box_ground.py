@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform
 from laci_stereo.core.ground.plane import GroundPlane
+from laci_stereo.core.ground.rays import GATE
 from laci_stereo.core.ground.start import can_be_ground, where_it_can_be
 from laci_stereo.core.robust import NORMAL, weighted_median
 from laci_stereo.core.settings import GroundSettings
@@ -37,9 +38,6 @@ BENT_PER_M = 1.0 / 2100.0
 """Standard deviation of a road's vertical curvature along its course: the tightest crest for 50 km/h has a radius of
 700 m, which is taken as three standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m
 for each percent of slope)."""
-
-_GATE = 3.0
-"""Boxes within this many standard deviations of the plane stand on it: all but 0.3 % of Gaussian noise."""
 
 _CELL_M = 1.0
 """Side of the cells in which all boxes of one object count once, so that a waiting vehicle does not outweigh the
@@ -115,7 +113,7 @@ def ground_below(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> 
     for _ in range(_STEPS):
         off_m = np.abs(below_m - plan @ value)
         noise_m = max(float(np.median(off_m)) * NORMAL, _EXACT_M)
-        near = off_m <= _GATE * noise_m
+        near = off_m <= GATE * noise_m
         information = plan[near].T @ plan[near] / noise_m**2 + prior
         value = np.linalg.solve(information, plan[near].T @ below_m[near] / noise_m**2)
     far_m2 = float(np.median((plan[:, 1:] ** 2).sum(axis=1)))
@@ -321,7 +319,7 @@ def _heights(boxes: _Boxes, ground: GroundPlane, axes: Axes) -> _Heights:
     above_m = level[:, 2] - boxes.above_m
     middle = weighted_median(above_m, boxes.weight)
     sigma_m = NORMAL * weighted_median(np.abs(above_m - middle), boxes.weight)
-    near = np.abs(above_m - middle) <= _GATE * sigma_m + _EXACT_M
+    near = np.abs(above_m - middle) <= GATE * sigma_m + _EXACT_M
     return _Heights(level[:, :2], above_m, boxes.label, np.where(near, boxes.weight, 0.0), near)
 
 

@@ -22,6 +22,7 @@ from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.ground.rays import GATE, Rays, random_part
 from laci_stereo.core.ground.uneven import covariance_of_unevenness, patches_of
+from laci_stereo.core.robust import STUDENT, TUKEY
 from laci_stereo.core.settings import GroundSettings
 
 # Side of a cell: 1 m at 20 m, narrower than a car or a pavement, and wide enough for the mean of many points.
@@ -31,8 +32,6 @@ _POINTS = 50_000
 _MAX_ITERATIONS = 30
 # Convergence limits, squared length of a step in standard deviations of m: for placing the cells, and for the result.
 _NEAR, _SETTLED = 0.1**2, 0.01**2
-# Tukey's constant for 95 % efficiency on normal noise.
-_TUKEY = 4.685
 # Fraction of a point's variance that its cell shares: a matching window is a fifth of a cell wide, so 25 fit into one.
 SHARED_IN_CELL = 0.04
 # Largest height of a kerb; higher objects stand out from the noise without further evidence.
@@ -43,8 +42,6 @@ _BLOCK = 5
 _SINGULAR = 1e13
 # Fractions of the largest unevenness that are tried; from 0.1 on, neighbouring ones differ by at most a half.
 _FRACTIONS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
-# Degrees of freedom of Student's t, with which one cell in twenty may be an outlier.
-_STUDENT = 4.0
 
 
 @dataclass(frozen=True)
@@ -289,7 +286,7 @@ def _unevenness(cells: _Cells, settings: GroundSettings) -> float:
     tried_m = settings.unevenness_m * _FRACTIONS
     variance = cells.variance[below] + (tried_m[:, None] * cells.per_metre[below]) ** 2
     squared = cells.residual[below] ** 2
-    cost = np.sum(np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * variance)), axis=1)
+    cost = np.sum(np.log(variance) + (STUDENT + 1.0) * np.log1p(squared / (STUDENT * variance)), axis=1)
     return float(tried_m[int(np.argmin(cost))])
 
 
@@ -364,6 +361,6 @@ def check_count(cells: int, settings: GroundSettings) -> None:
 
 
 def _tukey(standardised: FloatArray) -> FloatArray:
-    """Return Tukey's biweight: 1 at zero, and 0 from `_TUKEY` on."""
-    weight: FloatArray = np.maximum(1.0 - (standardised / _TUKEY) ** 2, 0.0) ** 2
+    """Return Tukey's biweight: 1 at zero, and 0 from `TUKEY` on."""
+    weight: FloatArray = np.maximum(1.0 - (standardised / TUKEY) ** 2, 0.0) ** 2
     return weight

@@ -25,6 +25,7 @@ from laci_stereo.core.frames import (
     transform,
 )
 from laci_stereo.core.ground.fit import SHARED_IN_CELL
+from laci_stereo.core.ground.rays import GATE
 from laci_stereo.core.ground.road_cells import CELL_M, LASER_RAD, Cells
 from laci_stereo.core.ground.road_edges import VERGES_M
 from laci_stereo.core.ground.road_surface import OTHER, Surface, height_of
@@ -91,8 +92,6 @@ VERGE_FALL = 0.01
 """If a road falls at its limit by this much more than farther inside, its outermost part may be a verge: a verge falls
 by at least twice as much more (see `laci_stereo.core.ground.road_edges.EDGES`), but half of the examined cells may not
 be on it."""
-
-GATE = 3.0
 
 MOST_EDGES = 4
 """Largest number of edges found one after the other: the number of corners of a crossing."""

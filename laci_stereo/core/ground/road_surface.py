@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.special import k1
 
-from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.ground.box_ground import BENT_PER_M
 from laci_stereo.core.ground.road_cells import Cells, Patches
 from laci_stereo.core.ground.road_crowns import Crowns
@@ -131,8 +131,8 @@ class Surface:
             raised = behind_edges(cells.left_m, off @ directions - way_m)
             there = np.flatnonzero(raised.any(axis=(0, 2)))
             raised, kinds = np.concatenate([raised[:, :1], raised[:, there]], axis=1), EDGES.only(there)
-            told = partial(_evidence, cho_factor(noise + uneven[0], lower=True), z)
-            self._crowns = self._crowns.and_crossings(patches.xy - self.middle, told)
+            evidence = partial(_evidence, cho_factor(noise + uneven[0], lower=True), z)
+            self._crowns = self._crowns.and_crossings(patches.xy - self.middle, evidence)
             uneven.append(smooth(apart_m))
         crowns = patches.share @ self._crowns.raised(off, cells.left_m)
         behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
@@ -268,6 +268,51 @@ class _Given:
     of_edge: FloatArray
 
 
+@dataclass(frozen=True)
+class _Pairs:
+    """The pairs of an edge and a crown that are not ruled out, with their posterior probabilities.
+
+    Attributes
+    ----------
+    edge, crown : ndarray of int, shape (pairs,)
+    likely, fall, square : ndarray, shape (pairs,)
+        Probability of each pair, and its products with the mean and the mean square of the crown's fall.
+    log_likely : float
+        Log evidence of all pairs together.
+    """
+
+    edge: IntArray
+    crown: IntArray
+    likely: FloatArray
+    fall: FloatArray
+    square: FloatArray
+    log_likely: float
+
+    @staticmethod
+    def of(log_level: FloatArray, linear: FloatArray, quadratic: FloatArray) -> _Pairs:
+        """Sum over falls: a fall f adds ``linear f - quadratic f^2 / 2`` to the log-likelihood of a pair without one.
+
+        Parameters
+        ----------
+        log_level : ndarray, shape (edges, crowns)
+            Log probability of each pair with a fall of 0, up to a constant.
+        linear, quadratic : ndarray, shape (edges, crowns)
+        """
+        # Most pairs are ruled out by an upper bound: their evidence at the most likely fall.
+        likeliest = np.divide(linear, quadratic, out=np.zeros_like(linear), where=quadratic > 0.0)
+        likeliest = likeliest.clip(0.0, _FALLS[-1])
+        best = log_level + likeliest * (linear - quadratic * (likeliest / 2))
+        edge, crown = kept = np.nonzero(best > best.max() - _NEVER)
+        chance = log_level[kept][:, None] + np.log(_FALL_LIKELY)
+        chance += linear[kept][:, None] * _FALLS - quadratic[kept][:, None] * (_FALLS**2 / 2)
+        most = float(chance.max())
+        np.exp(chance - most, out=chance)
+        total = float(chance.sum())
+        chance /= total
+        moments = chance.sum(axis=1), chance @ _FALLS, chance @ _FALLS**2
+        return _Pairs(edge, crown, *moments, most + np.log(total))
+
+
 def _given(
     covariance: FloatArray,
     z: FloatArray,
@@ -315,19 +360,8 @@ def _given(
     log_edge = np.log(edges.likely) + (edges.mean * of_z + raised * off).sum(axis=1) / 2
     log_edge += np.linalg.slogdet(spread @ precision)[1] / 2
     log_crown = np.log(crown_likely, where=crown_likely > 0.0, out=np.full_like(crown_likely, -np.inf))
-    together, with_fall = log_edge[:, None] + log_crown, with_z[:, known:]
-    # Most pairs of an edge and a crown are ruled out by an upper bound: their evidence at the most likely fall.
-    likeliest = np.divide(with_fall, crown_square, out=np.zeros_like(with_fall), where=crown_square > 0.0)
-    likeliest = likeliest.clip(0.0, _FALLS[-1])
-    best = together + likeliest * (with_fall - crown_square * (likeliest / 2))
-    edge, crown = pairs = np.nonzero(best > best.max() - _NEVER)
-    chance = together[pairs][:, None] + np.log(_FALL_LIKELY)
-    chance += with_fall[pairs][:, None] * _FALLS - crown_square[pairs][:, None] * (_FALLS**2 / 2)
-    most = float(chance.max())
-    np.exp(chance - most, out=chance)
-    total = float(chance.sum())
-    chance /= total
-    likely, fall, square = chance.sum(axis=1), chance @ _FALLS, chance @ _FALLS**2
+    pairs = _Pairs.of(log_edge[:, None] + log_crown, with_z[:, known:], crown_square)
+    edge, crown, likely, fall, square = pairs.edge, pairs.crown, pairs.likely, pairs.fall, pairs.square
     of_edge = np.bincount(edge, weights=likely, minlength=count).astype(np.float64)
 
     # For each pair, the conditional expectation of the target quantities is expected + by_fall * fall.
@@ -336,15 +370,15 @@ def _given(
     by_fall = edge_crown - (asked.with_heights.T @ by_columns[:, known:]).T[crown]
     on_crown = csr_array((np.ones(len(crown)), (crown, np.arange(len(crown)))), (len(crown_likely), len(crown)))
     between = (expected.T * fall) @ by_fall
-    products = np.diag(np.append(np.zeros(known), on_crown @ square))
+    products: FloatArray = np.diag(np.append(np.zeros(known), np.bincount(crown, square, len(crown_likely))))
     products[:known, :known] = (expected.T * likely) @ expected + between + between.T + (by_fall.T * square) @ by_fall
     products[known:, :known] = on_crown @ (expected * fall[:, None] + by_fall * square[:, None])
     products[:known, known:] = products[known:, :known].T
-    told = asked.with_heights.T @ by_columns[:, :known]
-    told -= np.tensordot(crossed[:, :, :known] * of_edge[:, None, None], lessened[:, :, :known], ((0, 1), (0, 1)))
-    log_likely = most + np.log(total) - 0.5 * float(z @ by_z[:, 0]) - np.log(np.diag(factor[0])).sum()
-    mean = np.append(likely @ expected + fall @ by_fall, on_crown @ fall)
-    return _Given(log_likely, mean, products, asked.prior - told, of_edge)
+    explained = asked.with_heights.T @ by_columns[:, :known]
+    explained -= np.tensordot(crossed[:, :, :known] * of_edge[:, None, None], lessened[:, :, :known], ((0, 1), (0, 1)))
+    log_likely = pairs.log_likely - 0.5 * float(z @ by_z[:, 0]) - np.log(np.diag(factor[0])).sum()
+    mean = np.append(likely @ expected + fall @ by_fall, np.bincount(crown, fall, len(crown_likely)))
+    return _Given(log_likely, mean, products, asked.prior - explained, of_edge)
 
 
 def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray) -> FloatArray:
@@ -355,10 +389,10 @@ def _evidence(factor: tuple[FloatArray, bool], z: FloatArray, crowns: FloatArray
     """
     by_crowns = cho_solve(factor, crowns)
     square = (crowns * by_crowns).sum(axis=0)
-    told: FloatArray = np.logaddexp.reduce(
+    log_likely: FloatArray = np.logaddexp.reduce(
         (z @ by_crowns)[:, None] * _FALLS - square[:, None] * (_FALLS**2 / 2), axis=1
     )
-    return told
+    return log_likely
 
 
 def rough(apart_m: FloatArray) -> FloatArray:

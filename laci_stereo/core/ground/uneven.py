@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.robust import STUDENT
 from laci_stereo.core.tracking.cluster import cells_of
 
 # Correlation length l: a road falls from its crown to its gutter, so heights are correlated over about half its width.
@@ -32,8 +33,6 @@ _NOISES = 2.0 ** np.arange(-2.0, 2.1, 0.5)
 _PATCHES = 100
 # Number of places along the side of a square that represent the whole side.
 _ALONG_SIDE = 4
-# Degrees of freedom of Student's t, with which one patch in twenty may be an outlier.
-_STUDENT = 4.0
 # Scale of Student's t in units of a Gaussian's variance: the c for which the mean of 5 z^2 / (4 c + z^2) over a
 # standard Gaussian z is 1, so that the variance of heights without outliers is estimated without bias.
 _SCALE = 0.69
@@ -128,7 +127,7 @@ def covariance_of_unevenness(patches: Patches) -> FloatArray:
     size, mode = np.linalg.eigh(left @ (per_sigma[:, None] * together * per_sigma) @ left)
     squared = ((per_sigma * patches.height_m) @ left @ mode) ** 2
     variance = _NOISES[:, None] + (_TRIED_M[:, None] ** 2 * np.maximum(size, 0.0))[:, None]
-    cost = np.sum(np.log(variance) + (_STUDENT + 1.0) * np.log1p(squared / (_STUDENT * _SCALE * variance)), axis=2)
+    cost = np.sum(np.log(variance) + (STUDENT + 1.0) * np.log1p(squared / (STUDENT * _SCALE * variance)), axis=2)
     log_likely = -0.5 * (cost + _CLASSES[:, None] ** 2)
     likely = np.exp(log_likely - log_likely.max()).sum(axis=1)
     covariance: FloatArray = likely @ _TRIED_M**2 / likely.sum() * patches.lift.T @ together @ patches.lift

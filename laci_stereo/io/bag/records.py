@@ -178,14 +178,14 @@ def _ros1_fields(header: bytes) -> dict[str, bytes]:
 def _ros1_message(header: dict[str, bytes], data: bytes, topics: dict[bytes, Topic]) -> Iterator[Message]:
     try:
         if header.get("op") == b"\x07":
-            told = _ros1_fields(data)
-            package, _, name = told["type"].decode().rpartition("/")
+            fields = _ros1_fields(data)
+            package, _, name = fields["type"].decode().rpartition("/")
             topics[header["conn"]] = Topic(
                 header["topic"].decode(),
                 f"{package}/msg/{name}",
                 True,
-                told["message_definition"].decode(errors="replace"),
-                told["md5sum"].decode(),
+                fields["message_definition"].decode(errors="replace"),
+                fields["md5sum"].decode(),
             )
         elif header.get("op") == b"\x02" and header["conn"] in topics:
             seconds, nanoseconds = struct.unpack("<II", header["time"])

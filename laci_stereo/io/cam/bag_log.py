@@ -73,10 +73,10 @@ def read_cam_bag(path: Path) -> CamRecording:
     return _read_fixes(path, bag, _fix_topic(path, topics))
 
 
-def _read_cams(path: Path, bag: Bag, topics: Sequence[Topic], others: int) -> CamRecording:
+def _read_cams(path: Path, bag: Bag, topics: Sequence[Topic], left_out: int) -> CamRecording:
     for topic in topics:
         _check_definition(path, topic)
-    notes = [f"topics read: {listed([topic.name for topic in topics])}; {others} others left out"]
+    notes = [f"topics read: {listed([topic.name for topic in topics])}; {left_out} others left out"]
     # If the bag is cut off, `_messages` appends to the notes while the packets are consumed.
     packets = (_packet(place, message) for place, message in _messages(path, bag, topics, notes))
     return read_received(Source(path, "message", "a bag"), packets, notes)
@@ -106,10 +106,10 @@ def _cam(data: bytes, ros1: bool) -> Cam:
     layout = _layout(ros1, ros1 or bool(data[1:2] and data[1] & 1))
     if len(data) < layout.size:
         raise DamagedError(f"it has {len(data)} bytes; needed are at least {layout.size}")
-    told = dict(zip((name for name, _ in _ELEMENTS), layout.unpack_from(data), strict=True))
-    if told["choice"] == _ROADSIDE_UNIT:
+    elements = dict(zip((name for name, _ in _ELEMENTS), layout.unpack_from(data), strict=True))
+    if elements["choice"] == _ROADSIDE_UNIT:
         raise OtherKindError("CAM of a roadside unit")
-    return Cam(**{name: told[name] for name in Cam._fields})
+    return Cam(**{name: elements[name] for name in Cam._fields})
 
 
 @cache

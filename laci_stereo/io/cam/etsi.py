@@ -111,14 +111,14 @@ def value_notes(values: Values, good: BoolArray) -> list[str]:
     sent = ", ".join(f"{quantity.name} {quantity.etsi_text}" for quantity in values)
     missing = {quantity.name: int(np.isnan(found[good]).sum()) for quantity, found in values.items()}
     lacking = ", ".join(f"{name} in {count}" for name, count in missing.items() if count)
-    said = f"unavailable or out of range, of {int(good.sum())} messages, taken as missing: {lacking}"
+    lacking_note = f"unavailable or out of range, of {int(good.sum())} messages, taken as missing: {lacking}"
     beyond = [
         f"{quantity.name} is out of range in {count}: taken as {quantity.least_beyond:g} {quantity.unit}, the least "
         "that it means"
         for quantity, found in values.items()
         if (count := int(np.sum(found[good] == quantity.least_beyond)))
     ]
-    return [f"ETSI integers of {sent}", *([said] if lacking else []), *beyond]
+    return [f"ETSI integers of {sent}", *([lacking_note] if lacking else []), *beyond]
 
 
 def direction_notes(cams: Sequence[Cam]) -> list[str]:

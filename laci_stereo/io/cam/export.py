@@ -51,11 +51,11 @@ def to_csv(log: CamLog, *, of_antenna: bool = False) -> str:
     them for positions of the CAM reference point.
     """
     values = [column.tolist() for column in _values(log).values()]
-    own = {POSITION_OF: ANTENNA} if of_antenna else {}
-    lines = [",".join(column.name for column in (*COLUMNS, *own))]
+    constant = {POSITION_OF: ANTENNA} if of_antenna else {}
+    lines = [",".join(column.name for column in (*COLUMNS, *constant))]
     for stamp, station, *row in zip(log.stamps_ns.tolist(), log.station_id.tolist(), *values, strict=True):
         cells = ("" if math.isnan(value) else repr(value) for value in row)
-        lines.append(",".join((f"{stamp // 10**9}.{stamp % 10**9:09d}", str(station), *cells, *own.values())))
+        lines.append(",".join((f"{stamp // 10**9}.{stamp % 10**9:09d}", str(station), *cells, *constant.values())))
     return "\n".join(lines) + "\n"
 
 
@@ -71,13 +71,13 @@ def to_geojson(log: CamLog) -> str:
         for station, line in lines.items()
         if len(line) > 1
     ]
-    told = [
+    columns = [
         (quantity.name, column.tolist())
         for quantity, column in _values(log).items()
         if quantity not in (LATITUDE, LONGITUDE)
     ]
     for i, (stamp, station) in enumerate(zip(log.stamps_ns.tolist(), log.station_id.tolist(), strict=True)):
-        known = {name: column[i] for name, column in told if not math.isnan(column[i])}
+        known = {name: column[i] for name, column in columns if not math.isnan(column[i])}
         features.append(_feature("Point", places[i], {"timestamp": iso_text(stamp), "station_id": station, **known}))
     return json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n"
 

@@ -60,16 +60,16 @@ def gnss_messages(
         The records that could not be read, with the reason, by record number.
     """
     places = sorted({*fixes, *problems})
-    told = [fixes.get(place, (0, {})) for place in places]
-    quantities = {quantity for _, values in told for quantity in values} | {LATITUDE, LONGITUDE}
+    stamped = [fixes.get(place, (0, {})) for place in places]
+    quantities = {quantity for _, values in stamped for quantity in values} | {LATITUDE, LONGITUDE}
     return Messages(
         path,
         noun,
         places,
-        np.array([stamp_ns for stamp_ns, _ in told], dtype=np.int64),
-        np.full(len(told), STATION, dtype=np.int64),
+        np.array([stamp_ns for stamp_ns, _ in stamped], dtype=np.int64),
+        np.full(len(stamped), STATION, dtype=np.int64),
         {
-            quantity: np.array([values.get(quantity, np.nan) for _, values in told], dtype=np.float64)
+            quantity: np.array([values.get(quantity, np.nan) for _, values in stamped], dtype=np.float64)
             for quantity in quantities
         },
         {i: problems[place] for i, place in enumerate(places) if place in problems},

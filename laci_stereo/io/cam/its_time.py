@@ -78,13 +78,13 @@ def generation_times(received_ns: IntArray, delta_ms: IntArray, stations: IntArr
 
 def _delay_note(delay_ns: IntArray) -> str:
     middle_ns = int(np.median(delay_ns))
-    said = (
+    note = (
         "timestamp: generationDeltaTime, of which 65.536 s the time of reception tells; "
         f"received {middle_ns / 1e9:.3f} s later"
     )
     if abs(middle_ns) < SAME_CLOCK_NS:
-        return said
-    return f"{said}: the clocks of senders and receiver differ, and the senders' is used"
+        return note
+    return f"{note}: the clocks of senders and receiver differ, and the senders' is used"
 
 
 def _leap_seconds(stamps_ns: IntArray) -> IntArray:

@@ -25,7 +25,7 @@ from laci_stereo.io.cam.columns import (
 )
 from laci_stereo.io.cam.gnss import gnss_messages, recorded_drive
 from laci_stereo.io.cam.recording import CamRecording
-from laci_stereo.io.stamps import POSSIBLE_NS
+from laci_stereo.io.stamps import POSSIBLE_NS, UNIX_EPOCH
 from laci_stereo.io.text_file import quoted
 
 _FORMAT = "a log of NMEA sentences"
@@ -47,7 +47,6 @@ _MEANINGS: Mapping[Quantity, str] = {
 _KNOT_MPS = 1852 / 3600
 _KM_PER_H_MPS = 1 / 3.6
 _DAY_NS = 86_400 * 10**9
-_UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 class _SentenceError(Exception):
@@ -240,7 +239,7 @@ def _day(day: str, month: str, year: str) -> int:
     try:
         number = int(year)
         full = number + (0 if len(year) == 4 else 1900 if number >= 80 else 2000)
-        days = (datetime(full, int(month), int(day), tzinfo=timezone.utc) - _UNIX_EPOCH) // timedelta(days=1)
+        days = (datetime(full, int(month), int(day), tzinfo=timezone.utc) - UNIX_EPOCH) // timedelta(days=1)
     except ValueError as problem:
         raise _SentenceError(
             f"its date is {quoted(f'{day} {month} {year}')}; needed is day, month and year"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from laci_stereo.core.errors import MapError
-from laci_stereo.io.maps.lines import LARGEST, DrawnLine, DrawnMap
+from laci_stereo.io.maps.lines import LARGEST, MOST_POINTS, DrawnLine, DrawnMap
 from laci_stereo.io.maps.road_geometry import CHORD_M
 from laci_stereo.io.text_file import listed, quoted
 
@@ -23,7 +23,6 @@ _LANELET2 = {"", "line_thin", "line_thick", "stop_line", "pedestrian_marking", "
     *("curbstone", "road_border", "guard_rail", "wall", "fence", "zebra_marking", "jersey_barrier", "rail"),
 }
 
-_MOST_POINTS = 5_000_000
 _METRES = {0: 1.0, 1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 7: 1000.0, 14: 0.1}
 """Metres per drawing unit, by the code in the header's $INSUNITS; unspecified units (0) are metres."""
 
@@ -43,18 +42,18 @@ def read_dxf(path: Path) -> DrawnMap:
     if code not in _METRES:
         raise MapError(f"{path}: the drawing's unit ($INSUNITS) is {quoted(str(code))}; needed is metres (6)")
     lines: list[DrawnLine] = []
-    others, points = Counter[str](), 0
+    left_out, points = Counter[str](), 0
     for entity in entities:
         if entity.dxftype() not in LINES:
-            others[entity.dxftype()] += 1
+            left_out[entity.dxftype()] += 1
             continue
         kind, subtype = _tags(str(entity.dxf.get("layer", "0")))
         for xy in _polylines(path, entity, _METRES[code]):
             points += len(xy)
-            if points > _MOST_POINTS:
-                raise MapError(f"{path}: its lines have more than {_MOST_POINTS} points; needed is a smaller map")
+            if points > MOST_POINTS:
+                raise MapError(f"{path}: its lines have more than {MOST_POINTS} points; needed is a smaller map")
             lines.append(DrawnLine(kind, subtype, xy, str(entity.dxf.get("handle", len(lines)))))
-    notes = [f"{count} of type {kind} left out; lines are used" for kind, count in others.items()]
+    notes = [f"{count} of type {kind} left out; lines are used" for kind, count in left_out.items()]
     unknown = sorted({line.kind for line in lines} - _LANELET2)
     if unknown:
         notes.append(f"lines on the layers {listed(unknown)} are only drawn; names of layers are Lanelet2's types")

@@ -24,6 +24,9 @@ GEODETIC = "EPSG:4326"
 LARGEST = 1e9
 """Largest coordinate, degrees or metres: larger ones are a mistake in any coordinate system."""
 
+MOST_POINTS = 5_000_000
+"""Most points in a map: some 10,000 km of road; each point takes 16 bytes."""
+
 _COUNTED_FROM = re.compile(r"(.+?)@([+-]?\d+(?:\.\d*)?),([+-]?\d+(?:\.\d*)?)", re.DOTALL)
 
 

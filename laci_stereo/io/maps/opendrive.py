@@ -16,7 +16,7 @@ from pyproj.exceptions import CRSError
 
 from laci_stereo.core.errors import MapError
 from laci_stereo.core.frames import FloatArray, rotate_xy
-from laci_stereo.io.maps.lines import DrawnLine, DrawnMap
+from laci_stereo.io.maps.lines import MOST_POINTS, DrawnLine, DrawnMap
 from laci_stereo.io.maps.road_geometry import (
     Bend,
     Cubic,
@@ -30,9 +30,6 @@ from laci_stereo.io.text_file import quoted
 _STYLES = {"solid": "solid", "broken": "dashed"}
 _THIN, _THICK = "line_thin", "line_thick"
 _OTHER_KINDS = {"none": ("virtual", ""), "curb": ("curbstone", "high"), "edge": ("road_border", "")}
-
-_MOST_POINTS = 5_000_000
-"""Most points in a map: some 10,000 km of road; each point takes 16 bytes."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +114,8 @@ def read_opendrive(path: Path, root: Element) -> DrawnMap:
             raise MapError(f"{path}: road {quoted(name)} {problem}") from problem
         lines += found
         points += sum(len(line.xy) for line in found)
-        if points > _MOST_POINTS:
-            raise MapError(f"{path}: its lines have more than {_MOST_POINTS} points; needed is a smaller map")
+        if points > MOST_POINTS:
+            raise MapError(f"{path}: its lines have more than {MOST_POINTS} points; needed is a smaller map")
     crs, notes = _reference(root)
     objects = sum(1 for _ in root.iterfind("road/objects/object"))
     if objects:

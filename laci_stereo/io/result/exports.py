@@ -132,26 +132,26 @@ def _xyzrpy(T: FloatArray) -> list[float]:
 
 def _openlabel(siting: Siting) -> tuple[ExportedFile, ...]:
     name = frame_id(siting)
-    said = words(siting, absolute=False)
+    sentences = words(siting, absolute=False)
     document = {
         "openlabel": {
             "metadata": {
                 "schema_version": "1.0.0",
                 "annotator": f"laci-stereo {version('laci-stereo')}",
-                "comment": "; ".join(said),
+                "comment": "; ".join(sentences),
                 STATEMENT: statement(siting),
             },
             "coordinate_systems": {
-                "map": {"type": "scene_cs", "parent": "", "children": [name], "description": said[1]},
+                "map": {"type": "scene_cs", "parent": "", "children": [name], "description": sentences[1]},
                 name: {
                     "type": "sensor_cs",
                     "parent": "map",
                     "children": [],
                     "pose_wrt_parent": {"matrix4x4": siting.T_map_sensor.ravel().tolist()},
-                    "description": "; ".join(said[:1] + said[2:]),
+                    "description": "; ".join(sentences[:1] + sentences[2:]),
                 },
             },
-            "streams": {name: {"type": _STREAMS.get(siting.kind, "other"), "description": said[0]}},
+            "streams": {name: {"type": _STREAMS.get(siting.kind, "other"), "description": sentences[0]}},
         }
     }
     return (ExportedFile("openlabel.json", _json(document)),)

@@ -105,27 +105,29 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
     SettingError
         If neither the file nor the options state a required quantity, or they contradict each other.
     """
-    pose, told = _read(path, options)
-    kind = _said("the sensor's kind", "--kind stereo or lidar", options.kind, told.kind if told else None, path)
+    pose, statement = _read(path, options)
+    kind = _said(
+        "the sensor's kind", "--kind stereo or lidar", options.kind, statement.kind if statement else None, path
+    )
     if kind not in _KIND_AXES:
         raise CalibrationFileError(f"{path}: the sensor's kind is {quoted(kind)}; needed is {', '.join(_KIND_AXES)}")
-    told_crs = told.world.crs if told else None
-    crs = utm_code(shortened(_said("its UTM zone", "--crs EPSG:326..", options.crs, told_crs, path)))
-    if told is not None and pose.from_map is None:  # in our other exports, a name states the direction
+    stated_crs = statement.world.crs if statement else None
+    crs = utm_code(shortened(_said("its UTM zone", "--crs EPSG:326..", options.crs, stated_crs, path)))
+    if statement is not None and pose.from_map is None:  # in our other exports, a name states the direction
         pose = replace(pose, from_map=False)
     T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
-    T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, told)
-    _check_place(path, T_utm_sensor, told)
+    T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, statement)
+    _check_place(path, T_utm_sensor, statement)
     if kind == "stereo":
         _check_sight(path, T_utm_sensor)
-    world = _world(crs, T_utm_sensor, told)
+    world = _world(crs, T_utm_sensor, statement)
     world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale)
     siting = Siting(
-        options.name or (told.name if told else path.absolute().stem),
+        options.name or (statement.name if statement else path.absolute().stem),
         kind,
-        _frame(path, kind, told.frame if told else None, options.rectified),
+        _frame(path, kind, statement.frame if statement else None, options.rectified),
         world,
-        *_in_world(world, T_utm_sensor, pose.grid_scale, _centre(world, T_utm_sensor, options.centre, told)),
+        *_in_world(world, T_utm_sensor, pose.grid_scale, _centre(world, T_utm_sensor, options.centre, statement)),
     )
     notes = (f"transform {pose.name} of {path.name}, {direction_note}", *local, *pose.notes)
     return Imported(siting, notes)
@@ -137,10 +139,10 @@ def _read(path: Path, options: ImportOptions) -> tuple[WrittenPose, Statement | 
         return read_pose(path, options.entry, options.form)
     if not (path / DAIR_WORLD).exists():
         _check_foreign(path, path / RESULT_FILE)
-    world, told = read_pose(path / DAIR_WORLD, options.entry, options.form)
+    world, statement = read_pose(path / DAIR_WORLD, options.entry, options.form)
     camera, _ = read_pose(path / DAIR_CAMERA, options.entry, options.form)
     T = world.T @ invert(camera.T)
-    return WrittenPose(f"{DAIR_WORLD} after the inverse of {DAIR_CAMERA}", T, from_map=False), told
+    return WrittenPose(f"{DAIR_WORLD} after the inverse of {DAIR_CAMERA}", T, from_map=False), statement
 
 
 def _check_foreign(path: Path, file: Path) -> None:
@@ -152,36 +154,36 @@ def _check_foreign(path: Path, file: Path) -> None:
         )
 
 
-def _said(what: str, option: str, asked: str | None, told: str | None, path: Path) -> str:
-    if asked is None and told is None:
+def _said(what: str, option: str, asked: str | None, stated: str | None, path: Path) -> str:
+    if asked is None and stated is None:
         raise SettingError(f"{path} does not say {what}; needed is {option}")
-    if asked is not None and told is not None and asked != told:
+    if asked is not None and stated is not None and asked != stated:
         raise SettingError(
-            f"{path} says that {what} is {shortened(told)}, the option {asked}; needed is {option} as the file has it, "
-            "or without"
+            f"{path} says that {what} is {shortened(stated)}, the option {asked}; needed is {option} as the file has "
+            "it, or without"
         )
-    return asked or told or ""
+    return asked or stated or ""
 
 
-def _frame(path: Path, kind: str, told: str | None, rectified: bool) -> str:
+def _frame(path: Path, kind: str, stated: str | None, rectified: bool) -> str:
     """Return the description of the sensor's frame."""
-    if rectified and (kind != "stereo" or told not in (None, RECTIFIED_FRAME)):
-        what = kind if told is None else f"{kind}, its frame {quoted(told)}"
+    if rectified and (kind != "stereo" or stated not in (None, RECTIFIED_FRAME)):
+        what = kind if stated is None else f"{kind}, its frame {quoted(stated)}"
         raise SettingError(
             f"{path}: the sensor is {what}; needed is a stereo camera of rectified images, or no --rectified"
         )
-    return told or (RECTIFIED_FRAME if rectified else _KIND_FRAMES[kind])
+    return stated or (RECTIFIED_FRAME if rectified else _KIND_FRAMES[kind])
 
 
 def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, axes: Axes) -> tuple[FloatArray, str]:
     """Return the transform from sensor to map, and a note on how its direction is known."""
     asked, ground = options.direction, (*(options.origin or ()), 0.0, 0.0, 0.0)[2]
     from_map = asked == "map-to-sensor" if asked is not None else bool(pose.from_map)
-    T, other = (invert(pose.T), pose.T) if from_map else (pose.T, invert(pose.T))
-    if not _stands(T, axes, ground) and _stands(other, axes, ground):
+    T, opposite = (invert(pose.T), pose.T) if from_map else (pose.T, invert(pose.T))
+    if not _stands(T, axes, ground) and _stands(opposite, axes, ground):
         raise CalibrationFileError(
             f"{path}: {pose.name} read {_way(from_map)} puts the sensor {T[2, 3]:.2f} m above the ground or upside "
-            f"down, the other way {other[2, 3]:.2f} m and upright; needed is --direction {_way(not from_map)}"
+            f"down, the other way {opposite[2, 3]:.2f} m and upright; needed is --direction {_way(not from_map)}"
         )
     known = (
         "as the file says" if asked is None and pose.from_map is not None else "as was asked" if asked else "assumed"
@@ -199,13 +201,13 @@ def _stands(T_map_sensor: FloatArray, axes: Axes, ground: float) -> bool:
 
 
 def _in_utm(
-    path: Path, T_map_sensor: FloatArray, origin: tuple[float, ...] | None, told: Statement | None
+    path: Path, T_map_sensor: FloatArray, origin: tuple[float, ...] | None, statement: Statement | None
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Add the map frame's origin, unless the numbers are UTM coordinates already; return the result with notes."""
     T = T_map_sensor.copy()
     east, north = T[:2, 3]
-    if told is not None:
-        begins = (0.0, 0.0) if _is_of_grid(east, north, told.world.origin_utm) else told.world.origin_utm
+    if statement is not None:
+        begins = (0.0, 0.0) if _is_of_grid(east, north, statement.world.origin_utm) else statement.world.origin_utm
         if origin is not None and (*origin, 0.0)[:3] != (*begins, 0.0):
             raise SettingError(
                 f"{path} says that its map begins at UTM {begins[0]:.10g}, {begins[1]:.10g} on the ground, --origin "
@@ -239,10 +241,10 @@ def _is_of_grid(east: float, north: float, origin: tuple[float, float]) -> bool:
     return math.hypot(east - origin[0], north - origin[1]) < math.hypot(east, north)
 
 
-def _check_place(path: Path, T_utm_sensor: FloatArray, told: Statement | None) -> None:
+def _check_place(path: Path, T_utm_sensor: FloatArray, statement: Statement | None) -> None:
     east, north, height = T_utm_sensor[:3, 3]
     # A file of ours states the origin of its grid, and may extend into the neighbouring zone.
-    if not (_is_utm(east, north) if told is None else _is_of_grid(east, north, told.world.origin_utm)):
+    if not (_is_utm(east, north) if statement is None else _is_of_grid(east, north, statement.world.origin_utm)):
         raise CalibrationFileError(
             f"{path}: the sensor would stand at UTM {east:.6g}, {north:.6g}; needed are metres in a UTM zone: look at "
             "--origin, and at the unit"
@@ -264,9 +266,9 @@ def _check_sight(path: Path, T_utm_sensor: FloatArray) -> None:
         )
 
 
-def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None) -> World:
-    if told is not None and told.world.crs == crs:
-        return told.world
+def _world(crs: str, T_utm_sensor: FloatArray, statement: Statement | None) -> World:
+    if statement is not None and statement.world.crs == crs:
+        return statement.world
     to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     longitude, latitude = to_degrees.transform(float(T_utm_sensor[0, 3]), float(T_utm_sensor[1, 3]))
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
@@ -275,10 +277,10 @@ def _world(crs: str, T_utm_sensor: FloatArray, told: Statement | None) -> World:
 
 
 def _centre(
-    world: World, T_utm_sensor: FloatArray, asked: tuple[float, float] | None, told: Statement | None
+    world: World, T_utm_sensor: FloatArray, asked: tuple[float, float] | None, statement: Statement | None
 ) -> FloatArray:
-    if asked is None and told is not None:
-        return told.centre_world
+    if asked is None and statement is not None:
+        return statement.centre_world
     utm = T_utm_sensor[:2, 3] if asked is None else np.array(asked)
     away_m = float(np.linalg.norm(utm - T_utm_sensor[:2, 3]))
     if away_m > FARTHEST_CENTRE_M:

@@ -124,12 +124,12 @@ def find_statement(text: str) -> Statement | None:
     if found is None:
         return None
     try:
-        told, _ = json.JSONDecoder().raw_decode(text, found.end())
-        east, north = (float(value) for value in told["origin_utm"])
-        world = World(str(told["crs"]), (east, north), float(told["grid_scale"]))
-        centre = np.array(told["centre_world"], dtype=np.float64).reshape(3)
-        said = Statement(str(told["name"]), str(told["kind"]), str(told["frame"]), world, centre)
+        fields, _ = json.JSONDecoder().raw_decode(text, found.end())
+        east, north = (float(value) for value in fields["origin_utm"])
+        world = World(str(fields["crs"]), (east, north), float(fields["grid_scale"]))
+        centre = np.array(fields["centre_world"], dtype=np.float64).reshape(3)
+        found_statement = Statement(str(fields["name"]), str(fields["kind"]), str(fields["frame"]), world, centre)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return None
     sound = np.abs([east, north, *centre]).max() < 1e8 and 0.9 < world.grid_scale < 1.1  # False for NaN, too
-    return said if sound else None
+    return found_statement if sound else None

@@ -123,8 +123,8 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
     )
 
 
-def _turn_deg(told: object) -> tuple[float, float, float] | None:
-    match told:
+def _turn_deg(value: object) -> tuple[float, float, float] | None:
+    match value:
         case [int() | float() as x, int() | float() as y, int() | float() as z]:
             return float(x), float(y), float(z)
     return None

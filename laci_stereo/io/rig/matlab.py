@@ -55,8 +55,8 @@ def _pose(found: Document) -> tuple[FloatArray, FloatArray, str]:
     """Return R (3, 3) and t (3,) of ``p_2 = R p_1 + t`` in the file's unit, and a note on the origin."""
     if found.has("RotationOfCamera2", "TranslationOfCamera2"):
         transposed = found.array(_ROTATION, (3, 3))
-        how = "RotationOfCamera2 transposed, as MATLAB multiplies rows from the left"
-        return transposed.T, found.array(_TRANSLATION, (3,)), how
+        note = "RotationOfCamera2 transposed, as MATLAB multiplies rows from the left"
+        return transposed.T, found.array(_TRANSLATION, (3,)), note
     if not found.has("PoseCamera2"):
         raise RigError(f"{found.name} lacks RotationOfCamera2 and PoseCamera2; needed is one, {TO_STRUCT}")
     pose = found.part("PoseCamera2")
@@ -66,8 +66,8 @@ def _pose(found: Document) -> tuple[FloatArray, FloatArray, str]:
     matrix = pose.array(_POSE, (4, 4))
     # A rigidtform3d has the last row 0 0 0 1; its predecessor rigid3d is transposed.
     upright = matrix if not matrix[3, :3].any() else matrix.T
-    how = "PoseCamera2: from camera 1 to camera 2" + ("" if upright is matrix else ", transposed")
-    return upright[:3, :3], upright[:3, 3], how
+    note = "PoseCamera2: from camera 1 to camera 2" + ("" if upright is matrix else ", transposed")
+    return upright[:3, :3], upright[:3, 3], note
 
 
 def _lens(camera: Document, image_size: Size | None) -> tuple[Lens, tuple[str, ...]]:
@@ -91,10 +91,10 @@ def _lens(camera: Document, image_size: Size | None) -> tuple[Lens, tuple[str, .
 
 def _unit(camera: Document) -> tuple[float, str]:
     """Return the unit of lengths in metres, and a note on its source."""
-    told = camera.text("WorldUnits")
-    if not told:
+    unit = camera.text("WorldUnits")
+    if not unit:
         return 1e-3, "lengths taken as millimetres, MATLAB's default"
-    metres = _METRES.get(plain(told))
+    metres = _METRES.get(plain(unit))
     if metres is None:
-        raise RigError(f"{camera.name}: WorldUnits is {quoted(told)}; needed is mm, cm, m or inches")
-    return metres, f"lengths in {told}, as WorldUnits says"
+        raise RigError(f"{camera.name}: WorldUnits is {quoted(unit)}; needed is mm, cm, m or inches")
+    return metres, f"lengths in {unit}, as WorldUnits says"

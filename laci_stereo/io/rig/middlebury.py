@@ -30,10 +30,10 @@ def read_middlebury(documents: Sequence[Document], images: ForImages) -> StereoR
     if size is None:
         raise RigError(f"{document.name} lacks the image size; needed are width and height")
     offset = float(K_right[0, 2] - K_left[0, 2])
-    told = document.number("doffs", "doffs") if document.has("doffs") else offset
-    if not abs(told - offset) <= _ROUNDING_PX:
+    doffs = document.number("doffs", "doffs") if document.has("doffs") else offset
+    if not abs(doffs - offset) <= _ROUNDING_PX:
         raise RigError(
-            f"{document.name}: doffs is {told:g}, the principal points are {offset:g} pixels apart; needed is the same"
+            f"{document.name}: doffs is {doffs:g}, the principal points are {offset:g} pixels apart; needed is the same"
         )
     left_P = np.column_stack([K_left, np.zeros(3)])
     right_P = np.column_stack([K_right, K_right @ [-baseline_m, 0.0, 0.0]])

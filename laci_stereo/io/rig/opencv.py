@@ -131,16 +131,18 @@ def _merged(documents: Sequence[Document]) -> tuple[Document, tuple[str, ...]]:
     if len(documents) == 1:
         return documents[0], ()
     inner, outer = sorted(documents, key=lambda document: document.find(TRANSLATION) is not None)
-    one, other = _told(inner), _told(outer)
-    halves = {what for lens in _LENSES if lens <= one.keys() and not lens <= other.keys() for what in lens}
-    root = {name: inner.root[name] for what, name in one.items() if what not in other or what in halves}
-    root |= {name: outer.root[name] for what, name in other.items() if what not in halves}
+    inner_names, outer_names = _told(inner), _told(outer)
+    halves = {
+        what for lens in _LENSES if lens <= inner_names.keys() and not lens <= outer_names.keys() for what in lens
+    }
+    root = {name: inner.root[name] for what, name in inner_names.items() if what not in outer_names or what in halves}
+    root |= {name: outer.root[name] for what, name in outer_names.items() if what not in halves}
     notes: list[str] = []
     for whats, source in (
-        ([what for what in other if what in halves], f"{inner.name}, which has the whole lens"),
-        ([what for what in other if what not in halves], outer.name),
+        ([what for what in outer_names if what in halves], f"{inner.name}, which has the whole lens"),
+        ([what for what in outer_names if what not in halves], outer.name),
     ):
-        pairs = [(one[what], other[what]) for what in whats if what in one]
+        pairs = [(inner_names[what], outer_names[what]) for what in whats if what in inner_names]
         names = [name for pair in pairs if not _same(inner.root[pair[0]], outer.root[pair[1]]) for name in pair]
         if names:
             notes.append(f"{listed([*dict.fromkeys(names)])}: in both files, and not the same; taken from {source}")
@@ -153,8 +155,8 @@ def _told(document: Document) -> dict[str, str]:
     return known | {plain(name): name for name in document.root if plain(name) not in _NAMES}
 
 
-def _same(one: Node, other: Node) -> bool:
-    first, second = numbers(one), numbers(other)
+def _same(node: Node, other: Node) -> bool:
+    first, second = numbers(node), numbers(other)
     if first is None or second is None:
-        return one == other
+        return node == other
     return first.shape == second.shape and np.array_equal(first, second)
