@@ -21,8 +21,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from laci_stereo.core.errors import EvidenceError
-from laci_stereo.core.estimation.joint import TURNS
 from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.estimation.scanner_turn import TURNS
 from laci_stereo.core.frames import Axes, FloatArray
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch

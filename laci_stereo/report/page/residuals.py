@@ -9,8 +9,8 @@ import numpy as np
 from laci_stereo.core.estimation.drive_model import BIAS, FIRST_OWN, DriveModel
 from laci_stereo.core.estimation.drive_prior import CLOCK, Correction
 from laci_stereo.core.estimation.evidence import evidence_of
-from laci_stereo.core.estimation.joint import SOFTENING_M
 from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.estimation.problem import SOFTENING_M
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.vehicle import outline

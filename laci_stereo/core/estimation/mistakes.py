@@ -1,0 +1,192 @@
+"""Hypotheses of mistakes in the messages or in a stereo calibration, by far more than the settings allow."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from laci_stereo.core.estimation.drive_model import BASELINE, BY_OPTICS, FOCAL
+from laci_stereo.core.estimation.drive_prior import LAG, OPTICS, Correction
+from laci_stereo.core.estimation.evidence import Evidence
+from laci_stereo.core.estimation.problem import COMPARED, Problem, Solved
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings
+
+WRONG_OPTICS = 0.03
+"""A priori relative standard deviation of a wrong focal length or baseline: this is the error of a focal length that
+was read from another matrix, such as the raw image's, or of a baseline that was measured on the outside of the
+camera."""
+
+MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
+"""A priori probability of a mistake in a sender's set-up, one in fifty, and the standard deviation of its headings
+then.
+
+The positions of such a sender may refer to any place on the vehicle, its clock may not be set, and its headings may be
+as far off as those of another part of the vehicle, such as a cab in a bend, or as a magnetic compass. One stereo camera
+in fifty likewise has the calibration of another camera, or of another mode."""
+
+CLEARLY = float(np.log(10.0))
+"""Least log odds for clocks that were never set, where a scanner's rotation is the alternative that explains the same
+delays less well."""
+
+LATE = 2.0
+"""Clocks whose estimated offset is at most this many standard deviations are taken as synchronised."""
+
+SURELY, TURNED_RAD = 4.0, np.radians(30.0)
+"""A mistake is accepted only if the correction exceeds the first number of its own posterior standard deviations; for
+focal length and baseline together, if their Mahalanobis distance does: with 3, four of about fifty correct stereo
+calibrations were found to be wrong. A wrong place of the reference point on the vehicle is only determined in a turn of
+at least the second number, in which an error of half the vehicle's length moves the position by half of that error; on
+a straight drive the noise of the headings looks like it."""
+
+IN_TURNS = frozenset({"ahead", "left", "lag"})
+"""Corrections that only a turn determines."""
+
+LAGGING_S = 0.2
+"""Standard deviation of the lag of headings that are not of the same moment as the positions: those of filtered
+positions, or of a direction of motion that waits for the next epoch, which in some receivers is 0.2 s later."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A hypothesis that something is wrong by far more than the settings allow.
+
+    Attributes
+    ----------
+    what : frozenset of str
+        The corrections in which it shows.
+    settings : JointSettings
+        The priors under this hypothesis.
+    log_wider : float
+        Log ratio by which the prior volume of these corrections is larger under this hypothesis.
+    alone : bool
+        The hypothesis only holds if the priors allow for all other corrections.
+    """
+
+    what: frozenset[str]
+    settings: JointSettings
+    log_wider: float = 0.0
+    alone: bool = False
+
+
+def likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
+    """Return the start, the priors, and a possible clock offset under the most likely mistake that is significant.
+
+    Start and priors are those given where no mistake is significant and more likely than none. The clock offset is that
+    of clocks which were perhaps never set: with log odds above `CLEARLY`, whether it is significant or not; else None.
+    """
+    here = problem.solve(x, COMPARED)
+    settings, most_likelier, perhaps_unset = problem.settings, 0.0, None
+    for mistake in _mistakes(problem, here):
+        wider = problem.expecting(mistake.settings)
+        there = wider.solve(here.x, COMPARED)
+        surely, unset = _tells(wider, there, mistake), None
+        if "clock" in mistake.what and only(wider, there, mistake.what):
+            unset = _late(wider, there, problem.settings.clock_sigma_s)
+        if not (surely or unset):
+            continue
+        room = _log_room_of(wider, there) - _log_room_of(problem, here) - mistake.log_wider
+        likelier = float(np.log(MISTAKEN)) + room + _likelier_by(problem, here, wider, there)
+        if unset and likelier > CLEARLY:
+            perhaps_unset = unset
+        if surely and likelier > most_likelier:
+            most_likelier, x, settings = likelier, there.x, mistake.settings
+    return x, settings, perhaps_unset
+
+
+def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
+    """Return the hypotheses of mistakes that the drives could reveal.
+
+    These are: headings that are not those of the drive; headings that are older than the positions beside them, or a
+    reference point at another place on the vehicle than was reported, both of which only a turn determines; another
+    focal length or baseline of a stereo camera; and a clock that was never set, if some clocks seem to be apart or
+    could not seem so. Small errors of many other parameters are a more likely explanation the smaller a mistake is;
+    from such a solution the path to the mistake leads downhill, so that a descent from there finds it.
+    """
+    settings, drives = problem.settings, [model.drive for model in problem.models]
+    senders = len(set(problem.recordings.stations))
+    heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
+    wider = heading.heading_sigma_deg / settings.heading_sigma_deg
+    likely = [Mistake(frozenset({"heading"}), heading, senders * np.log(wider))]
+    if any(_turned_rad(drive) > TURNED_RAD for drive in drives):
+        place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
+        wider = place.lever_sigma_m / settings.lever_sigma_m
+        likely.append(Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
+        likely.append(Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S)))
+    # Where all disparities may be off, as after one camera has rotated relative to the other, a wrong focal length or
+    # baseline would only seem to be found.
+    if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
+        optics = replace(settings, optics_sigma=WRONG_OPTICS)
+        likely.append(Mistake(frozenset(OPTICS), optics))
+    apart_s = float(np.abs(solved.x[problem.clocks]).max())
+    # The variance of a detector's boxes is estimated from their dispersion, to which a wrong clock adds: an estimate
+    # that takes the clocks as synchronised never seems to contradict that.
+    boxes = not any(len(drive.points) for drive in drives)
+    if not problem.turn.possible and (boxes or apart_s > LATE * settings.clock_sigma_s):
+        unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
+        wider = unset.clock_sigma_s / settings.clock_sigma_s
+        likely.append(Mistake(frozenset({"clock"}), unset, len(drives) * np.log(wider), alone=True))
+    return likely
+
+
+def _likelier_by(one: Problem, solved: Solved, other: Problem, its: Solved) -> float:
+    """Return the log-likelihood ratio of the points under another solution over one solution.
+
+    The two solutions select different points, as different lines of sight meet an upright part of the outline. For the
+    selection of each solution, the points that both can place are compared; the result is the mean of the two.
+    """
+    gains = []
+    for chosen in (solved.chosen, its.chosen):
+        here, there = one.rows_at(solved.x, chosen), other.rows_at(its.x, chosen)
+        for i, (before, after) in enumerate(zip(here, there, strict=True)):
+            _, mine, others = np.intersect1d(before.point, after.point, assume_unique=True, return_indices=True)
+            gains.append(other.settled(i, its, after[others]) - one.settled(i, solved, before[mine]))
+    return sum(gains) / 2
+
+
+def _log_room_of(problem: Problem, solved: Solved) -> float:
+    """Return the log prior density of the solution, plus a log ratio of posterior to prior volume.
+
+    The volume is that of focal length, baseline and the lags of headings, which are exact unless a hypothesis says
+    otherwise. The prior volume of other mistakes is in `Mistake.log_wider`: their posterior volumes are far
+    smaller than the prior ones.
+    """
+    exact = np.array([FOCAL, BASELINE, *(own.start + LAG for own in problem.own)])
+    before, after = np.linalg.inv(solved.precision), solved.covariance
+    volumes = [np.linalg.slogdet(each[np.ix_(exact, exact)])[1] / 2 for each in (after, before)]
+    return problem.log_prior(solved.x, solved.precision) + float(volumes[0] - volumes[1])
+
+
+def _tells(problem: Problem, solved: Solved, mistake: Mistake) -> bool:
+    """Tell whether a correction of this mistake is significant."""
+    if mistake.alone and not only(problem, solved, mistake.what):
+        return False
+    if mistake.what.issuperset(OPTICS):  # both together: a wrong baseline affects both
+        found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
+        return float(found @ np.linalg.solve(covariance, found)) > SURELY**2
+    return any(
+        each.what in mistake.what and abs(each.value) > SURELY * each.after
+        for model, its in problem.corrections(solved)
+        if not mistake.what & IN_TURNS or _turned_rad(model.drive) > TURNED_RAD
+        for each in its
+    )
+
+
+def _late(problem: Problem, solved: Solved, known_s: float) -> Correction | None:
+    """Return a drive's clock offset that exceeds both its prior and its posterior uncertainty by far, or None."""
+    clocks = (each for _, its in problem.corrections(solved) for each in its if each.what == "clock")
+    return next((each for each in clocks if abs(each.value) > LATE * max(known_s, each.after)), None)
+
+
+def only(problem: Problem, solved: Solved, what: Set[str]) -> bool:
+    """Tell whether all corrections but these agree with their priors."""
+    return all(
+        each.surprise <= SURELY for _, its in problem.corrections(solved) for each in its if each.what not in what
+    )
+
+
+def _turned_rad(drive: Evidence) -> float:
+    _, yaw, known = drive.vehicle.at(drive.stamps_s)
+    return float(np.ptp(yaw[known])) if known.any() else 0.0
