@@ -21,10 +21,10 @@ from laci_stereo.core.frames import Axes
 from laci_stereo.core.messages.cam import CENTRE, FRONT, ReferencePoint
 from laci_stereo.core.settings import (
     METHODS,
+    SYNCHRONISED_S,
     UNKNOWN_CLOCK_S,
     GroundSettings,
     JointSettings,
-    MatchSettings,
     Method,
     QualitySettings,
     Settings,
@@ -191,7 +191,7 @@ _ASKED = (
         type=float,
         metavar="S",
         help="Offset between their clocks, one standard deviation, s [default: "
-        f"{JointSettings.clock_sigma_s:g}; {UNKNOWN_CLOCK_S:g} with --clock unknown].",
+        f"{SYNCHRONISED_S:g}; {UNKNOWN_CLOCK_S:g} with --clock unknown].",
     ),
     max_sigma_m_option,
     max_sigma_deg_option,
@@ -417,7 +417,7 @@ def clock_sigma(clock: str, sigma_s: float | None) -> float:
         If it is out of range, or both options are given.
     """
     if sigma_s is None:
-        return UNKNOWN_CLOCK_S if clock == "unknown" else JointSettings().clock_sigma_s
+        return UNKNOWN_CLOCK_S if clock == "unknown" else SYNCHRONISED_S
     if clock == "unknown":
         raise SettingError(f"--clock is unknown and --clock-sigma is {sigma_s} s; needed is one of them")
     if not SURE_CLOCK_S <= sigma_s <= LOST_CLOCK_S:
@@ -454,13 +454,7 @@ def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:
 
 def core_settings(method: Method, height_m: float | None, clock_sigma_s: float, quality: QualitySettings) -> Settings:
     """Return the core's default settings with the options' values in their place."""
-    return Settings(
-        method=method,
-        ground=ground_near(height_m),
-        match=MatchSettings(clock_sigma_s=clock_sigma_s),
-        joint=JointSettings(clock_sigma_s=clock_sigma_s),
-        quality=quality,
-    )
+    return Settings(method=method, ground=ground_near(height_m), quality=quality).with_clock(clock_sigma_s)
 
 
 def log_to_stderr(*, quiet: bool, verbose: bool) -> None:

@@ -16,7 +16,7 @@ from jsonschema import Draft202012Validator
 
 from laci_stereo.core.errors import GroundError, InputError
 from laci_stereo.core.messages.cam import CamLog
-from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
+from laci_stereo.core.settings import Settings
 from laci_stereo.io.result.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match
@@ -154,7 +154,7 @@ def test_a_clock_that_was_perhaps_not_set_is_a_doubt(tmp_path: Path, seed: int, 
     found = matched(tmp_path, sent).calibration
     assert found.quality.verdict == "warn"
     assert any("a clock offset of" in reason and "--clock unknown" in reason for reason in found.quality.reasons)
-    unknown = Settings(match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0))
+    unknown = Settings().with_clock(1.0)
     found = matched(tmp_path, sent, MatchOptions(core=unknown)).calibration
     assert errors(sent, found).track_xy_m < 3 * found.quality.track_xy_sigma_m
     assert abs(found.time_offset_s - late_s) < 3 * found.time_sigma_s

@@ -14,7 +14,7 @@ from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.messages.slope import Slope
-from laci_stereo.core.settings import Method
+from laci_stereo.core.settings import SYNCHRONISED_S, Method
 from laci_stereo.core.tracking.background import Background
 from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
@@ -129,7 +129,7 @@ class Calibration:
     axes: Axes
     quality: Quality
     method: Method
-    clock_sigma_s: float = 0.010
+    clock_sigma_s: float = SYNCHRONISED_S
     turn: float = 0.0
     nearer: Correction | None = None
     found: tuple[str, ...] = ()

@@ -8,6 +8,9 @@ from typing import Literal, get_args
 
 from laci_stereo.core.errors import SettingError
 
+SYNCHRONISED_S = 0.010
+"""Standard deviation of the offset between two clocks that are synchronised by NTP or GNSS, seconds."""
+
 UNKNOWN_CLOCK_S = 1.0
 """Standard deviation of the offset between clocks that people set by hand and about which nothing else is known."""
 
@@ -247,7 +250,7 @@ class MatchSettings:
     clear_log_odds: float = math.log(100.0)
     least_log_odds: float = math.log(10.0)
     least_seen_log_odds: float = math.log(20.0)
-    clock_sigma_s: float = 0.010
+    clock_sigma_s: float = SYNCHRONISED_S
     position_sigma_m: float = 0.3
     stretch_m: float = 10.0
 
@@ -323,7 +326,7 @@ class JointSettings:
         Frames within this time count as one independent sample when the dispersion of the residuals is estimated.
     """
 
-    clock_sigma_s: float = 0.010
+    clock_sigma_s: float = SYNCHRONISED_S
     heading_sigma_deg: float = 0.3
     heading_lag_s: float = 0.001
     lever_sigma_m: float = 0.05
@@ -382,3 +385,11 @@ class Settings:
     match: MatchSettings = field(default_factory=MatchSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     quality: QualitySettings = field(default_factory=QualitySettings)
+
+    def with_clock(self, sigma_s: float) -> Settings:
+        """Return these settings with another standard deviation of the clock offset, seconds."""
+        return replace(
+            self,
+            match=replace(self.match, clock_sigma_s=sigma_s),
+            joint=replace(self.joint, clock_sigma_s=sigma_s),
+        )

@@ -11,15 +11,13 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.errors import CamError, MatchError, OpenError, TrackError
 from laci_stereo.core.messages.cam import CENTRE, ELLIPSE_SIGMAS, CamLog
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
+from laci_stereo.core.settings import JointSettings, Settings
 from tests.core.test_calibrate import errors
 from tests.simulated import LEFT_TURN, STRAIGHT, ULM, Drive, Scene, Solid, cam_log, car, lidar, scene, stereo
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
-UNKNOWN_CLOCK = replace(
-    Settings(), match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0)
-)  # fmt: skip
+UNKNOWN_CLOCK = Settings().with_clock(1.0)
 TURNING, STEADY = scene(LEFT_TURN, lidar()), scene(STRAIGHT, lidar())
 BRAKING = scene(replace(STRAIGHT, speeds=((0.0, 8.0), (2.0, 8.0), (4.0, 5.0))), lidar(), last_s=7.0)
 SLOWING = scene(replace(STRAIGHT, speeds=((0.0, 8.0), (2.0, 8.0), (4.0, 7.2))), lidar(), last_s=6.5)

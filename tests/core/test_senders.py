@@ -11,7 +11,7 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.errors import MatchError, OpenError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
+from laci_stereo.core.settings import JointSettings, Settings
 from tests.passages import meeting
 from tests.simulated import LEFT_TURN, Drive, car, lidar, scene, together
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("observed_once")]
 
 LATE_S = 0.03
 LOOSE = Settings(joint=JointSettings(clock_sigma_s=LATE_S))
-UNKNOWN = Settings(match=MatchSettings(clock_sigma_s=1.0), joint=JointSettings(clock_sigma_s=1.0))
+UNKNOWN = Settings().with_clock(1.0)
 MOVED_DEG = 0.6 / 74_000.0
 
 
