@@ -28,4 +28,4 @@ def _end(_signal: int, _frame: FrameType | None) -> None:
 
 def main() -> None:
     """Run ``laci-stereo``."""
-    start("laci_stereo.cli")
+    start("laci_stereo.commands.cli")

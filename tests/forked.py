@@ -14,7 +14,7 @@ from pathlib import Path
 # Elsewhere a process cannot be forked, or not after it has loaded the system's libraries.
 FORKS = sys.platform == "linux"
 # The commands, and what most of them import once they have begun.
-IMPORTED = ("laci_stereo.cli", "laci_lidar.cli", "sklearn.cluster")
+IMPORTED = ("laci_stereo.commands.cli", "laci_lidar.cli", "sklearn.cluster")
 
 
 def run_forked(

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from laci_stereo.cli import cli
+from laci_stereo.commands.cli import cli
 from laci_stereo.compare import compare, compare_two
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from laci_stereo.cli import cli
+from laci_stereo.commands.cli import cli
 from laci_stereo.io.result.calibration_file import to_document, to_text
 from laci_stereo.io.result.exports import FORMATS
 from tests.cli_support import Ran, Site, refusal, run, run_installed, write_small_recording

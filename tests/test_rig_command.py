@@ -14,12 +14,12 @@ from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.check.rig_images import Matched, RigCheck, check_rig, match_images, scaled
+from laci_stereo.commands.rig import rig as rig_command
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import StereoPair
 from laci_stereo.io.result.calibration_file import to_document, to_text
 from laci_stereo.io.result.stored_calibration import read_calibration
 from laci_stereo.io.rig.stereo_rig import StereoRig
-from laci_stereo.rig_command import rig as rig_command
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.rectify import rectify
 from laci_stereo.stereo.settings import StereoSettings

@@ -98,7 +98,7 @@ def whole_disparities(recording: Path) -> int:
 
 def monitor(calibration: Path, recording: Path, out: Path, workers: int) -> list[str]:
     """Return the command that monitors a recording."""
-    code = "from laci_stereo.cli import main; main()"
+    code = "from laci_stereo.commands.cli import main; main()"
     paths = [str(calibration), str(recording / "left"), str(recording / "right")]
     return [sys.executable, "-c", code, "monitor", *paths, "--out", str(out), "--workers", str(workers), "--quiet"]
 

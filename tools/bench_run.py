@@ -50,7 +50,7 @@ def run(command: list[str]) -> tuple[float, float, float]:
 
 def tool(recording: Path, out: Path) -> list[str]:
     """Return the command that calibrates a recording."""
-    code = "from laci_stereo.cli import main; main()"
+    code = "from laci_stereo.commands.cli import main; main()"
     paths = [str(recording / part) for part in ("left", "right", "cam.csv")]
     return [sys.executable, "-c", code, "calibrate", *paths, "--out", str(out), "--overwrite", "--quiet"]
 

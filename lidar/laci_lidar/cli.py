@@ -13,14 +13,14 @@ from laci_lidar.monitor_command import monitor as monitor_command
 from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import AtOnce, LidarSettings, Sweep
-from laci_stereo.check_command import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
-from laci_stereo.cli_options import PATH, Asked, calibrating, parse_background
+from laci_stereo.commands.check import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
+from laci_stereo.commands.options import PATH, Asked, calibrating, parse_background
+from laci_stereo.commands.program import run_command
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.stored_calibration import read_calibration
 from laci_stereo.job import Job
-from laci_stereo.program import run_command
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -8,9 +8,9 @@ import click
 
 from laci_lidar.monitor import LidarFrames, stored_settings
 from laci_lidar.settings import LidarSettings
-from laci_stereo.cli_options import PATH
+from laci_stereo.commands.monitor import Watch, Watched, monitoring
+from laci_stereo.commands.options import PATH
 from laci_stereo.io.result.stored_calibration import StoredCalibration
-from laci_stereo.monitor_command import Watch, Watched, monitoring
 
 
 @click.command()

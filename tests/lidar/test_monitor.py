@@ -16,9 +16,9 @@ from laci_lidar.monitor import LidarFrames, stored_settings
 from laci_lidar.monitor_command import monitor
 from laci_lidar.settings import LidarSettings, Sweep
 
+from laci_stereo.commands.importing import import_command
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import Axes
-from laci_stereo.import_command import import_command
 from laci_stereo.monitor.frames import STILL_S
 from tests.lidar.support import write_folder
 from tests.monitor.support import WORLD, Traffic, drive, gone_through, one_by_one, plan

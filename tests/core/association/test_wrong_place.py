@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.cli_options import parse_reference
+from laci_stereo.commands.options import parse_reference
 from laci_stereo.core.association.case import Alternative, Case
 from laci_stereo.core.association.choice import Choice, Resemblance
 from laci_stereo.core.association.vehicle_choice import told

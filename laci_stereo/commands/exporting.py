@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.cli_options import PATH, say_written
+from laci_stereo.commands.options import PATH, say_written
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.output import check_files, make_folder, write_file
 from laci_stereo.io.result.exports import FORMATS, ExportedFile, export_as

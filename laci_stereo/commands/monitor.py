@@ -15,8 +15,9 @@ from typing import Any
 
 import click
 
-from laci_stereo.check_command import needs_kind, placed_by, stereo_option, the_map
-from laci_stereo.cli_options import (
+from laci_stereo.commands.check import needs_kind, placed_by, stereo_option, the_map
+from laci_stereo.commands.mask import asked_mask, mask_options
+from laci_stereo.commands.options import (
     PATH,
     SAID,
     a_number,
@@ -38,7 +39,6 @@ from laci_stereo.job import sha256
 from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import Provider
 from laci_stereo.mask.stage import VehicleMask
-from laci_stereo.mask_command import asked_mask, mask_options
 from laci_stereo.monitor.frames import Frames
 from laci_stereo.monitor.lanes import strips_of
 from laci_stereo.monitor.objects import Labelled, write_openlabel

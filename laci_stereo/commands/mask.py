@@ -12,7 +12,7 @@ import click
 import cv2
 import numpy as np
 
-from laci_stereo.cli_options import PATH, say_written
+from laci_stereo.commands.options import PATH, say_written
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.subsampling import spread

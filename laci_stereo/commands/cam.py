@@ -9,13 +9,13 @@ from typing import Literal, TypeAlias
 
 import click
 
-from laci_stereo.cli_options import PATH, say_written
+from laci_stereo.commands.options import PATH, say_written
+from laci_stereo.commands.program import NEGATIVE
 from laci_stereo.io.cam.export import to_csv, to_geojson
 from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.images import write_picture
 from laci_stereo.io.output import check_files, check_png, write_file
-from laci_stereo.program import NEGATIVE
 from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
 

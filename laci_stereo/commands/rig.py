@@ -10,13 +10,13 @@ import click
 from laci_stereo.check.rig_describe import describe_rig, rig_document
 from laci_stereo.check.rig_images import check_rig, match_images
 from laci_stereo.check.rig_picture import draw_rig
-from laci_stereo.cli_options import PATH, baseline_option, say_written
+from laci_stereo.commands.options import PATH, baseline_option, say_written
+from laci_stereo.commands.program import NEGATIVE
 from laci_stereo.core.errors import ImageError
 from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images, write_picture
 from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.rig.stereo_calibration import ForImages, calibration_files, read_rig
 from laci_stereo.io.timed_files import names_in
-from laci_stereo.program import NEGATIVE
 from laci_stereo.stereo.rectify import already_rectified
 
 

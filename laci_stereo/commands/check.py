@@ -13,14 +13,14 @@ from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.verdict import TOO_FAR_M, TOO_FAR_RAD
-from laci_stereo.cli_options import PATH, a_number, baseline_option, map_crs_option, say_written
+from laci_stereo.commands.options import PATH, a_number, baseline_option, map_crs_option, say_written
+from laci_stereo.commands.program import NEGATIVE
 from laci_stereo.core.errors import CalibrationFileError, MapError
 from laci_stereo.io.images import ImageFolder, first_size, write_picture
 from laci_stereo.io.maps.lane_map import MAP_FILES, LaneMap, find_lane_map, read_lane_map
 from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
-from laci_stereo.program import NEGATIVE
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.rectify import already_rectified
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.cli_options import PATH, say_written
+from laci_stereo.commands.options import PATH, say_written
+from laci_stereo.commands.program import NEGATIVE
 from laci_stereo.compare import SHARED, Comparison, chance, compare, to_csv, to_summary, to_table
 from laci_stereo.io.output import check_files, write_file
-from laci_stereo.program import NEGATIVE
 from laci_stereo.report.page.compare import Pair, Row, write_compare_page
 
 

@@ -6,10 +6,18 @@ from pathlib import Path
 
 import click
 
-from laci_stereo.cam_command import cam as cam_command
-from laci_stereo.check_command import check as check_command
-from laci_stereo.check_command import stereo_option
-from laci_stereo.cli_options import (
+from laci_stereo.combine import CombineOptions
+from laci_stereo.combine import combine as combine_runs
+from laci_stereo.commands.cam import cam as cam_command
+from laci_stereo.commands.check import check as check_command
+from laci_stereo.commands.check import stereo_option
+from laci_stereo.commands.compare import compare_command
+from laci_stereo.commands.exporting import export as export_command
+from laci_stereo.commands.importing import import_command
+from laci_stereo.commands.mask import asked_mask, mask_options
+from laci_stereo.commands.mask import mask as mask_command
+from laci_stereo.commands.monitor import monitor as monitor_command
+from laci_stereo.commands.options import (
     PATH,
     Asked,
     baseline_option,
@@ -24,24 +32,16 @@ from laci_stereo.cli_options import (
     max_sigma_m_option,
     parse_background,
 )
-from laci_stereo.combine import CombineOptions
-from laci_stereo.combine import combine as combine_runs
-from laci_stereo.compare_command import compare_command
+from laci_stereo.commands.program import run_command
+from laci_stereo.commands.rig import rig as rig_command
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.settings import Settings
-from laci_stereo.export_command import export as export_command
-from laci_stereo.import_command import import_command
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
 from laci_stereo.job import Job
 from laci_stereo.mask.network import Provider
-from laci_stereo.mask_command import asked_mask, mask_options
-from laci_stereo.mask_command import mask as mask_command
 from laci_stereo.match import BoxOrigin, MatchOptions, MatchTask
 from laci_stereo.match import prepare as prepare_match
-from laci_stereo.monitor_command import monitor as monitor_command
-from laci_stereo.program import run_command
-from laci_stereo.rig_command import rig as rig_command
 from laci_stereo.run import Options, prepare
 from laci_stereo.stereo.settings import StereoSettings
 
