@@ -16,14 +16,14 @@ from laci_stereo.io.result.exports import FORMATS as EXPORTS
 from laci_stereo.io.result.exports import export_as
 from laci_stereo.io.result.imported import ImportOptions, import_pose, imported_document
 from tests.io import cam_writers, map_writers, rig_writers
+from tests.io.cam.test_cam_log import COMPLETE, POSITIONS
+from tests.io.maps.test_map_formats import LINES
+from tests.io.result.test_evidence_file import content
+from tests.io.result.test_imported import WRITTEN
+from tests.io.rig.test_rig_formats import MIDDLEBURY, RIGS
 from tests.io.sitings import siting
 from tests.io.support import write_images
-from tests.io.test_cam_log import COMPLETE, POSITIONS
 from tests.io.test_detections import rows
-from tests.io.test_evidence_file import content
-from tests.io.test_imported import WRITTEN
-from tests.io.test_map_formats import LINES
-from tests.io.test_rig_formats import MIDDLEBURY, RIGS
 from tests.lidar.support import FILE_FORMATS, scene, write_bag1, write_bag2, write_folder
 from tests.mask import graphs
 

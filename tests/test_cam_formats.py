@@ -18,7 +18,7 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.run import prepare
 from tests.cli_support import DEMONSTRATION
-from tests.io.test_cam_log import COMPLETE, POSITIONS, assert_same_track
+from tests.io.cam.test_cam_log import COMPLETE, POSITIONS, assert_same_track
 
 pytestmark = pytest.mark.slow
 

@@ -15,9 +15,9 @@ from laci_stereo.io.cam.columns import ELLIPSE_ORIENTATION, LATITUDE, LONGITUDE,
 from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam.log import read_cam_log
 from tests.io import cam_writers as writers
+from tests.io.cam.test_cam_log import assert_same_track
 from tests.io.cam_writers import START_NS, WGS84, drive
 from tests.io.support import fuzz, noise, read_or_refused
-from tests.io.test_cam_log import assert_same_track
 
 
 def read(folder: Path, text: str) -> tuple[CamLog, tuple[str, ...]]:

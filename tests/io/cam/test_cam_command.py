@@ -19,9 +19,9 @@ from laci_stereo.report.cam_map import draw_log
 from laci_stereo.report.cam_summary import summarise_log
 from tests.cli_support import DEMONSTRATION, run, run_installed
 from tests.io import cam_writers as writers
+from tests.io.cam.test_cam_log import COMPLETE, POSITIONS, mixed
 from tests.io.cam_writers import START_NS, drive
 from tests.io.support import fuzz
-from tests.io.test_cam_log import COMPLETE, POSITIONS, mixed
 
 
 def test_it_tells_what_a_log_holds(tmp_path: Path):

@@ -9,6 +9,7 @@ import pytest
 from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.log import read_cam_log
 from tests.io import cam_writers as writers
+from tests.io.cam.test_cam_log import assert_same_track, refusal
 from tests.io.cam_writers import (
     CAM_TYPE,
     ROS2,
@@ -20,7 +21,6 @@ from tests.io.cam_writers import (
     write_bag1,
     write_bag2,
 )
-from tests.io.test_cam_log import assert_same_track, refusal
 
 LOG = drive(20)
 

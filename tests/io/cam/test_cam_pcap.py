@@ -10,9 +10,9 @@ from laci_stereo.io.cam.log import read_cam_log
 from laci_stereo.io.cam.packet_capture import frames
 from laci_stereo.io.cam.recording import CamRecording
 from tests.io import cam_writers as writers
+from tests.io.cam.test_cam_log import assert_same_track
 from tests.io.cam_asn1 import encode, vehicle_cam
 from tests.io.cam_writers import drive
-from tests.io.test_cam_log import assert_same_track
 
 LOG = drive(20)
 CAMS = writers.cams(LOG)
