@@ -29,6 +29,9 @@ from laci_stereo.io.result.stored_calibration import StoredCalibration, read_cal
 CONTRADICTION_RATE = 0.01
 """Fraction of pairs of results with correct covariances that are reported as contradictory."""
 
+SELDOM = 1e-6
+"""Share of cases below which it is said that it is less."""
+
 FARTHEST_M = 1000.0
 """Largest distance between two results of one sensor: a larger one is between different masts."""
 
@@ -282,6 +285,8 @@ def chance(comparison: Comparison) -> str:
 
 
 def _percent(share: float) -> str:
+    if share < SELDOM:
+        return f"less than {100 * SELDOM:g} %"
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 

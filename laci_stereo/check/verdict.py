@@ -113,14 +113,17 @@ def _wrong(error: PlanarError) -> str:
 
 def _not_ruled_out(error: PlanarError) -> list[str]:
     """Return, as text, the errors that cannot be ruled out."""
-    variances, directions = np.linalg.eigh(error.covariance[:2, :2])
-    found_m, sigmas_m = np.abs(error.value[:2] @ directions), np.sqrt(variances)
-    sentences = [
-        f"a shift of {100 * TOO_FAR_M:.0f} cm towards {np.degrees(np.arctan2(y, x)) % 180:.0f} deg, or back, is not "
-        f"ruled out: the lines say {100 * found:.0f} +- {100 * sigma:.0f} cm"
-        for found, sigma, (x, y) in zip(found_m, sigmas_m, directions.T, strict=True)
-        if found + ONE_SIDED * sigma > TOO_FAR_M
-    ]
+    shift_m, covariance = error.value[:2], error.covariance[:2, :2]
+    towards = np.radians(np.arange(180.0))
+    directions = np.column_stack([np.cos(towards), np.sin(towards)])
+    found_m, sigmas_m = np.abs(directions @ shift_m), np.sqrt(((directions @ covariance) * directions).sum(axis=1))
+    least = int((found_m + ONE_SIDED * sigmas_m).argmax())
+    sentences = []
+    if found_m[least] + ONE_SIDED * sigmas_m[least] > TOO_FAR_M:
+        sentences.append(
+            f"a shift of {100 * TOO_FAR_M:.0f} cm towards {least} deg, or back, is not ruled out: the lines say "
+            f"{100 * found_m[least]:.0f} +- {100 * sigmas_m[least]:.0f} cm"
+        )
     turn_rad, sigma_rad = float(error.value[2]), float(np.sqrt(error.covariance[2, 2]))
     if abs(turn_rad) + ONE_SIDED * sigma_rad > TOO_FAR_RAD:
         sentences.append(

@@ -15,6 +15,7 @@ from laci_stereo.core.estimation.agreement import LeftOut, all_agree, fit_togeth
 from laci_stereo.core.estimation.evidence import Evidence, evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.frames import between
 from laci_stereo.core.placement import place
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -122,10 +123,27 @@ def _check_alike(passages: Sequence[Passage]) -> None:
         (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
         if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
             both_s = (min(last_ns, end_ns) - max(first_ns, begin_ns)) / 1e9
+            apart_m = _apart_m(one, other)
+            if apart_m > max(one.vehicle.length_m, other.vehicle.length_m):
+                raise EvidenceError(
+                    f"{other.name}: is of the same time as {one.name}, and station {one.station_id} is {apart_m:.0f} m "
+                    f"away from itself in these {both_s:.1f} s: needed are two station numbers if these are two "
+                    "vehicles, and the right times if it is one"
+                )
             raise EvidenceError(
                 f"{other.name}: is the same drive as {one.name}, or a part of it: station {one.station_id} drives in "
                 f"both at the same time, for {both_s:.1f} s; needed is each drive once"
             )
+
+
+def _apart_m(one: Passage, other: Passage) -> float:
+    """Return the median distance between two vehicles while both send; 0 if they never do at the same time."""
+    xy, other_xy = (each.world.to_utm(each.vehicle.xy) for each in (one, other))
+    there_s = one.vehicle.stamps_s + (one.vehicle.epoch_ns - other.vehicle.epoch_ns) / 1e9
+    other_s = other.vehicle.stamps_s
+    both = (other_s[0] <= there_s) & (there_s <= other_s[-1])
+    apart_m = np.linalg.norm(xy - between(there_s, other_s, other_xy), axis=1)[both]
+    return float(np.median(apart_m)) if len(apart_m) else 0.0
 
 
 def _in_words(passage: Passage) -> str:

@@ -147,6 +147,15 @@ def test_the_same_drive_twice_is_refused() -> None:
         combine([drive, replace(drive, name="again")])
 
 
+def test_one_station_number_in_two_places_at_once_is_refused() -> None:
+    drive = passages()[0]
+    vehicle = replace(drive.vehicle, xy=drive.vehicle.xy + np.array([30.0, -40.0]))
+    with pytest.raises(
+        EvidenceError, match=r"again: is of the same time as run 0, and station \d+ is 50 m away from it"
+    ):
+        combine([drive, replace(drive, name="again", vehicle=vehicle)])
+
+
 def test_drives_of_different_zones_or_axes_are_refused() -> None:
     one, other = passages()[:2]
     zone = replace(other, world=replace(other.world, crs="EPSG:32633"))

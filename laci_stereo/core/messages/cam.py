@@ -277,8 +277,8 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     Raises
     ------
     CamError
-        If fewer than two messages have a position, or no two are close enough in time, or fewer than half are
-        consistent with one another, or headings have the wrong unit, axis or sign.
+        If fewer than two messages have a position of their own, or no two are close enough in time, or fewer than half
+        are consistent with one another, or headings have the wrong unit, axis or sign.
     TrackError
         If the vehicle is stationary, or so long that it articulates and no two consecutive messages find it straight.
     """
@@ -289,8 +289,15 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
     xy = world.from_geodetic(log.latitude_deg, log.longitude_deg)
     held = held_positions((log.stamps_ns - epoch_ns) / 1e9, xy, log.speed_mps, STANDING_MPS)
     if held.any():
-        of_station = f"messages of station {log.station_id[0]}"
-        remarks += (f"{np.count_nonzero(held)} of {len(held)} {of_station} repeat an older position: left out",)
+        repeat = (
+            f"{np.count_nonzero(held)} of {len(held)} messages of station {log.station_id[0]} repeat an older position"
+        )
+        if np.count_nonzero(~held) < 2:
+            raise CamError(
+                f"{repeat}, while their speed is up to {np.nanmax(log.speed_mps):.1f} m/s: needed are positions that "
+                "change with it, as of a receiver that has not lost its satellites"
+            )
+        remarks += (f"{repeat}: left out",)
         log, xy = log[~held], xy[~held]
     x, y = reference.offset(float(length)).tolist()
     arms = levers((x, y), float(length))

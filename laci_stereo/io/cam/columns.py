@@ -73,6 +73,9 @@ class Quantity(Column):
 
 STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "vehicleid"))
 
+GENERATION_DELTA = Column("generationDeltaTime", ("gendeltatime",))
+"""Column of the times of generation, of which `timestamp` is the reception then; see `generation_times`."""
+
 POSITION_OF = Column("position_of", ())
 """Column that names the point on the vehicle that the positions are of, where it is not the CAM reference point."""
 

@@ -9,7 +9,7 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.columns import ANTENNA, POSITION_OF, QUANTITIES, REQUIRED, in_units
 from laci_stereo.io.cam.gnss import OF_ANTENNA
 from laci_stereo.io.cam.recording import CamRecording, Messages, recorded
-from laci_stereo.io.cam.table import column_notes, numbers_of, station_ids
+from laci_stereo.io.cam.table import column_notes, generated, numbers_of, station_ids
 from laci_stereo.io.table import merged, read_table, stamps_ns
 
 
@@ -18,9 +18,9 @@ def read_cam_csv(path: Path) -> CamRecording:
 
     The columns are ``timestamp``, ``station_id``, ``latitude``, ``longitude``, ``heading``, ``speed``,
     ``vehicle_length`` and ``vehicle_width``, optionally ``altitude``, ``semi_major_95``, ``semi_minor_95`` and
-    ``ellipse_orientation``, and ``position_of``, which is ``antenna`` where positions are those of an antenna. Common
-    synonyms are recognised. Only times and positions are required. Raw ETSI integers are recognised for the whole file
-    at once.
+    ``ellipse_orientation``, ``position_of``, which is ``antenna`` where positions are those of an antenna, and
+    ``generationDeltaTime``, beside which ``timestamp`` is the time of reception. Common synonyms are recognised. Only
+    times and positions are required. Raw ETSI integers are recognised for the whole file at once.
 
     Raises
     ------
@@ -29,7 +29,8 @@ def read_cam_csv(path: Path) -> CamRecording:
         bad, it has no position at all, or latitude and longitude are exchanged.
     """
     table = read_table(path, REQUIRED, CamError, "message")
-    stamps, stations = stamps_ns(table), station_ids(table)
+    stations = station_ids(table)
+    stamps = generated(table, stamps_ns(table), stations.values)
     numbers = {quantity: numbers_of(table, quantity) for quantity in QUANTITIES}
     values, unit_notes = in_units(
         {quantity: parsed.values for quantity, parsed in numbers.items()},

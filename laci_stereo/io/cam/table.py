@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.io.cam.columns import COLUMNS, MOTION, STATION_ID, Quantity
+from laci_stereo.io.cam.columns import COLUMNS, GENERATION_DELTA, MOTION, STATION_ID, Quantity
+from laci_stereo.io.cam.its_time import DELTA_PERIOD_MS, generation_times
 from laci_stereo.io.stamps import number
 from laci_stereo.io.table import Parsed, Table, is_missing
 from laci_stereo.io.text_file import quoted
@@ -36,6 +37,31 @@ def station_ids(table: Table) -> Parsed[IntArray]:
         if station is None
     }
     return Parsed(np.array([station or 0 for station in ids], dtype=np.int64), problems)
+
+
+def generated(table: Table, stamps: Parsed[IntArray], stations: IntArray) -> Parsed[IntArray]:
+    """Return the messages' times of generation, where a column `GENERATION_DELTA` tells them beside the reception.
+
+    Parameters
+    ----------
+    table : Table
+    stamps : Parsed
+        The rows' times, shape (n,).
+    stations : ndarray of int64, shape (n,)
+    """
+    texts = table.texts(GENERATION_DELTA)
+    if texts is None:
+        return stamps
+    good = [i for i in range(len(texts)) if i not in stamps.problems]
+    deltas_ms = [_whole(texts[i]) for i in good]
+    known = [delta_ms for delta_ms in deltas_ms if delta_ms is not None and 0 <= delta_ms < DELTA_PERIOD_MS]
+    if len(known) < len(good) or (len(set(known)) < 2 and len(good) > 1):
+        note = f"{GENERATION_DELTA.name} is not used: needed are numbers from 0 to {DELTA_PERIOD_MS - 1} that change"
+        return Parsed(stamps.values, stamps.problems, (*stamps.notes, note))
+    times = generation_times(stamps.values[good], np.array(known, dtype=np.int64), stations[good])
+    values = stamps.values.copy()
+    values[good] = times.stamps_ns
+    return Parsed(values, stamps.problems, (*stamps.notes, *times.notes))
 
 
 def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:

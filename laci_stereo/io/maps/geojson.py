@@ -16,6 +16,9 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.maps.lines import GEODETIC, LARGEST, DrawnLine, DrawnMap
 from laci_stereo.io.text_file import quoted
 
+WIDEST_DEG = 10.0
+"""Largest extent of a lane map in degrees, wider than most countries: with larger numbers, a map is in metres."""
+
 _DEEPEST = 20
 _NESTING: Mapping[str, int] = {"LineString": 0, "MultiLineString": 1, "Polygon": 1, "MultiPolygon": 2}
 _COLLECTIONS: Mapping[object, str] = {"FeatureCollection": "features", "GeometryCollection": "geometries"}
@@ -35,7 +38,8 @@ def read_geojson(path: Path, text: str) -> DrawnMap:
     """Read the lines of a GeoJSON file.
 
     The standard requires degrees. Until 2016 it allowed other systems, named in a member ``crs``; where that is missing
-    and the numbers cannot be degrees, the coordinate system is unknown.
+    and the numbers cannot be degrees, or as degrees would make a map that is as large as a country, the coordinate
+    system is unknown.
 
     Raises
     ------
@@ -107,5 +111,9 @@ def _crs(root: object, lines: list[DrawnLine]) -> str | None:
         properties = crs.get("properties") if isinstance(crs, dict) else None
         name = str(properties.get("name") if isinstance(properties, dict) else None)
         return GEODETIC if name.upper().endswith((":CRS84", "EPSG:4326", "EPSG::4326")) else name
-    degrees = all((np.abs(line.xy) <= (180.0, 90.0)).all() for line in lines)
-    return GEODETIC if degrees else None
+    positions = np.concatenate([np.zeros((0, 2)), *(line.xy for line in lines)])
+    if not len(positions):
+        return GEODETIC
+    wide, high = np.ptp(positions, axis=0)
+    as_large = min(wide, 360.0 - wide) > WIDEST_DEG or high > WIDEST_DEG  # a map may lie on both sides of 180 deg
+    return None if as_large or (np.abs(positions) > (180.0, 90.0)).any() else GEODETIC

@@ -146,6 +146,14 @@ def test_positions_that_are_repeated_until_there_is_a_new_one_are_left_out(drive
     assert any("repeat an older position" in remark for remark in track.remarks)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_position_that_never_changes_though_the_vehicle_moves() -> None:
+    log = cam_log(ULM, car(NORTH), 6.0)
+    frozen = replace(log, latitude_deg=np.full(len(log), 48.4), longitude_deg=np.full(len(log), 9.9))
+    with pytest.raises(CamError, match=f"{len(log) - 1} of {len(log)} messages of station .* repeat an older position"):
+        track_of(frozen)
+
+
 def test_a_vehicle_that_waits_repeats_no_older_position() -> None:
     waits = replace(NORTH, speeds=((0.0, 8.0), (1.0, 8.0), (3.0, 0.0), (6.0, 0.0), (7.0, 8.0)))
     log = cam_log(ULM, car(waits), 9.0, rate_hz=10.0)

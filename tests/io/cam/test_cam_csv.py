@@ -120,6 +120,31 @@ def test_decimal_commas_are_read_as_points(tmp_path: Path, separator: str) -> No
     assert_same(recording.log, read_cam_csv(write(tmp_path / "points.csv", table(drive()))).log)
 
 
+def its_delta_ms(message: Message) -> int:
+    """Return the message's time on ETSI's clock, which counts the five leap seconds since 2004, modulo 65,536 ms."""
+    return (message.ns // 10**6 - 1_072_915_200_000 + 5_000) % 65_536
+
+
+@pytest.mark.parametrize("shift_s", [0, 30, 60])
+def test_a_message_is_of_its_generation_not_of_its_reception(tmp_path: Path, shift_s: int) -> None:
+    sent = [replace(message, ns=message.ns // 10**6 * 10**6 + shift_s * 10**9) for message in drive(400)]
+    late_ms = np.random.default_rng(shift_s).integers(20, 120, len(sent))
+    rows = table(sent, {**CANONICAL, "generationDeltaTime": lambda m: str(its_delta_ms(m))})
+    received = [seconds(message.ns + int(late) * 10**6) for message, late in zip(sent, late_ms, strict=True)]
+    rows[1:] = [[stamp, *row[1:]] for stamp, row in zip(received, rows[1:], strict=True)]
+    recording = read_cam_csv(write(tmp_path / "received.csv", rows))
+    assert recording.log.stamps_ns.tolist() == [message.ns for message in sent]
+    assert any("generationDeltaTime, of which 65.536 s the time of reception tells" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("filled", ["0", "", "70000", "1.5"])
+def test_a_generation_time_that_was_not_filled_in_is_not_used(tmp_path: Path, filled: str) -> None:
+    rows = table(drive(), {**CANONICAL, "generation_delta_time": lambda m: filled})
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert recording.log.stamps_ns.tolist() == [message.ns for message in drive()]
+    assert any(note.startswith("generationDeltaTime is not used") for note in recording.notes)
+
+
 MESSAGES = st.lists(
     st.builds(
         Message,

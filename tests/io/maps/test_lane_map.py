@@ -121,6 +121,17 @@ def test_a_geojson_in_another_coordinate_system_says_so(tmp_path: Path, name: st
         read_lane_map(path, WORLD)
 
 
+def test_a_geojson_in_metres_from_a_point_is_no_map_in_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "map.geojson"
+    road = np.array([(-60.0, 2.0), (-20.0, 3.0), (35.0, 1.0)])
+    path.write_text(geojson([feature("LineString", road.tolist())]))
+    with pytest.raises(MapError, match=r"does not say its coordinate system, .* --map-crs EPSG"):
+        read_lane_map(path, WORLD)
+    east, north = WORLD.to_utm(np.array([[0.0, 0.0]]))[0]
+    found = read_lane_map(path, WORLD, f"{WORLD.crs}@{east:.3f},{north:.3f}")
+    np.testing.assert_allclose(WORLD.to_utm(found.lines[0].xy), road + (east, north), atol=2e-3)
+
+
 def test_virtual_lines_are_kept_as_such_and_lost_points_noted(tmp_path: Path) -> None:
     path = tmp_path / "map.osm"
     text = lanelet2([SQUARE], kind="virtual")
