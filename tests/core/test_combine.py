@@ -150,9 +150,7 @@ def test_the_same_drive_twice_is_refused() -> None:
 def test_one_station_number_in_two_places_at_once_is_refused() -> None:
     drive = passages()[0]
     vehicle = replace(drive.vehicle, xy=drive.vehicle.xy + np.array([30.0, -40.0]))
-    with pytest.raises(
-        EvidenceError, match=r"again: is of the same time as run 0, and station \d+ is 50 m away from it"
-    ):
+    with pytest.raises(EvidenceError, match=r"again: is of the same time as run 0, .* \d+ is 50 m away from it"):
         combine([drive, replace(drive, name="again", vehicle=vehicle)])
 
 

@@ -129,7 +129,7 @@ def test_a_geojson_in_metres_from_a_point_is_no_map_in_degrees(tmp_path: Path) -
         read_lane_map(path, WORLD)
     east, north = WORLD.to_utm(np.array([[0.0, 0.0]]))[0]
     found = read_lane_map(path, WORLD, f"{WORLD.crs}@{east:.3f},{north:.3f}")
-    np.testing.assert_allclose(WORLD.to_utm(found.lines[0].xy), road + (east, north), atol=2e-3)
+    np.testing.assert_allclose(WORLD.to_utm(found.lines[0].xy), road + np.array([east, north]), atol=2e-3)
 
 
 def test_virtual_lines_are_kept_as_such_and_lost_points_noted(tmp_path: Path) -> None:
