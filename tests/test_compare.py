@@ -21,6 +21,7 @@ from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.core.result import viewing_angles
 from laci_stereo.io.result.calibration_file import to_document
+from laci_stereo.core.world import World
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
@@ -40,7 +41,16 @@ def moved(six: FloatArray, document: dict[str, Any] | None = None) -> dict[str, 
     angles = viewing_angles(T, calibration().axes)
     changed["T_world_sensor"] = T.tolist()
     changed["euler_deg"] = {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg}
-    return changed
+    return with_utm(changed)
+
+
+def with_utm(document: dict[str, Any]) -> dict[str, Any]:
+    """Let the transform to UTM follow that to the world."""
+    frame = document["world"]
+    world = World(frame["crs"], tuple(frame["origin_utm"]), frame["grid_scale"])
+    centre = np.array(document["covariance_centre_world"])
+    document["T_utm_sensor"] = world.utm_from_sensor(np.array(document["T_world_sensor"]), centre).tolist()
+    return document
 
 
 def in_other_world(document: dict[str, Any], east_m: float, north_m: float) -> dict[str, Any]:
@@ -53,7 +63,7 @@ def in_other_world(document: dict[str, Any], east_m: float, north_m: float) -> d
     T[:3, 3] -= shift
     changed["T_world_sensor"] = T.tolist()
     changed["covariance_centre_world"] = (np.array(changed["covariance_centre_world"]) - shift).tolist()
-    return changed
+    return with_utm(changed)
 
 
 def written(folder: Path, name: str, document: dict[str, Any]) -> Path:
@@ -211,7 +221,9 @@ def changed(**entries: object) -> dict[str, Any]:
 def test_what_is_no_second_result_of_the_sensor_is_refused(
     tmp_path: Path, entries: dict[str, object], words: tuple[str, ...]
 ) -> None:
-    paths = written(tmp_path, "a", original()), written(tmp_path, "b", changed(**entries))
+    other = changed(**entries)
+    moved_world = "world__origin_utm" in entries
+    paths = written(tmp_path, "a", original()), written(tmp_path, "b", with_utm(other) if moved_world else other)
     with pytest.raises(CalibrationFileError) as refused:
         compare(paths)
     for word in (*words, str(paths[1])):

@@ -20,6 +20,10 @@ _FARTHEST_FROM_RIGID = 1e-6
 """Largest error of the products of a rotation's rows; written numbers have more digits."""
 
 
+_SAME = 1e-3
+"""Largest difference of two transforms that are the same, in metres: UTM coordinates are written with more digits."""
+
+
 @dataclass(frozen=True)
 class StoredCalibration:
     """A result as stored in its file.
@@ -78,7 +82,8 @@ def read_calibration(result: Path) -> StoredCalibration:
     Raises
     ------
     CalibrationFileError
-        If the file cannot be read, does not conform to the schema, or has an invalid transform or covariance.
+        If the file cannot be read, does not conform to the schema, has an invalid transform or covariance, or two that
+        contradict each other.
     """
     path = result / RESULT_FILE if result.is_dir() else result
     if not path.exists():
@@ -93,10 +98,16 @@ def read_calibration(result: Path) -> StoredCalibration:
     except CalibrationFileError as problem:
         raise CalibrationFileError(f"{path}: {problem}") from problem
     try:
-        stored = _parsed(path, document)
+        stored, T_utm_sensor = _parsed(path, document), np.array(document["T_utm_sensor"], dtype=np.float64)
     except OverflowError as problem:  # integers in JSON may exceed any float
         raise CalibrationFileError(f"{path} holds a number out of range: {problem}; needed are floats") from problem
     _check(stored)
+    off = float(np.abs(stored.world.utm_from_sensor(stored.T_world_sensor, stored.centre_world) - T_utm_sensor).max())
+    if not off < _SAME:
+        raise CalibrationFileError(
+            f"{path}: T_utm_sensor and T_world_sensor contradict each other by up to {off:.3g}: one of them, or the world "
+            "frame, was edited; needed is the file as it was written"
+        )
     return stored
 
 

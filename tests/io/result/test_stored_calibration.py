@@ -54,6 +54,11 @@ def test_whole_numbers_beyond_floats_are_refused(change: Any, tmp_path: Path) ->
         (lambda made: made["T_world_sensor"][0].__setitem__(3, float("nan")), "not finite"),
         (lambda made: made["T_world_sensor"][0].__setitem__(0, 1e200), "is no rigid transform"),
         (lambda made: made.update(background_boxes=[[float("-inf")] * 6]), "not finite"),
+        (
+            lambda made: made["T_utm_sensor"][0].__setitem__(3, made["T_utm_sensor"][0][3] + 1.0),
+            "contradict .* up to 1: ",
+        ),
+        (lambda made: made["world"].update(grid_scale=1.01), "T_utm_sensor and T_world_sensor contradict each other"),
         (lambda made: made["sensor"].update(kind="k" * 5000), "kkk.*"),
         (lambda made: made.update(covariance=[[0.5] * 6] * 2000), "covariance: "),
         (lambda made: made["world"].update(crs="EPSG:4326"), "'EPSG:4326' is WGS 84; needed is a UTM zone"),
