@@ -20,8 +20,8 @@ from laci_stereo.compare import compare, compare_two
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.core.result import viewing_angles
-from laci_stereo.io.result.calibration_file import to_document
 from laci_stereo.core.world import World
+from laci_stereo.io.result.calibration_file import to_document
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration

@@ -105,8 +105,8 @@ def read_calibration(result: Path) -> StoredCalibration:
     off = float(np.abs(stored.world.utm_from_sensor(stored.T_world_sensor, stored.centre_world) - T_utm_sensor).max())
     if not off < _SAME:
         raise CalibrationFileError(
-            f"{path}: T_utm_sensor and T_world_sensor contradict each other by up to {off:.3g}: one of them, or the world "
-            "frame, was edited; needed is the file as it was written"
+            f"{path}: T_utm_sensor and T_world_sensor contradict each other by up to {off:.3g}: one of them, or the "
+            "world frame, was edited; needed is the file as it was written"
         )
     return stored
 
