@@ -21,7 +21,8 @@ from laci_stereo.core.tracking.box import Box
 from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.core.tracking.tracks import Moving
 from laci_stereo.io.output import write_file
-from laci_stereo.monitor.linking import Kept, Linker, Live
+from laci_stereo.monitor.kept import Kept
+from laci_stereo.monitor.linking import Linker, Live
 from laci_stereo.monitor.tally import StripTally, Tally
 
 SCHEMA = "laci-monitor-state/1"

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.settings import Settings, TrackSettings
 from laci_stereo.core.tracking.sighting import NOTHING_LOW, Sighting, dense
 from laci_stereo.core.tracking.tracks import FILTERED, STRAY, Moving, assign, backwards, blind_s, strain
+from laci_stereo.monitor.body import merged, one_body
+from laci_stereo.monitor.kept import Kept, in_units
 
 REMEMBERED = 5
 """Number of sightings at the end of a track whose sizes the assignment considers."""
@@ -21,61 +20,8 @@ STANDS_M = 0.1
 """An object that has moved by less than this, or by less than its noise, since its outline was last kept is stationary;
 that outline is used further."""
 
-BODY_M = (3.0, 1.8)
-"""Largest distances between parts of one car, along and across its path. Cars behind each other are farther apart even
-in a queue, by 4 m and a gap of 1 m, and cars beside each other by the width of a lane, 2.75 m and more."""
-
-COMMON_FRAMES = 5
-"""Least number of frames in which two tracks are both seen for them to be compared."""
-
-NEARBY = 3
-"""The direction of travel in a frame is taken from this many common frames before it to as many after it."""
-
-NEARLY_ALL = 0.9
-"""Least fraction of the common frames in which parts of one body are within `BODY_M` of each other."""
-
-UNIT_M = 1e-3
-"""Unit of kept outlines: whole millimetres, which a file holds exactly and which are far below any sensor's noise."""
-
-REACH = np.iinfo(np.int16).max
-"""Largest coordinate of an outline, in `UNIT_M`."""
-
 TOP_SHARE = 0.95
 """An object's height is this quantile of its points' heights: the highest of some hundred points is noise."""
-
-Outline: TypeAlias = npt.NDArray[np.int16]
-
-
-@dataclass(frozen=True)
-class Kept:
-    """The part of a sighting that is kept for its passage.
-
-    Attributes
-    ----------
-    frame : int
-        Frame number.
-    stamp_s : float
-        Seconds since the recording's first stamp.
-    middle : ndarray, shape (2,)
-        Level frame.
-    whole : bool
-        Whether the outline can be trusted.
-    outline : ndarray of int16, shape (n, 2)
-        Some of the points on the ground plan, relative to the middle, in `UNIT_M`; empty where the outline is not
-        whole, or where the object has been stationary since its outline was last kept.
-    top_m : float
-        Height of the highest points; 0 without an outline.
-    sigma_m : float
-        Typical noise of the points along the line of sight.
-    """
-
-    frame: int
-    stamp_s: float
-    middle: FloatArray
-    whole: bool
-    outline: Outline
-    top_m: float
-    sigma_m: float
 
 
 @dataclass
@@ -222,46 +168,13 @@ class Linker:
         alone = []
         for number, live in enumerate(over):
             others = [*self.active, *self.lost, *over[number + 1 :]]
-            body = next((other for other in others if _one_body(live.kept, other.kept)), None)
+            body = next((other for other in others if one_body(live.kept, other.kept)), None)
             if body is None:
                 alone.append(live)
             else:
                 body.head = min(body.head, live.head, key=lambda head: head[0].stamp_s)
-                body.kept = _merged(body.kept, live.kept)
+                body.kept = merged(body.kept, live.kept)
         return alone
-
-
-def _one_body(track: Sequence[Kept], other: Sequence[Kept]) -> bool:
-    """Return whether two tracks move together within the extent of a car's body."""
-    if track[-1].frame < other[0].frame or other[-1].frame < track[0].frame:
-        return False
-    middle_at = {kept.frame: kept.middle for kept in other}
-    pairs = [(kept.middle, middle_at[kept.frame]) for kept in track if kept.frame in middle_at]
-    if len(pairs) < COMMON_FRAMES:
-        return False
-    middles, other_middles = (np.array(side) for side in zip(*pairs, strict=True))
-    if np.linalg.norm(middles[-1] - middles[0]) < BODY_M[0]:
-        return False
-    place = np.arange(len(middles))
-    way = middles[np.minimum(place + NEARBY, len(middles) - 1)] - middles[np.maximum(place - NEARBY, 0)]
-    apart = np.abs(rotate_xy(-np.arctan2(way[:, 1], way[:, 0]), middles - other_middles))
-    return bool((apart < BODY_M).all(axis=1).mean() >= NEARLY_ALL)
-
-
-def _merged(track: Sequence[Kept], other: Sequence[Kept]) -> list[Kept]:
-    """Merge two parts of one body, frame by frame."""
-    merged = {kept.frame: kept for kept in other}
-    for kept in track:
-        part = merged.get(kept.frame)
-        merged[kept.frame] = kept if part is None else _together(kept, part)
-    return [merged[frame] for frame in sorted(merged)]
-
-
-def _together(kept: Kept, other: Kept) -> Kept:
-    if not (len(kept.outline) and len(other.outline)):
-        return kept if len(kept.outline) or not len(other.outline) else other
-    moved = other.outline + np.rint((other.middle - kept.middle) / UNIT_M).astype(np.int16)
-    return replace(kept, outline=np.concatenate([kept.outline, moved]), top_m=max(kept.top_m, other.top_m))
 
 
 def _bare(sighting: Sighting) -> Sighting:
@@ -286,9 +199,8 @@ def _kept(frame: int, sighting: Sighting, live: Live | None, settings: Settings)
     if sighting.late_s is not None and live is not None:  # motion compensation to the sighting's stamp
         points[:, :2] -= sighting.late_s[:, None] * live.moving.state[1]
     points = points[dense(points[:, :2], settings.vehicle)]
-    beside = np.rint((points[:, :2] - sighting.middle) / UNIT_M).clip(-REACH, REACH)
     top_m = float(np.quantile(points[:, 2], TOP_SHARE))
-    outline = beside.astype(np.int16)
+    outline = in_units(points[:, :2] - sighting.middle)
     return Kept(frame, sighting.stamp_s, sighting.middle, whole, outline, top_m, sighting.sigma_m)
 
 

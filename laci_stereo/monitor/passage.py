@@ -15,7 +15,7 @@ import numpy as np
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line, rotate_xy
 from laci_stereo.core.settings import BoxSettings, TrackSettings
 from laci_stereo.core.tracking.deskew import WINDOW_S, motion
-from laci_stereo.monitor.linking import UNIT_M, Kept
+from laci_stereo.monitor.kept import UNIT_M, Kept
 from laci_stereo.monitor.settings import MonitorSettings
 
 SLOW_M = 0.5
