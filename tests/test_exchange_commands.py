@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from scipy.spatial.transform import Rotation
 
 from laci_stereo.commands.cli import cli
+from laci_stereo.core.frames import invert, rigid
 from laci_stereo.io.result.calibration_file import to_document, to_text
 from laci_stereo.io.result.exports import FORMATS
 from tests.cli_support import Ran, Site, refusal, run, run_installed, write_small_recording
@@ -109,6 +111,30 @@ def test_options_that_make_no_sense(result: Path, tmp_path: Path, option: tuple[
     invoke("export", result, "--to", "opencv", "--out", tmp_path / "x.yaml")
     refused = invoke("import", tmp_path / "x.yaml", "--out", tmp_path / "theirs", *option)
     assert message in str(refused.exception)
+
+
+def test_a_direction_is_read_or_asked_for(result: Path, tmp_path: Path) -> None:
+    """In a map whose origin is far off to its side, the inverse of a sensor's pose is a possible one as well."""
+    invoke("export", result, "--to", "matrix", "--out", tmp_path / "utm.txt")
+    T = np.loadtxt(tmp_path / "utm.txt")
+    crs = json.loads((result / "calibration.json").read_text())["world"]["crs"]
+    rotation = Rotation.from_euler("x", 2.5, degrees=True).as_matrix()
+    origin = T[:2, 3] - (0.0, 300.0)
+    inverse = invert(rigid(rotation, np.array([0.0, 300.0, T[2, 3]])))[:3]
+    options = ("--kind", "lidar", "--crs", crs, "--origin", "{!r},{!r}".format(*origin.tolist()))
+    matrix, kitti = tmp_path / "T.txt", tmp_path / "calib.txt"
+    np.savetxt(matrix, inverse, fmt="%.12f")
+    kitti.write_text("Tr_map_to_lidar: " + " ".join(f"{value:.12f}" for value in inverse.ravel()))
+    asked = invoke("import", matrix, *options, "--out", tmp_path / "asked")
+    (line,) = str(asked.exception).splitlines()
+    assert line.endswith("needed is --direction sensor-to-map or map-to-sensor")
+    assert not (tmp_path / "asked").exists()
+    for file, direction in ((matrix, ("--direction", "map-to-sensor")), (kitti, ())):
+        said = invoke("import", file, *options, *direction, "--out", tmp_path / "theirs", "--overwrite")
+        assert said.exception is None, said.exception
+        found = json.loads((tmp_path / "theirs" / "calibration.json").read_text())["T_utm_sensor"]
+        np.testing.assert_allclose(np.array(found)[:3, 3], T[:3, 3], rtol=0, atol=1e-6)
+    assert "note: transform Tr_map_to_lidar of calib.txt, map-to-sensor, as the file says" in said.stderr
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from laci_stereo.job import sha256
 @click.option(
     "--direction",
     type=click.Choice(["sensor-to-map", "map-to-sensor"]),
-    help="Which way the transform leads [default: as FILE says, else sensor-to-map].",
+    help="Which way the transform leads [default: as FILE says, else sensor-to-map if only that is possible].",
 )
 @click.option(
     "--centre",

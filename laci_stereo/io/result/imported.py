@@ -13,7 +13,7 @@ import numpy as np
 from pyproj import Transformer
 
 from laci_stereo.core.errors import CalibrationFileError, SettingError
-from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, FloatArray, invert
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, FloatArray, invert
 from laci_stereo.core.result import viewing_angles
 from laci_stereo.core.world import World, utm_code
 from laci_stereo.io.file_content import read_content
@@ -31,6 +31,19 @@ another unit, or an altitude."""
 MOST_UP_DEG = 45.0
 """Largest elevation of a camera's line of sight: beyond it, no lens with a field of view of 90 deg sees the ground. A
 camera tilted down by 0 to 35 deg appears to look 55 to 90 deg up if its pose is that of axes with x forward, z up."""
+
+MOST_ROLLED_DEG = 45.0
+"""Largest roll of a sensor that needs no warning. Brackets hold sensors upright, upside down or on their side, out of
+true by a few degrees: halfway between these, neither is meant. For a LiDAR it is the angle of its vertical axis to the
+plumb line, whichever end is up; of a camera that looks down by more than `STEEP_DEG` the roll has no meaning."""
+
+LEVEL_DEG = 5.0
+"""Largest elevation of a camera's line of sight that needs no warning: the steepest main roads climb by 8 %, 4.6 deg,
+so a camera that looks farther up has no road in the middle of its image, whichever way the road goes."""
+
+STEEP_DEG = 80.0
+"""Largest tilt down of a camera at which it has an upper side: steeper, an error of 10 deg, more than brackets have,
+turns it past the vertical, where what was up is down."""
 
 FARTHEST_CENTRE_M = 1000.0
 """Largest distance of the centre from the sensor, which sees no farther; over this distance, the grid scale makes a
@@ -58,7 +71,7 @@ class ImportOptions:
         UTM east and north of the map frame's origin, and the ground's z in the map; None: as the file states, else
         zeros.
     direction : str or None
-        Direction of the transform; None: as the names in the file imply, or from sensor to map.
+        Direction of the transform; None: as names and frames in the file imply, or the one that is possible.
     centre : tuple of float or None
         UTM east and north at which the rigid transform is true to scale; None: as the file states, or at the sensor.
     rectified : bool
@@ -115,11 +128,10 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
     crs = utm_code(shortened(_said("its UTM zone", "--crs EPSG:326..", options.crs, stated_crs, path)))
     if statement is not None and pose.from_map is None:  # in our other exports, a name states the direction
         pose = replace(pose, from_map=False)
-    T_map_sensor, direction_note = _towards_map(path, pose, options, _KIND_AXES[kind])
+    T_map_sensor, direction_note = _towards_map(path, pose, options, kind)
     T_utm_sensor, local = _in_utm(path, T_map_sensor, options.origin, statement)
     _check_place(path, T_utm_sensor, statement)
-    if kind == "stereo":
-        _check_sight(path, T_utm_sensor)
+    unusual = _check_mounting(path, T_utm_sensor, kind, ours=statement is not None)
     world = _world(crs, T_utm_sensor, statement)
     world = world if pose.grid_scale is None else replace(world, grid_scale=pose.grid_scale)
     siting = Siting(
@@ -129,7 +141,7 @@ def import_pose(path: Path, options: ImportOptions) -> Imported:
         world,
         *_in_world(world, T_utm_sensor, pose.grid_scale, _centre(world, T_utm_sensor, options.centre, statement)),
     )
-    notes = (f"transform {pose.name} of {path.name}, {direction_note}", *local, *pose.notes)
+    notes = (f"transform {pose.name} of {path.name}, {direction_note}", *local, *pose.notes, *unusual)
     return Imported(siting, notes)
 
 
@@ -175,19 +187,28 @@ def _frame(path: Path, kind: str, stated: str | None, rectified: bool) -> str:
     return stated or (RECTIFIED_FRAME if rectified else _KIND_FRAMES[kind])
 
 
-def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, axes: Axes) -> tuple[FloatArray, str]:
+def _towards_map(path: Path, pose: WrittenPose, options: ImportOptions, kind: str) -> tuple[FloatArray, str]:
     """Return the transform from sensor to map, and a note on how its direction is known."""
-    asked, ground = options.direction, (*(options.origin or ()), 0.0, 0.0, 0.0)[2]
-    from_map = asked == "map-to-sensor" if asked is not None else bool(pose.from_map)
+    asked = options.direction
+    stated = pose.from_map if asked is None else asked == "map-to-sensor"
+    from_map = bool(stated)
     T, opposite = (invert(pose.T), pose.T) if from_map else (pose.T, invert(pose.T))
-    if not _stands(T, axes, ground) and _stands(opposite, axes, ground):
+    # A file that states its direction may state its origin, too: without --origin any of its places is possible.
+    origin = (*(options.origin or ()), 0.0, 0.0, 0.0)[:3] if options.origin or stated is None else None
+    here, there = _is_possible(T, kind, origin), _is_possible(opposite, kind, origin)
+    places = f"{_seen(T, kind)}, the other way {_seen(opposite, kind)}"
+    if there and not here:
+        axes = " or, of a camera, a pose with x right, y down, z forward" if _impossible(T, kind) else ""
         raise CalibrationFileError(
-            f"{path}: {pose.name} read {_way(from_map)} puts the sensor {T[2, 3]:.2f} m above the ground or upside "
-            f"down, the other way {opposite[2, 3]:.2f} m and upright; needed is --direction {_way(not from_map)}"
+            f"{path}: {pose.name} read {_way(from_map)} puts the sensor {places}; needed is --direction "
+            f"{_way(not from_map)}{axes}"
         )
-    known = (
-        "as the file says" if asked is None and pose.from_map is not None else "as was asked" if asked else "assumed"
-    )
+    if stated is None and here and there:
+        raise SettingError(
+            f"{path} does not say which way {pose.name} leads: read {_way(from_map)} it puts the sensor {places}; "
+            f"needed is --direction {_way(from_map)} or {_way(not from_map)}"
+        )
+    known = "as was asked" if asked else "assumed" if stated is None else "as the file says"
     return T, f"{_way(from_map)}, {known}"
 
 
@@ -195,9 +216,21 @@ def _way(from_map: bool) -> Direction:
     return "map-to-sensor" if from_map else "sensor-to-map"
 
 
-def _stands(T_map_sensor: FloatArray, axes: Axes, ground: float) -> bool:
-    """Return whether a sensor is upright and above the ground, which is at z = ``ground`` in the map."""
-    return bool(0.0 < T_map_sensor[2, 3] - ground <= HIGHEST_M and (T_map_sensor[:3, :3] @ np.array(axes.up))[2] > 0.0)
+def _is_possible(T_map_sensor: FloatArray, kind: str, origin: tuple[float, ...] | None) -> bool:
+    """Return whether a sensor can stand there and so.
+
+    ``origin`` is that of the map in UTM, with the ground's z; None if the map's place is known otherwise.
+    """
+    east, north, height = T_map_sensor[:3, 3] - (0.0, 0.0, 0.0 if origin is None else origin[2])
+    in_utm = origin is None or _is_utm(east + origin[0], north + origin[1])
+    return bool(in_utm and 0.0 < height <= HIGHEST_M and not _impossible(T_map_sensor, kind))
+
+
+def _seen(T_map_sensor: FloatArray, kind: str) -> str:
+    """Return the place and attitude of a sensor, in words."""
+    x, y, z = T_map_sensor[:3, 3]
+    upright = (T_map_sensor[:3, :3] @ np.array(_KIND_AXES[kind].up))[2] > 0.0
+    return f"at x {x:.2f}, y {y:.2f}, z {z:.2f} m, {'upright' if upright else 'upside down'}"
 
 
 def _in_utm(
@@ -256,14 +289,52 @@ def _check_place(path: Path, T_utm_sensor: FloatArray, statement: Statement | No
         )
 
 
-def _check_sight(path: Path, T_utm_sensor: FloatArray) -> None:
-    """Raise if a camera's pose is in another frame than its optical one."""
-    up_deg = -viewing_angles(T_utm_sensor, OPENCV_AXES).down_deg
-    if up_deg > MOST_UP_DEG:
+def _check_mounting(path: Path, T_utm_sensor: FloatArray, kind: str, *, ours: bool) -> tuple[str, ...]:
+    """Raise if a camera's pose is in another frame than its optical one; return a warning of an unusual attitude.
+
+    The attitude in exports of this project is the one that it found, and looking into the sky is all that is not.
+    """
+    found = _impossible(T_utm_sensor, kind)
+    if found and not (ours and viewing_angles(T_utm_sensor, OPENCV_AXES).down_deg >= -MOST_UP_DEG):
         raise CalibrationFileError(
-            f"{path}: the camera would look {up_deg:.0f} deg up; needed is the pose of its optical frame, x right, "
-            "y down, z forward (of DAIR-V2X's cameras, the folder with both files)"
+            f"{path}: the camera would {found}; needed is the pose of its optical frame, x right, y down, z forward "
+            "(of DAIR-V2X's cameras, the folder with both files): if it is that, look whether the rotation is "
+            "transposed, and whether a quaternion is in the order x, y, z, w"
         )
+    unusual = None if ours else _unusual(T_utm_sensor, kind)
+    if unusual is None:
+        return ()
+    axes = "x right, y down, z forward" if kind == "stereo" else "x forward, y left, z up"
+    note = (
+        f"the sensor would {unusual}: if it is not so, its axes are others than {axes}, the rotation is transposed, or "
+        "a quaternion is not in the order x, y, z, w"
+    )
+    return (note,)
+
+
+def _impossible(T_map_sensor: FloatArray, kind: str) -> str | None:
+    """Return what a sensor would do that none does."""
+    if kind != "stereo":
+        return None
+    angles = viewing_angles(T_map_sensor, OPENCV_AXES)
+    if -angles.down_deg > MOST_UP_DEG:
+        return f"look {-angles.down_deg:.0f} deg up"
+    if angles.down_deg <= STEEP_DEG and abs(angles.roll_deg) > 90.0:
+        return f"be upside down, rolled {abs(angles.roll_deg):.0f} deg"
+    return None
+
+
+def _unusual(T_map_sensor: FloatArray, kind: str) -> str | None:
+    """Return what a sensor would do that few do."""
+    if kind != "stereo":
+        up = float((T_map_sensor[:3, :3] @ np.array(_KIND_AXES[kind].up))[2])
+        tilt_deg = math.degrees(math.acos(min(abs(up), 1.0)))
+        return f"be tilted {tilt_deg:.0f} deg" if tilt_deg > MOST_ROLLED_DEG else None
+    angles = viewing_angles(T_map_sensor, OPENCV_AXES)
+    if -angles.down_deg > LEVEL_DEG:
+        return f"look {-angles.down_deg:.0f} deg up"
+    rolled = angles.down_deg <= STEEP_DEG and abs(angles.roll_deg) > MOST_ROLLED_DEG
+    return f"be rolled {abs(angles.roll_deg):.0f} deg" if rolled else None
 
 
 def _world(crs: str, T_utm_sensor: FloatArray, statement: Statement | None) -> World:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -34,8 +34,10 @@ _NUMBERS = re.compile(rf"\s*{_NUMBER}(?:[\s,;]+{_NUMBER})*[\s,;]*")
 _ORDERS = (("x", "y", "z", "w"), ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw"))
 _ROTATIONS = ("rotation", "orientation", "quaternion", "q", "R", "rvec", "rpy", "euler_angles")
 _TRANSLATIONS = ("translation", "position", "T", "t", "tvec", "xyz")
-_TO_MAP = re.compile(r"T_(utm|map|world)_\w+|\w+_?(to|2)_?(utm|map|world)", re.IGNORECASE)
-_FROM_MAP = re.compile(r"T_\w+_(utm|map|world)|(utm|map|world)_?(to|2)_?\w+", re.IGNORECASE)
+_MAP = r"(?:utm|map|world|odom|earth|global|enu)"
+_MAP_FRAME = re.compile(rf"(?:.*/)?{_MAP}(?:_?(?:frame|link|origin|{_MAP}|(?<!\d)\d+[a-z]?))*", re.IGNORECASE)
+_FRAME = re.compile(r"/?[A-Za-z][\w/.-]*")
+"""A frame's name in ROS."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,10 @@ def read_pose(path: Path, entry: str | None = None, kind: str | None = None) -> 
     """
     text = read_text(path, CalibrationFileError)
     try:
-        found = _READERS[kind or _kind_of(text)](text)
-        return _chosen(found, entry), find_statement(text)
+        pose = _chosen(_READERS[kind or _kind_of(text)](text), entry)
+        if pose.from_map is None and (named := _direction(path.stem)) is not None:
+            pose = replace(pose, from_map=named, notes=(*pose.notes, "the direction is told by the file's name alone"))
+        return pose, find_statement(text)
     except NoTransformError as problem:
         raise CalibrationFileError(f"{path}: {shortened(str(problem), 600)}") from problem
 
@@ -167,14 +171,34 @@ def _affine(text: str) -> WrittenPose:
 
 def _read_ros2(text: str) -> dict[str, _Unread]:
     """Read the arguments of static_transform_publisher, at any place in the text."""
-    words = re.findall(
-        rf"--(x|y|z|qx|qy|qz|qw|roll|pitch|yaw)[\s\"',=]+({_NUMBER})(?=[\s\"',\]]|$)", _without_comments(text)
-    )
+    bare = _without_comments(text)
+    words = re.findall(rf"--(x|y|z|qx|qy|qz|qw|roll|pitch|yaw)[\s\"',=]+({_NUMBER})(?=[\s\"',\]]|$)", bare)
     keys = [key for key, _ in words]
-    if len(set(keys)) != len(keys):
+    rows = _without_names(bare)
+    if len(set(keys)) != len(keys) or len(rows) + bool(keys) > 1:
         raise NoTransformError("it starts several static_transform_publisher; needed is a file with one")
-    told: dict[str, Node] = {key: float(value) for key, value in words}
+    told: dict[str, Node] = rows[0] if rows else {key: float(value) for key, value in words}
+    if not rows:
+        frames = re.findall(r"--(frame-id|child-frame-id)[\s\"',=]+([^\s\"',=\]]+)", bare)
+        told |= {key.replace("-", "_"): frame for key, frame in frames}
     return dict(_named(told, "static_transform_publisher", 0))
+
+
+def _without_names(text: str) -> list[dict[str, Node]]:
+    """Return the arguments in ROS 1's style: x y z, yaw pitch roll or qx qy qz qw, two frames, and maybe a period."""
+    words = [word for word in re.split(r"[\s\"',=<>()\[\]]+", text) if word]
+    rows: list[dict[str, Node]] = []
+    first = 0
+    for i, word in enumerate(words):
+        if re.fullmatch(_NUMBER, word):
+            continue
+        turn = {6: ("yaw", "pitch", "roll"), 7: ("qx", "qy", "qz", "qw")}.get(i - first)
+        frames = words[i : i + 2]
+        if turn and len(frames) == 2 and all(map(_FRAME.fullmatch, frames)):
+            row: dict[str, Node] = dict(zip(("x", "y", "z", *turn), map(float, words[first:i]), strict=True))
+            rows.append({**row, "frame_id": frames[0], "child_frame_id": frames[1]})
+        first = i + 1
+    return rows
 
 
 def _read_named(text: str) -> dict[str, _Unread]:
@@ -200,24 +224,51 @@ _READERS: Mapping[str, Callable[[str], dict[str, _Unread]]] = {
 KINDS = tuple(_READERS)
 
 
-def _named(node: Node, name: str, depth: int) -> Iterator[tuple[str, _Unread]]:
+@dataclass(frozen=True)
+class _Frames:
+    """The frames between which a file says that a transform leads, as ROS has it: from the child to its parent."""
+
+    parent: str
+    child: str
+
+    @property
+    def from_map(self) -> bool | None:
+        """Whether they say that the transform leads from the map; None: neither, or both, are named like a map."""
+        parent, child = (_MAP_FRAME.fullmatch(each[:200]) is not None for each in (self.parent, self.child))
+        return child if parent != child else None
+
+
+def _named(node: Node, name: str, depth: int, frames: _Frames | None = None) -> Iterator[tuple[str, _Unread]]:
     """Yield every transform in a node and below, with its name; the names of its entries identify it."""
     if depth > _DEEPEST:
         raise NoTransformError(f"it nests deeper than {_DEEPEST} levels")
     if not isinstance(node, dict):
         return
+    frames = _frames_of(node) or frames
     numbers = {key: _numbers(value, 0) for key, value in node.items() if key != STATEMENT}
     whole = {key: found for key, found in numbers.items() if found is not None and len(found) in (12, 16)}
     for key, found in whole.items():
-        yield _path(name, key), partial(_whole, _path(name, key), found)
+        yield _path(name, key), partial(_whole, _path(name, key), found, frames)
     rotation, translation = _rotation_in(node, numbers), _translation_in(node, numbers)
     if not whole and rotation is not None and translation is not None:
-        yield name or rotation[0], partial(_of_parts, name or rotation[0], node, rotation, translation)
+        if rotation[0] == "roll" and frames is None and "/" in name:  # Autoware writes a frame below its parent
+            below = _Frames(*name.split("/")[-2:])
+            frames = below if below.from_map is False else None
+        yield name or rotation[0], partial(_of_parts, name or rotation[0], node, rotation, translation, frames)
         return
     for key, inner in node.items():
         if key != STATEMENT and numbers[key] is None:
             for i, each in enumerate(inner if isinstance(inner, list) else [inner]):
-                yield from _named(each, _path(name, f"{key}[{i}]" if isinstance(inner, list) else key), depth + 1)
+                inside = _path(name, f"{key}[{i}]" if isinstance(inner, list) else key)
+                yield from _named(each, inside, depth + 1, frames)
+
+
+def _frames_of(node: Mapping[str, Node]) -> _Frames | None:
+    """Return the frames that a message of ROS states: of a pose it is the parent alone."""
+    header = node.get("header")
+    parent = node.get("frame_id", header.get("frame_id") if isinstance(header, dict) else None)
+    child = node.get("child_frame_id", "")
+    return _Frames(parent, child) if isinstance(parent, str) and isinstance(child, str) else None
 
 
 def _path(name: str, key: str) -> str:
@@ -243,21 +294,52 @@ def _translation_in(node: Mapping[str, Node], numbers: _Numbers) -> list[float] 
     return next((found for key in _TRANSLATIONS if (found := numbers.get(key)) and len(found) == 3), None)
 
 
-def _whole(name: str, numbers: list[float]) -> WrittenPose:
-    return WrittenPose(name, transform_of(numbers, name), from_map=_direction(name.rpartition("/")[2]))
+def _whole(name: str, numbers: list[float], frames: _Frames | None = None) -> WrittenPose:
+    from_map, notes = _stated(name, frames)
+    return WrittenPose(name, transform_of(numbers, name), from_map=from_map, notes=notes)
+
+
+def _stated(name: str, frames: _Frames | None) -> tuple[bool | None, tuple[str, ...]]:
+    """Return whether frames, or else names from the innermost on, state the way from the map; and a note if not."""
+    if frames is not None and frames.from_map is not None:
+        return frames.from_map, ()
+    told = (_direction(re.sub(r"\[\d+\]$", "", part)) for part in reversed(name.split("/")))
+    from_map = next((each for each in told if each is not None), None)
+    if from_map is not None or frames is None:
+        return from_map, ()
+    between = listed([quoted(each) for each in (frames.parent, frames.child) if each])
+    return None, (f"the frames of {name}, {between}, do not say which of them is the map's",)
 
 
 def _direction(name: str) -> bool | None:
-    if _TO_MAP.fullmatch(name):
-        return False
-    return True if _FROM_MAP.fullmatch(name) else None
+    """Return whether a name such as T_lidar_map or map_to_lidar leads from the map; None if it does not say."""
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=2[A-Za-z])|(?<=[A-Za-z]2)(?=[A-Za-z])", "_", name[:200])
+    words = ["to" if word == "2" else word for word in re.split(r"[_\W]+", apart.lower()) if word]
+    if words.count("to") == 1:
+        i = words.index("to")
+        sides = words[:i][-1:], words[i + 1 :][:1]
+    elif len(words) > 2 and words[0] == "t":
+        sides = words[2:] if _of_map(words[1:2]) else words[-1:], words[1:2]
+    else:
+        return None
+    source, target = (_of_map(side) if side else None for side in sides)
+    return None if source is None or target is None or source == target else source
+
+
+def _of_map(words: list[str]) -> bool:
+    return all(re.fullmatch(rf"{_MAP}(?:\d+[a-z]?)?", word) for word in words)
 
 
 def _of_parts(
-    name: str, node: Mapping[str, Node], rotation: tuple[str, list[float]], translation: list[float]
+    name: str,
+    node: Mapping[str, Node],
+    rotation: tuple[str, list[float]],
+    translation: list[float],
+    frames: _Frames | None,
 ) -> WrittenPose:
     key, numbers = rotation
-    notes: list[str] = []
+    from_map, unclear = _stated(name, frames)
+    notes = list(unclear)
     error = node.get("relative_error")
     if isinstance(error, dict):  # DAIR-V2X: a correction to be added to the translation
         delta = [error.get(axis) for axis in ("delta_x", "delta_y")]
@@ -274,9 +356,10 @@ def _of_parts(
     else:
         notes.append(f"the angles of {name} were taken as roll, pitch and yaw about fixed axes, radians")
         turned = rotation_of_angles(numbers, "xyz", name)
-    # OpenCV's rvec and tvec map points from the map to the camera.
     T = rigid(turned, translation_of(translation, name))
-    return WrittenPose(name, T, from_map=True if key == "rvec" else None, notes=tuple(notes))
+    if from_map is None and key == "rvec":  # OpenCV's rvec and tvec map points from the map to the camera
+        from_map = True
+    return WrittenPose(name, T, from_map=from_map, notes=tuple(notes))
 
 
 def _numbers(node: Node, depth: int) -> list[float] | None:

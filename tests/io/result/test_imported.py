@@ -115,6 +115,12 @@ ROLL, PITCH, YAW = Rotation.from_matrix(R).as_euler("xyz")
 XYZ = dict(zip("xyz", T.tolist(), strict=True))
 
 
+# The same, 6.5 m high again, in a map where its inverse is a possible pose as well.
+T_NEAR = T_MAP.copy()
+T_NEAR[:2, 3] = 40.0, -200.0
+NEAR_ORIGIN = tuple(T_MAP[:2, 3] + ORIGIN - T_NEAR[:2, 3])
+
+
 def rows(matrix: FloatArray, separator: str = " ") -> str:
     return "\n".join(separator.join(repr(float(value)) for value in row) for row in matrix)
 
@@ -208,6 +214,249 @@ def test_of_several_transforms_one_is_named(tmp_path: Path) -> None:
         taken(path, origin=ORIGIN, entry="middle")
     found = taken(path, origin=ORIGIN, entry="map/right").siting.T_world_sensor
     assert np.arctan2(found[1, 0], found[0, 0]) == pytest.approx(-0.3)
+
+
+def quaternion_of(T_a_b: FloatArray) -> list[float]:
+    return [float(value) for value in Rotation.from_matrix(T_a_b[:3, :3]).as_quat()]
+
+
+def numbers(*parts: float) -> str:
+    return " ".join(repr(float(value)) for value in parts)
+
+
+def by_position(T_a_b: FloatArray, parent: str, child: str, angles: bool) -> str:
+    """Return the arguments of static_transform_publisher in ROS 1."""
+    turn = Rotation.from_matrix(T_a_b[:3, :3]).as_euler("ZYX") if angles else quaternion_of(T_a_b)
+    return f"{numbers(*T_a_b[:3, 3], *turn)} {parent} {child}"
+
+
+def by_name(T_a_b: FloatArray, parent: str, child: str) -> str:
+    values = zip(("x", "y", "z", "qx", "qy", "qz", "qw"), [*T_a_b[:3, 3].tolist(), *quaternion_of(T_a_b)], strict=True)
+    options = " ".join(f"--{key} {value!r}" for key, value in values)
+    return f"ros2 run tf2_ros static_transform_publisher {options} --frame-id {parent} --child-frame-id {child}"
+
+
+def stamped(T_a_b: FloatArray, parent: str, child: str) -> str:
+    """Return what Apollo's files hold, and ROS prints of a TransformStamped."""
+    transform = {
+        "translation": dict(zip("xyz", T_a_b[:3, 3].tolist(), strict=True)),
+        "rotation": dict(zip("xyzw", quaternion_of(T_a_b), strict=True)),
+    }
+    header = {"seq": 0, "stamp": {"secs": 0, "nsecs": 0}, "frame_id": parent}
+    return yaml.safe_dump({"header": header, "child_frame_id": child, "transform": transform})
+
+
+STATED: dict[str, Callable[[FloatArray, str, str], str]] = {
+    "named arguments": by_name,
+    "angles by position": lambda T, a, b: f"rosrun tf static_transform_publisher {by_position(T, a, b, True)} 100\n",
+    "angles without period": lambda T, a, b: (
+        f'<launch><node pkg="tf2_ros" type="static_transform_publisher" name="x" args="{by_position(T, a, b, True)}"/>'
+        "</launch>"
+    ),
+    "quaternion by position": lambda T, a, b: (
+        f"rosrun tf2_ros static_transform_publisher {by_position(T, a, b, False)}\n"
+    ),
+    "quaternion with period": lambda T, a, b: (
+        "Node(package='tf', executable='static_transform_publisher', arguments=["
+        + ", ".join(f"'{word}'" for word in by_position(T, a, b, False).split())
+        + ", '100'])"
+    ),
+    "stamped": stamped,
+    "several stamped": lambda T, a, b: json.dumps({"transforms": [yaml.safe_load(stamped(T, a, b))]}),
+    "matrix in a message": lambda T, a, b: json.dumps({"frame_id": a, "child_frame_id": b, "matrix": T.tolist()}),
+    "kitti": lambda T, a, b: f"Tr_{b}_to_{a}: {numbers(*T[:3].ravel())}\n",
+    "T_a_b": lambda T, a, b: json.dumps({f"T_{a}_{b}": T.tolist()}),
+    "camel case": lambda T, a, b: json.dumps({f"{b}To{a.title()}": T.tolist()}),
+    "named parts": lambda T, a, b: json.dumps(
+        {f"{b}2{a}": {"rotation": T[:3, :3].tolist(), "translation": T[:3, 3].tolist()}}
+    ),
+}
+
+
+@pytest.mark.parametrize("world", ["map", "world", "utm", "odom"])
+@pytest.mark.parametrize("form", STATED)
+def test_the_direction_that_a_file_states_is_its_own(tmp_path: Path, form: str, world: str) -> None:
+    """In ROS a transform takes points of the child's frame to the parent's."""
+    path = tmp_path / "mast.txt"
+    for T, frames, way in (
+        (T_NEAR, (world, "lidar"), "sensor-to-map"),
+        (invert(T_NEAR), ("lidar", world), "map-to-sensor"),
+    ):
+        path.write_text(STATED[form](T, *frames))
+        imported = taken(path, origin=NEAR_ORIGIN)
+        np.testing.assert_allclose(imported.siting.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+        assert f", {way}, as the file says" in imported.notes[0]
+
+
+@pytest.mark.parametrize("frame", ["/map", "site_4/map", "map_frame", "utm_32n", "World"])
+def test_frames_of_maps_go_by_several_names(tmp_path: Path, frame: str) -> None:
+    path = tmp_path / "mast.txt"
+    path.write_text(by_name(invert(T_NEAR), "mapping_lidar", frame))
+    found = taken(path, origin=NEAR_ORIGIN).siting
+    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+
+
+def test_a_pose_in_the_frame_of_a_map_is_the_sensors(tmp_path: Path) -> None:
+    path = tmp_path / "mast.txt"
+    pose = {"position": T_NEAR[:3, 3].tolist(), "orientation": quaternion_of(T_NEAR)}
+    path.write_text(json.dumps({"header": {"frame_id": "map"}, "pose": pose}))
+    found = taken(path, origin=NEAR_ORIGIN).siting
+    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+
+
+def test_a_frame_below_the_maps_is_the_sensors(tmp_path: Path) -> None:
+    """As in Autoware; a map below something else is not in its files, and tells nothing."""
+    path = tmp_path / "kit.yaml"
+    angles = dict(zip(("roll", "pitch", "yaw"), [float(ROLL), float(PITCH), float(YAW)], strict=True))
+    pose = {**dict(zip("xyz", T_NEAR[:3, 3].tolist(), strict=True)), **angles}
+    path.write_text(yaml.safe_dump({"map": {"lidar": pose}}))
+    found = taken(path, origin=NEAR_ORIGIN).siting
+    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    path.write_text(yaml.safe_dump({"lidar": {"map": pose}}))
+    with pytest.raises(SettingError, match="needed is --direction sensor-to-map or map-to-sensor"):
+        taken(path, origin=NEAR_ORIGIN)
+
+
+def test_the_name_of_a_file_states_what_is_not_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "map_to_lidar.txt"
+    path.write_text(rows(invert(T_NEAR)))
+    imported = taken(path, origin=NEAR_ORIGIN)
+    np.testing.assert_allclose(imported.siting.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    assert "the direction is told by the file's name alone" in imported.notes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        rows(T_NEAR),
+        rows(invert(T_NEAR)),
+        by_name(T_NEAR, "base_link", "lidar"),
+        by_name(T_NEAR, "map", "odom"),
+        json.dumps({"map_top_lidar": T_NEAR.tolist()}),
+        json.dumps({"velo_to_cam": T_NEAR.tolist()}),
+    ],
+    ids=range(6),
+)
+def test_a_direction_that_is_not_stated_is_asked_for_where_both_are_possible(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "mast.txt"
+    path.write_text(text)
+    with pytest.raises(SettingError, match=r"does not say which way .* leads") as no:
+        taken(path, origin=NEAR_ORIGIN)
+    (line,) = str(no.value).splitlines()
+    assert "at x 40.00, y -200.00, z 6.50 m, upright" in line
+    assert line.endswith("needed is --direction sensor-to-map or map-to-sensor")
+    taken(path, origin=NEAR_ORIGIN, direction="sensor-to-map")
+
+
+def test_of_a_lidar_that_hangs_upside_down_the_direction_is_asked_for(tmp_path: Path) -> None:
+    """Its inverse is as far above the ground."""
+    T = T_NEAR.copy()
+    T[:3, :3] = Rotation.from_euler("ZX", [114.7, 180.0], degrees=True).as_matrix()
+    path = tmp_path / "mast.txt"
+    path.write_text(rows(T))
+    with pytest.raises(SettingError, match=r"upside down, .* needed is --direction sensor-to-map or"):
+        taken(path, origin=NEAR_ORIGIN)
+    imported = taken(path, origin=NEAR_ORIGIN, direction="sensor-to-map")
+    np.testing.assert_allclose(imported.siting.T_utm_sensor[:3, :3], T[:3, :3], rtol=0, atol=1e-12)
+    assert not any("tilted" in note for note in imported.notes)
+
+
+@fuzz
+@given(sitings(), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+def test_no_transform_is_read_the_wrong_way_round_in_silence(
+    tmp_path: Path, sited: Siting, east: float, north: float
+) -> None:
+    T = sited.T_utm_sensor
+    origin = (T[0, 3] - east, T[1, 3] - north)
+    T[:2, 3] = east, north
+    path = tmp_path / "T.txt"
+    kind = "stereo" if sited.kind == "stereo" else "lidar"
+    path.write_text(rows(invert(T)))
+    with pytest.raises(InputError, match="needed is --direction"):
+        taken(path, kind=kind, crs=sited.world.crs, origin=origin)
+
+
+def camera(yaw_deg: float, down_deg: float, roll_deg: float) -> FloatArray:
+    """Return ``T_utm_sensor`` of a camera, rolled clockwise as seen from behind it."""
+    T = STEREO.T_utm_sensor
+    level = Rotation.from_euler("ZYX", [yaw_deg, down_deg, roll_deg], degrees=True).as_matrix()
+    T[:3, :3] = level @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    return T
+
+
+def test_cameras_in_other_axes_are_refused(tmp_path: Path) -> None:
+    T = camera(30.0, 15.0, 1.0)
+    open_gl, transposed = T.copy(), camera(100.0, 15.0, 1.0)
+    open_gl[:3, :3] = T[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+    transposed[:3, :3] = transposed[:3, :3].T
+    path = tmp_path / "T.txt"
+    for wrong in (open_gl, transposed, camera(30.0, 15.0, 180.0), camera(30.0, 15.0, -95.0)):
+        path.write_text(rows(wrong))
+        with pytest.raises(CalibrationFileError, match=r"upside down, rolled .* needed is .* x right, y down") as no:
+            taken(path, kind="stereo")
+        (line,) = str(no.value).splitlines()
+        assert "the rotation is transposed" in line
+        assert "x, y, z, w" in line
+
+
+def test_a_cameras_quaternion_in_the_wrong_order_is_refused(tmp_path: Path) -> None:
+    T = camera(114.7, 15.0, 0.8)
+    x, y, z, w = quaternion_of(T)
+    path = tmp_path / "T.yaml"
+    path.write_text(yaml.safe_dump({"translation": T[:3, 3].tolist(), "quaternion": [x, y, z, w]}))
+    np.testing.assert_allclose(taken(path, kind="stereo").siting.T_utm_sensor, T, rtol=0, atol=1e-8)
+    path.write_text(yaml.safe_dump({"translation": T[:3, 3].tolist(), "quaternion": [w, x, y, z]}))
+    with pytest.raises(CalibrationFileError, match=r"whether a quaternion is in the order x, y, z, w"):
+        taken(path, kind="stereo")
+
+
+@pytest.mark.parametrize(
+    ("down_deg", "roll_deg", "warning"),
+    [
+        (15.0, 0.0, None),
+        (-4.0, -40.0, None),
+        (88.0, 170.0, None),
+        (-6.0, 0.0, "the sensor would look 6 deg up: if it is not so"),
+        (-44.0, 0.0, "the sensor would look 44 deg up: if it is not so"),
+        (15.0, 60.0, "the sensor would be rolled 60 deg: if it is not so"),
+        (15.0, -89.0, "the sensor would be rolled 89 deg: if it is not so"),
+    ],
+)
+def test_of_cameras_as_few_are_mounted_is_warned(
+    tmp_path: Path, down_deg: float, roll_deg: float, warning: str | None
+) -> None:
+    T = camera(114.7, down_deg, roll_deg)
+    path = tmp_path / "T.txt"
+    path.write_text(rows(T))
+    imported = taken(path, kind="stereo")
+    np.testing.assert_allclose(imported.siting.T_utm_sensor, T, rtol=0, atol=1e-8)
+    said = [note for note in imported.notes if "the rotation is transposed" in note]
+    assert bool(said) == (warning is not None)
+    assert warning is None or said[0].startswith(warning)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "warned"), [(0.0, False), (44.0, False), (46.0, True), (134.0, True), (136.0, False), (180.0, False)]
+)
+def test_of_lidars_that_are_neither_upright_nor_upside_down_is_warned(
+    tmp_path: Path, tilt_deg: float, warned: bool
+) -> None:
+    T = LIDAR.T_utm_sensor
+    T[:3, :3] = Rotation.from_euler("ZX", [114.7, tilt_deg], degrees=True).as_matrix()
+    path = tmp_path / "T.txt"
+    path.write_text(rows(T))
+    imported = taken(path, direction="sensor-to-map")
+    np.testing.assert_allclose(imported.siting.T_utm_sensor, T, rtol=0, atol=1e-8)
+    assert any("would be tilted 46 deg: if it is not so, its axes" in note for note in imported.notes) == warned
+
+
+def test_of_several_publishers_none_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "both.launch"
+    one = f"static_transform_publisher {by_position(T_NEAR, 'map', 'lidar', True)} 100\n"
+    for other in (one, by_name(T_NEAR, "map", "lidar")):
+        path.write_text(one + other)
+        with pytest.raises(CalibrationFileError, match="it starts several static_transform_publisher; needed is"):
+            taken(path, origin=NEAR_ORIGIN)
 
 
 def scaled(factor: float) -> FloatArray:
@@ -455,8 +704,12 @@ def test_any_file_is_read_or_refused(tmp_path: Path, form: str) -> None:
         "1e999 " * 16,
         "T: " + "1 " * 100_000,
         "--x " * 50_000 + "static_transform_publisher",
+        "static_transform_publisher " + "1 " * 100_000 + "map lidar",
+        "static_transform_publisher 1 2 3 0 0 0 lidar map" + "1" * 100_000 + "-",
+        "static_transform_publisher 1 2 3 0 0 0 lidar " + "map/" * 50_000 + "-",
+        "T_" * 100_000 + "map: [" + "1, " * 16 + "]",
     ],
-    ids=range(8),
+    ids=range(12),
 )
 def test_large_and_malicious_files_are_refused_soon(tmp_path: Path, text: str) -> None:
     path = tmp_path / "any"
