@@ -20,9 +20,9 @@ from laci_stereo.compare import compare, compare_two
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.core.result import viewing_angles
-from laci_stereo.core.world import World
 from laci_stereo.io.result.calibration_file import to_document
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
+from tests.io.support import with_utm
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
 
@@ -42,15 +42,6 @@ def moved(six: FloatArray, document: dict[str, Any] | None = None) -> dict[str, 
     changed["T_world_sensor"] = T.tolist()
     changed["euler_deg"] = {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg}
     return with_utm(changed)
-
-
-def with_utm(document: dict[str, Any]) -> dict[str, Any]:
-    """Let the transform to UTM follow that to the world."""
-    frame = document["world"]
-    world = World(frame["crs"], tuple(frame["origin_utm"]), frame["grid_scale"])
-    centre = np.array(document["covariance_centre_world"])
-    document["T_utm_sensor"] = world.utm_from_sensor(np.array(document["T_world_sensor"]), centre).tolist()
-    return document
 
 
 def in_other_world(document: dict[str, Any], east_m: float, north_m: float) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from tests.cli_support import (
     snapshot,
     write_small_recording,
 )
+from tests.io.support import with_utm
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def off_by(calibrated: Calibrated, folder: Path, east_m: float) -> Path:
     T[0, 3] += east_m
     document["T_world_sensor"] = T.tolist()
     path = folder / "calibration.json"
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(with_utm(document)))
     return path
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from laci_stereo.core.errors import LaciError
+from laci_stereo.core.world import World
 
 T = TypeVar("T")
 
@@ -56,3 +57,12 @@ def write_images(folder: Path, names: Sequence[str], size: tuple[int, int] = (8,
         image = np.full((size[1], size[0]), i % 256, dtype=np.uint8)
         assert cv2.imwrite(str(folder / name), image)
     return folder
+
+
+def with_utm(document: dict[str, Any]) -> dict[str, Any]:
+    """Let the transform to UTM follow that to the world."""
+    frame = document["world"]
+    world = World(frame["crs"], tuple(frame["origin_utm"]), frame["grid_scale"])
+    centre = np.array(document["covariance_centre_world"])
+    document["T_utm_sensor"] = world.utm_from_sensor(np.array(document["T_world_sensor"]), centre).tolist()
+    return document

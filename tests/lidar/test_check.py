@@ -20,6 +20,7 @@ from laci_stereo.core.frames import FloatArray, rigid, rotation_z, transform
 from laci_stereo.io.maps.lane_map import LaneMap
 from laci_stereo.io.result.calibration_file import to_document
 from tests.check.support import CENTRE, CLAIMED, CROSSING, Painted, shift, turn_about
+from tests.io.support import with_utm
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
 
@@ -115,7 +116,7 @@ def write_result(folder: Path, T: FloatArray) -> Path:
     document["covariance_centre_world"] = CENTRE.tolist()
     document["background_boxes"] = []
     path = folder / "calibration.json"
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(with_utm(document)))
     return path
 
 

@@ -144,7 +144,7 @@ def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothe
     if not moving:
         path_m, best = max(zip(paths_m, hypotheses, strict=True), key=lambda each: each[1].value)
         raise TrackError(
-            f"the vehicle of station {best.account.station} moves {path_m:.2f} m while it is seen; needed are "
+            f"the vehicle of station {best.account.station} moves {path_m:.1f} m while it is seen; needed are "
             f"{least_m:.1f} m"
         )
     return moving
