@@ -146,6 +146,7 @@ def test_far_result_contradicts(tmp_path: Path) -> None:
     ended = run(*paths)
     assert ended.exit_code == 1
     assert "CONTRADICT" in ended.output
+    assert "so far apart in less than 0.0001 % of cases" in ended.output
 
 
 def test_several_results_are_summed_up_and_the_odd_one_is_seen(tmp_path: Path) -> None:
