@@ -18,7 +18,7 @@ from laci_stereo.core.errors import MatchError
 from laci_stereo.core.estimation.drive_model import BIAS, BY_OPTICS
 from laci_stereo.core.estimation.drive_prior import OPTICS, Correction
 from laci_stereo.core.estimation.evidence import Evidence
-from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, likeliest_mistake
+from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, likely_mistakes
 from laci_stereo.core.estimation.problem import COMPARED, CONVERGED, Problem, Solved
 from laci_stereo.core.estimation.scanner_turn import FIXED, Turn, turn_of
 from laci_stereo.core.estimation.turn_hypotheses import among, clock_sigmas_s, turns_of
@@ -192,7 +192,7 @@ def fit_jointly(
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
     told, perhaps_unset = settings, None
     if mistakes:
-        best, settings, perhaps_unset = likeliest_mistake(thinned, best)
+        best, settings, perhaps_unset = likely_mistakes(thinned, best)
     problem = Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:

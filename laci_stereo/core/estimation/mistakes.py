@@ -41,8 +41,8 @@ calibrations were found to be wrong. A wrong place of the reference point on the
 at least the second number, in which an error of half the vehicle's length moves the position by half of that error; on
 a straight drive the noise of the headings looks like it."""
 
-IN_TURNS = frozenset({"ahead", "left", "lag"})
-"""Corrections that only a turn determines."""
+IN_TURNS = frozenset({"ahead", "left"})
+"""Corrections that only a turn determines, and that noise resembles without one."""
 
 LAGGING_S = 0.2
 """Standard deviation of the lag of headings that are not of the same moment as the positions: those of filtered
@@ -63,26 +63,42 @@ class Mistake:
         Log ratio by which the prior volume of these corrections is larger under this hypothesis.
     alone : bool
         The hypothesis only holds if the priors allow for all other corrections.
+    by_odds : bool
+        The hypothesis need not be significant: its prior is centred on no mistake and the volume of its posterior is
+        reckoned, so that where it is the more likely one its standard deviations are the right ones.
     """
 
     what: frozenset[str]
     settings: JointSettings
     log_wider: float = 0.0
     alone: bool = False
+    by_odds: bool = False
 
 
-def likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
-    """Return the start, the priors, and a possible clock offset under the most likely mistake that is significant.
+def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
+    """Return the start, the priors, and a possible clock offset under the mistakes that are more likely than none.
 
-    Start and priors are those given where no mistake is significant and more likely than none. The clock offset is that
-    of clocks which were perhaps never set: with log odds above `CLEARLY`, whether it is significant or not; else None.
+    The most likely mistake is accepted first, and the others are then looked for beside it. Start and priors are those
+    given where there is none. The clock offset is that of clocks which were perhaps never set, if no mistake is
+    accepted: with log odds above `CLEARLY`, whether it is significant or not; else None.
     """
+    x, settings, perhaps_unset = _likeliest_mistake(problem, x)
+    while settings is not problem.settings:
+        problem = problem.expecting(settings)
+        x, settings, _ = _likeliest_mistake(problem, x)
+    return x, settings, perhaps_unset
+
+
+def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
+    """Return the same as `likely_mistakes` for at most one mistake."""
     here = problem.solve(x, COMPARED)
     settings, most_likelier, perhaps_unset = problem.settings, 0.0, None
     for mistake in _mistakes(problem, here):
+        if mistake.settings == problem.settings:
+            continue
         wider = problem.expecting(mistake.settings)
         there = wider.solve(here.x, COMPARED)
-        surely, unset = _tells(wider, there, mistake), None
+        surely, unset = mistake.by_odds or _tells(wider, there, mistake), None
         if "clock" in mistake.what and only(wider, there, mistake.what):
             unset = _late(wider, there, problem.settings.clock_sigma_s)
         if not (surely or unset):
@@ -114,7 +130,7 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
-        likely.append(Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S)))
+        likely.append(Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S), by_odds=True))
     # Where all disparities may be off, as after one camera has rotated relative to the other, a wrong focal length or
     # baseline would only seem to be found.
     if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:

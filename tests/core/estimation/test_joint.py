@@ -178,41 +178,74 @@ def test_more_doubt_of_the_positions_is_more_doubt_of_the_result() -> None:
     assert np.sqrt(np.diag(unsure)[1:]) == pytest.approx(0.45, abs=0.1)
 
 
-def with_headings_off(drive: Evidence, sigma_deg: float, seed: int) -> Evidence:
-    """Return a drive whose messages are sent from the vehicle's front, each with its own error of the heading."""
-    vehicle = drive.vehicle
-    front = np.tile([vehicle.length_m / 2, 0.0], (len(vehicle.yaw_rad), 1))
-    yaw = vehicle.yaw_rad + np.radians(sigma_deg) * np.random.default_rng(seed).normal(size=len(vehicle.yaw_rad))
-    centre = vehicle.xy + rotate_xy(vehicle.yaw_rad, front) - rotate_xy(yaw, front)
-    return replace(drive, vehicle=replace(vehicle, xy=centre, yaw_rad=yaw, reference=(vehicle.length_m / 2, 0.0)))
+def noisy(drive: Evidence, sigma_deg: float, seed: int) -> Evidence:
+    """Return a drive whose messages each have an error of the heading of their own."""
+    noise = np.random.default_rng(seed).normal(size=len(drive.vehicle.yaw_rad))
+    return with_headings(drive, drive.vehicle.yaw_rad + np.radians(sigma_deg) * noise)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", [pytest.param(STRAIGHT, id="straight"), pytest.param(TURN, id="turn")])
 def test_the_noise_of_headings_tells_neither_clock_nor_lever(drive: Drive) -> None:
     # Read as a manoeuvre it would put the straight drive 10 to 60 cm off along its way.
-    fits = [fit_jointly([with_headings_off(evidence(drive, seed=seed), 1.0, seed)], TRUTH) for seed in range(4)]
+    fits = [fit_jointly([noisy(evidence(drive, seed=seed), 1.0, seed)], TRUTH) for seed in range(4)]
     errors = np.array([error(fit) for fit in fits])
     assert np.linalg.norm(errors[:, 1:], axis=1).max() < 0.08
     assert np.degrees(np.abs(errors[:, 0])).max() < 0.08
     assert all(off @ np.linalg.solve(fit.covariance, off) < 9.0 for off, fit in zip(errors, fits, strict=True))
 
 
+def with_headings(drive: Evidence, yaw_rad: FloatArray) -> Evidence:
+    """Return a drive whose messages are sent from the vehicle's front, with these headings."""
+    vehicle = drive.vehicle
+    front = np.tile([vehicle.length_m / 2, 0.0], (len(vehicle.yaw_rad), 1))
+    centre = vehicle.xy + rotate_xy(vehicle.yaw_rad, front) - rotate_xy(yaw_rad, front)
+    return replace(drive, vehicle=replace(vehicle, xy=centre, yaw_rad=yaw_rad, reference=(vehicle.length_m / 2, 0.0)))
+
+
 @pytest.mark.parametrize("lag_s", [-0.3, 0.0, 0.2, 0.4])
 def test_a_turn_tells_how_late_headings_are(lag_s: float) -> None:
     drive = evidence(TURN)
-    vehicle = drive.vehicle
-    front = np.array([vehicle.length_m / 2, 0.0])
-    yaw = TURN.at(vehicle.stamps_s - lag_s)[1]
-    centre = vehicle.xy + rotate_xy(vehicle.yaw_rad, front) - rotate_xy(yaw, front)
-    late = replace(vehicle, xy=centre, yaw_rad=yaw, reference=(float(front[0]), 0.0))
-    fit = fit_jointly([replace(drive, vehicle=late)], TRUTH)
+    fit = fit_jointly([with_headings(drive, TURN.at(drive.vehicle.stamps_s - lag_s)[1])], TRUTH)
     (lag,) = (each for each in fit.corrections[0] if each.what == "lag")
     assert lag.value == pytest.approx(lag_s, abs=0.1)  # headings of a point 0.8 m farther ahead look 0.1 s older
     assert (lag.surprise > 4.0) == (lag_s != 0.0)
+    assert_right(fit)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_late_headings_are_found_beside_a_clock_that_was_never_set(seed: int) -> None:
+    drive = evidence(TURN, seed=seed, sigma_m=0.1, per_frame=10, offset_s=0.15)
+    fit = fit_jointly([with_headings(drive, TURN.at(drive.vehicle.stamps_s - 0.2)[1])], TRUTH)
+    found = {each.what: each.value for each in fit.corrections[0]}
+    assert found["clock"] == pytest.approx(0.15, abs=0.02)
+    assert found["lag"] == pytest.approx(0.2, abs=0.1)
+    assert_right(fit, within_m=0.06)
+
+
+def filtered(yaw_rad: FloatArray, time_s: float, step_s: float) -> FloatArray:
+    """Return headings that follow the given ones as a first-order low-pass filter does."""
+    kept = list(yaw_rad[:1])
+    for each in yaw_rad[1:]:
+        kept.append(kept[-1] + step_s / time_s * (each - kept[-1]))
+    return np.array(kept)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("time_s", [0.3, 1.0])
+def test_headings_of_a_filter_are_in_the_covariance(time_s: float, seed: int) -> None:
+    """Its lag changes within the turn, so that no one lag explains them."""
+    drive = evidence(TURN, seed=seed)
+    late = filtered(drive.vehicle.yaw_rad, time_s, float(np.diff(drive.vehicle.stamps_s).mean()))
+    late += np.radians(0.2) * np.random.default_rng([seed, 9]).normal(size=len(late))
+    assert_right(fit_jointly([with_headings(drive, late)], TRUTH), within_m=0.06)
+
+
+def assert_right(fit: JointFit, within_m: float = 0.03) -> None:
+    """Assert that yaw and position are off by less than three standard deviations, and the latter by so much."""
     off = error(fit)
     assert off @ np.linalg.solve(fit.covariance, off) < 9.0
-    assert np.linalg.norm(off[1:]) < 0.03
+    assert np.linalg.norm(off[1:]) < within_m
 
 
 def test_two_drives_know_more_than_either() -> None:
