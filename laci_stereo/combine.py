@@ -165,5 +165,5 @@ def _named(run: str, kept: Kept) -> Iterator[Passage]:
 def _config(combined: Combined, options: CombineOptions) -> dict[str, object]:
     """Return every effective setting; the prior uncertainty of the clock offset is that of the drives."""
     config: dict[str, object] = asdict(options.core)
-    joint = {**asdict(options.core.joint), "clock_sigma_s": combined.calibration.clock_sigma_s}
+    joint = {**asdict(options.core.joint), "clock_sigma_s": combined.calibration.drive.clock_sigma_s}
     return {**config, "method": "joint", "joint": joint}

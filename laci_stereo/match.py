@@ -134,10 +134,10 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
 
 def _with_assumption(calibration: Calibration) -> Calibration:
     """Return a calibration with an objection if detections have no size: they may be anywhere on the vehicle."""
-    sized = np.array([sighting.box.length_m > 0.0 for sighting in calibration.track.sightings])
+    sized = np.array([sighting.box.length_m > 0.0 for sighting in calibration.drive.track.sightings])
     if 2 * sized.sum() >= len(sized):
         return calibration
-    vehicle, quality = calibration.vehicle, calibration.quality
+    vehicle, quality = calibration.drive.vehicle, calibration.quality
     reason = (
         "the detections have no size and are taken for the vehicle's centre; if they are on its near side, the "
         f"position is off by up to {np.hypot(vehicle.length_m, vehicle.width_m) / 2:.1f} m"

@@ -199,12 +199,12 @@ def is_senders(made: Traffic, found: Calibration) -> bool:
     """Tell whether at least nine tenths of the track are detections of the sender."""
     stamps = made.detections.stamps_ns
     hits = 0
-    for sighting in found.track.sightings:
+    for sighting in found.drive.track.sightings:
         rows = np.flatnonzero(np.abs((stamps - stamps[0]) / 1e9 - sighting.stamp_s) < 1e-6)
         level = transform(found.T_level_sensor, made.detections.points_sensor[rows])[:, :2]
         nearest = rows[np.argmin(np.linalg.norm(level - sighting.middle, axis=1))]
         hits += int(made.of_vehicle[nearest] == 0)
-    return hits >= 0.9 * len(found.track.sightings)
+    return hits >= 0.9 * len(found.drive.track.sightings)
 
 
 @dataclass

@@ -33,8 +33,9 @@ def recorded() -> tuple[tuple[Scene, Calibration], ...]:
         messages = cam_log(made.place, vehicle, 6.0, station=STATIONS[number])
         made = replace(made, recording=replace(made.recording, movers=(vehicle,)), messages=messages)
         one = calibrate(made.recording, messages)
-        epoch_ns = one.vehicle.epoch_ns + number * DAY_NS
-        found.append((made, replace(one, vehicle=replace(one.vehicle, epoch_ns=epoch_ns))))
+        epoch_ns = one.drive.vehicle.epoch_ns + number * DAY_NS
+        own = replace(one.drive, vehicle=replace(one.drive.vehicle, epoch_ns=epoch_ns))
+        found.append((made, replace(one, passages=(own,))))
     return tuple(found)
 
 
@@ -74,13 +75,13 @@ def ahead(passage: Passage, by_m: float) -> Passage:
 
 def with_passage(calibration: Calibration, passage: Passage) -> Calibration:
     """Return a result that keeps this drive."""
-    return replace(calibration, ground=passage.ground, vehicle=passage.vehicle, match=passage.match)
+    return replace(calibration, passages=(passage, *calibration.others))
 
 
 def misplaced(found: Calibration) -> tuple[float, float]:
     """Return by how much objects on the ways of all vehicles are misplaced, RMS in metres, and the angle, degrees."""
     made = recorded()[0][0]
-    xy = np.concatenate([scene.vehicle.drive.at(one.track.stamps_s)[0] for scene, one in recorded()])
+    xy = np.concatenate([scene.vehicle.drive.at(one.drive.track.stamps_s)[0] for scene, one in recorded()])
     sensor = transform(invert(made.recording.T_world_sensor), np.column_stack([xy, np.zeros(len(xy))]))
     off: FloatArray = transform(found.T_utm_sensor, sensor)[:, :2] - made.place.to_utm(xy)
     R = found.T_world_sensor[:3, :3] @ made.recording.T_world_sensor[:3, :3].T

@@ -84,7 +84,7 @@ def test_whatever_carries_all_of_a_log_gives_the_same_calibration(
     log = recorded.written(COMPLETE[form], tmp_path)
     assert_same_track(log, recorded.log)
     found = recorded.calibrated(log)
-    assert abs(found.time_offset_s - recorded.plain.time_offset_s) < 1e-3
+    assert abs(found.drive.time_offset_s - recorded.plain.drive.time_offset_s) < 1e-3
     assert np.linalg.norm(off(recorded, found), axis=1).max() < 1e-3
 
 

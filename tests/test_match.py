@@ -141,7 +141,7 @@ def test_a_clock_that_nobody_set_is_told_where_speed_changes(tmp_path: Path, see
     found = matched(tmp_path, replace(made, messages=sent)).calibration
     assert is_senders(made, found)
     assert errors(made, found).track_xy_m < 3 * found.quality.track_xy_sigma_m
-    assert abs(found.time_offset_s - late_s) < 3 * found.time_sigma_s
+    assert abs(found.drive.time_offset_s - late_s) < 3 * found.time_sigma_s
     assert found.quality.verdict == "warn"
     assert any("the clocks are" in reason for reason in found.quality.reasons)
 
@@ -157,7 +157,7 @@ def test_a_clock_that_was_perhaps_not_set_is_a_doubt(tmp_path: Path, seed: int, 
     unknown = Settings().with_clock(1.0)
     found = matched(tmp_path, sent, MatchOptions(core=unknown)).calibration
     assert errors(sent, found).track_xy_m < 3 * found.quality.track_xy_sigma_m
-    assert abs(found.time_offset_s - late_s) < 3 * found.time_sigma_s
+    assert abs(found.drive.time_offset_s - late_s) < 3 * found.time_sigma_s
 
 
 def test_messages_that_pause_while_the_vehicle_is_seen(tmp_path: Path) -> None:

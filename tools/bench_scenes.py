@@ -140,7 +140,7 @@ def picture(scene: Scene, found: Calibration) -> Raster:
                 image[at[1] // 16, at[0] // 16] = (190, 170, 150)
     track(scene.track_utm, (0, 140, 0))
     seen = transform(found.T_world_sensor, np.zeros((1, 3)))
-    boxes = np.column_stack([found.track.centres, np.zeros(len(found.track.centres))])
+    boxes = np.column_stack([found.drive.track.centres, np.zeros(len(found.drive.track.centres))])
     moved = found.T_utm_sensor @ np.linalg.inv(found.T_level_sensor)
     track(transform(moved, boxes), (0, 0, 220))
     for at, colour in ((scene.T_utm_sensor[None, :2, 3], (0, 140, 0)), (found.world.to_utm(seen[:, :2]), (0, 0, 220))):

@@ -30,35 +30,26 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
     """
     passages, placement = _agreeing_with_the_map(passages, placement)
     bodies = placement.bodies or [None] * len(passages)
-    own, *others = (replace(each, body=body) for each, body in zip(passages, bodies, strict=True))
+    match, middle, turn, method = placement.match, placement.middle_level, placement.turn, settings.method
+    own, *others = (
+        replace(each, match=match, method=method, turn=turn, body=body)
+        for each, body in zip(passages, bodies, strict=True)
+    )
+    own = replace(own, time_offset_s=placement.time_offset_s, clock_sigma_s=settings.joint.clock_sigma_s)
     T_level_sensor = own.ground.T_level_sensor(own.axes)
     ground_covariance = own.ground.covariance_level(own.axes)
-    match, middle = placement.match, placement.middle_level
     frames_seen = sum(len(each.track.sightings) for each in passages)
     return Calibration(
-        world=own.world,
+        passages=(own, *others),
         T_world_sensor=planar(match.yaw_rad, match.shift) @ T_level_sensor,
         T_level_sensor=T_level_sensor,
         covariance=covariance_of(placement.doubt, ground_covariance, match, middle),
         centre_world=np.append(match(middle), 0.0),
-        time_offset_s=placement.time_offset_s,
         time_sigma_s=placement.time_sigma_s,
-        station_id=own.station_id,
-        ground=own.ground,
-        background=own.background,
-        track=own.track,
-        vehicle=own.vehicle,
-        match=match,
         paper=_by_paper(own, settings),
-        axes=own.axes,
         quality=judge(placement, ground_covariance, frames_seen, settings.quality),
-        method=settings.method,
-        clock_sigma_s=settings.joint.clock_sigma_s,
-        turn=placement.turn,
         nearer=placement.nearer,
         found=placement.remarks,
-        others=tuple(replace(each, match=match, method=settings.method, turn=placement.turn) for each in others),
-        body=own.body,
     )
 
 

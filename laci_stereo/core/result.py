@@ -10,13 +10,8 @@ import numpy as np
 from laci_stereo.core.estimation.drive_prior import Correction
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Axes, FloatArray, wrap
-from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
-from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.messages.slope import Slope
-from laci_stereo.core.settings import SYNCHRONISED_S, Method
-from laci_stereo.core.tracking.background import Background
-from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
 
 Verdict = Literal["pass", "warn", "fail"]
@@ -71,90 +66,59 @@ class Quality:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The pose of a sensor, and the data from which it was estimated.
+    """The pose of a sensor, and the drives from which it was estimated.
 
     Attributes
     ----------
-    world : World
+    passages : tuple of Passage
+        The drives, in the same level and world frames, the result's own first.
     T_world_sensor : ndarray, shape (4, 4)
     T_level_sensor : ndarray, shape (4, 4)
     covariance : ndarray, shape (6, 6)
         Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``.
     centre_world : ndarray, shape (3,)
         The middle of the vehicle's track.
-    time_offset_s, time_sigma_s : float
-        To be added to the sensor's stamps to get the CAMs' time, and its standard deviation.
-    station_id : int
-    ground : GroundPlane
-    background : Background
-    track : Track
-        Of the vehicle, in the level frame.
-    vehicle : VehicleTrack
-        In the world frame.
-    match : PlanarMatch
+    time_sigma_s : float
+        Standard deviation of the clock offset of its own drive.
     paper : PlanarMatch or None
         The result of the paper's method; None where it has none.
-    axes : Axes
-        Of the sensor.
     quality : Quality
-    method : {"joint", "paper"}
-    clock_sigma_s : float
-        Prior standard deviation of the clock offset.
-    turn : float
-        Rotation of the scanner, see `JointFit`.
     nearer : Correction or None
         See `JointFit`.
     found : tuple of str
         Other findings of the estimate.
-    others : tuple of Passage
-        Further drives from which it was estimated, in the same level and world frames.
-    body : VehicleTrack or None
-        See `Passage`.
     """
 
-    world: World
+    passages: tuple[Passage, ...]
     T_world_sensor: FloatArray
     T_level_sensor: FloatArray
     covariance: FloatArray
     centre_world: FloatArray
-    time_offset_s: float
     time_sigma_s: float
-    station_id: int
-    ground: GroundPlane
-    background: Background
-    track: Track
-    vehicle: VehicleTrack
-    match: PlanarMatch
     paper: PlanarMatch | None
-    axes: Axes
     quality: Quality
-    method: Method
-    clock_sigma_s: float = SYNCHRONISED_S
-    turn: float = 0.0
     nearer: Correction | None = None
     found: tuple[str, ...] = ()
-    others: tuple[Passage, ...] = ()
-    body: VehicleTrack | None = None
 
     @property
-    def passages(self) -> tuple[Passage, ...]:
-        """The drives from which it was estimated, its own first."""
-        own = Passage(
-            world=self.world,
-            axes=self.axes,
-            ground=self.ground,
-            background=self.background,
-            track=self.track,
-            vehicle=self.vehicle,
-            station_id=self.station_id,
-            match=self.match,
-            time_offset_s=self.time_offset_s,
-            method=self.method,
-            clock_sigma_s=self.clock_sigma_s,
-            turn=self.turn,
-            body=self.body,
-        )
-        return (own, *self.others)
+    def drive(self) -> Passage:
+        """The result's own drive."""
+        return self.passages[0]
+
+    @property
+    def others(self) -> tuple[Passage, ...]:
+        """The other drives."""
+        return self.passages[1:]
+
+    @property
+    def world(self) -> World:
+        """The world frame."""
+        return self.drive.world
+
+    @property
+    def axes(self) -> Axes:
+        """The axes of the sensor."""
+        return self.drive.axes
 
     @property
     def T_utm_sensor(self) -> FloatArray:
@@ -164,7 +128,7 @@ class Calibration:
     @property
     def slope(self) -> Slope | None:
         """The slope of the ground, which may be level; None where the messages' altitudes do not determine it."""
-        return self.vehicle.slope
+        return self.drive.vehicle.slope
 
     @property
     def T_enu_sensor(self) -> FloatArray | None:
@@ -177,21 +141,21 @@ class Calibration:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Assumptions about the messages, what was left out of them, and other findings."""
-        return (*self.vehicle.remarks, *self.found)
+        return (*self.drive.vehicle.remarks, *self.found)
 
     @property
     def paper_differs(self) -> tuple[float, float] | None:
         """The difference of the paper's method: of objects on the track, metres (RMS), and in yaw, degrees, or None."""
         if self.paper is None:
             return None
-        seen = np.array([sighting.middle for sighting in self.track.sightings])
-        shift = np.sqrt(((self.paper(seen) - self.match(seen)) ** 2).sum(axis=1).mean())
-        return float(shift), float(np.degrees(abs(wrap(self.paper.yaw_rad - self.match.yaw_rad))))
+        seen = np.array([sighting.middle for sighting in self.drive.track.sightings])
+        shift = np.sqrt(((self.paper(seen) - self.drive.match(seen)) ** 2).sum(axis=1).mean())
+        return float(shift), float(np.degrees(abs(wrap(self.paper.yaw_rad - self.drive.match.yaw_rad))))
 
     @property
     def height_m(self) -> float:
         """Height of the sensor above the ground."""
-        return self.ground.height_m
+        return self.drive.ground.height_m
 
     @property
     def viewing_angles(self) -> ViewingAngles:

@@ -23,16 +23,7 @@ TRACK_STEP_S = 0.1
 def drives_of(calibration: Calibration) -> Iterator[Calibration]:
     """Yield the calibration with each of its drives as the only one, and the vehicle as estimated (`Passage.body`)."""
     for passage in calibration.passages:
-        yield replace(
-            calibration,
-            track=passage.track,
-            vehicle=passage.body or passage.vehicle,
-            body=None,
-            station_id=passage.station_id,
-            time_offset_s=passage.time_offset_s,
-            background=passage.background,
-            others=(),
-        )
+        yield replace(calibration, passages=(replace(passage, vehicle=passage.body or passage.vehicle, body=None),))
 
 
 def stations_of(calibration: Calibration) -> str:
@@ -58,7 +49,7 @@ def plan_in_world(calibration: Calibration, xy_level: FloatArray) -> FloatArray:
 
 def background_corners(calibration: Calibration) -> list[FloatArray]:
     """Return the corners of the static background's boxes, world, shape (4, 2) each."""
-    return [plan_in_world(calibration, static.box.corners()) for static in calibration.background.boxes]
+    return [plan_in_world(calibration, static.box.corners()) for static in calibration.drive.background.boxes]
 
 
 def sensor_track(calibration: Calibration) -> FloatArray:
@@ -69,7 +60,7 @@ def sensor_track(calibration: Calibration) -> FloatArray:
 def sender_track(calibration: Calibration) -> list[FloatArray]:
     """Return the vehicles' tracks according to their messages: pieces without gaps, world, shape (n, 2) each."""
     pieces: list[FloatArray] = []
-    for vehicle in (drive.vehicle for drive in drives_of(calibration)):
+    for vehicle in (alone.drive.vehicle for alone in drives_of(calibration)):
         first_s, last_s = vehicle.stamps_s[[0, -1]]
         xy, _, known = vehicle.at(np.append(np.arange(first_s, last_s, TRACK_STEP_S), last_s))
         pieces += [xy[run] for run in runs(known)]
@@ -90,21 +81,21 @@ def sender_box(calibration: Calibration, stamp_s: float) -> Box | None:
     Box or None
         None where the messages do not determine the position.
     """
-    vehicle = calibration.vehicle
-    xy, yaw_rad, known = vehicle.at(np.array([stamp_s + calibration.time_offset_s]))
+    vehicle = calibration.drive.vehicle
+    xy, yaw_rad, known = vehicle.at(np.array([stamp_s + calibration.drive.time_offset_s]))
     return Box(xy[0], vehicle.length_m, vehicle.width_m, float(yaw_rad[0])) if known[0] else None
 
 
 def sighting_at(calibration: Calibration, stamp_s: float) -> Sighting | None:
     """Return the sighting of the vehicle with this stamp; None if there is none."""
-    sightings = calibration.track.sightings
+    sightings = calibration.drive.track.sightings
     nearest = min(sightings, key=lambda sighting: abs(sighting.stamp_s - stamp_s), default=None)
     return nearest if nearest is not None and abs(nearest.stamp_s - stamp_s) < SAME_STAMP_S else None
 
 
 def known_stamps(calibration: Calibration) -> FloatArray:
     """Return the stamps of the sightings for which the messages determine a position, shape (n,)."""
-    stamps_s = calibration.track.stamps_s
-    _, _, known = calibration.vehicle.at(stamps_s + calibration.time_offset_s)
+    stamps_s = calibration.drive.track.stamps_s
+    _, _, known = calibration.drive.vehicle.at(stamps_s + calibration.drive.time_offset_s)
     kept: FloatArray = stamps_s[known]
     return kept

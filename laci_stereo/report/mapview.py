@@ -102,6 +102,6 @@ def _near(corners: FloatArray, low: FloatArray, high: FloatArray) -> bool:
 
 def _seen_sender(calibration: Calibration) -> FloatArray:
     """Return the messages' positions at the times at which the vehicle was seen, world, shape (n, 2)."""
-    xy, _, known = calibration.vehicle.at(calibration.track.stamps_s + calibration.time_offset_s)
+    xy, _, known = calibration.drive.vehicle.at(calibration.drive.track.stamps_s + calibration.drive.time_offset_s)
     seen: FloatArray = xy[known]
     return seen

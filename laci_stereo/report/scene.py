@@ -77,7 +77,7 @@ def vehicle_edges(calibration: Calibration, stamp_s: float) -> tuple[list[FloatA
 
 def background_edges(calibration: Calibration) -> list[FloatArray]:
     """Return the edges of the background's boxes, world, shape (2, 3) each."""
-    boxes = zip(background_corners(calibration), calibration.background.boxes, strict=True)
+    boxes = zip(background_corners(calibration), calibration.drive.background.boxes, strict=True)
     return [edge for corners, static in boxes for edge in box_edges(corners, static.height_m)]
 
 

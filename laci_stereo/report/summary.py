@@ -31,26 +31,26 @@ def summarise(calibration: Calibration, sensor: str, inputs: str) -> str:
     position = calibration.T_world_sensor[:3, 3]
     east, north = world.to_utm(position[None, :2])[0]
     latitude, longitude = world.to_geodetic(position[None, :2])[0]
-    angles, vehicle = calibration.viewing_angles, calibration.vehicle
+    angles, drive = calibration.viewing_angles, calibration.drive
     place = f"{east:.2f} m E, {north:.2f} m N ({world.crs}); latitude {latitude:.7f}, longitude {longitude:.7f}"
     looks = (
         f"{angles.yaw_deg:.2f} deg counter-clockwise from grid east, {angles.down_deg:.2f} deg down, "
         f"rolled {angles.roll_deg:.2f} deg clockwise"
     )
-    size = f"{vehicle.length_m:.2f} m x {vehicle.width_m:.2f} m"
+    size = f"{drive.vehicle.length_m:.2f} m x {drive.vehicle.width_m:.2f} m"
     told = all(np.isfinite(passage.vehicle.position_sigma_m) for passage in calibration.passages)
     one_sigma = "one sigma" if told else "one sigma, if positions are as exact as assumed"
     doubt = (
         f"{quality.track_xy_sigma_m:.2f} m along the track, {quality.yaw_sigma_deg:.2f} deg yaw, "
         f"{quality.tilt_sigma_deg:.2f} deg tilt, {quality.height_sigma_m:.3f} m height ({one_sigma})"
     )
-    static = calibration.background
+    static = drive.background
     lines = [
         ("Sensor", sensor),
         ("Position", place),
         ("Height", f"{calibration.height_m:.2f} m above the ground{_slope(calibration)}"),
         ("Looks", looks),
-        ("Vehicle", f"station {calibration.station_id}, {size}{others_of(calibration)}, {_frames(quality)}"),
+        ("Vehicle", f"station {drive.station_id}, {size}{others_of(calibration)}, {_frames(quality)}"),
         ("Background", f"{len(static.boxes)} boxes, from {static.quiet_frames} frames at rest"),
         ("Fit", _fit(calibration)),
         ("Doubt", "; ".join(filter(None, [doubt, quality.advice]))),
@@ -70,9 +70,9 @@ def _slope(calibration: Calibration) -> str:
 
 def _fit(calibration: Calibration) -> str:
     rms_m = calibration.quality.residual_rms_m
-    if calibration.method == "paper":
+    if calibration.drive.method == "paper":
         return f"paper's method; the vehicle's tracks in sensor and world are {rms_m:.2f} m apart (RMS)"
-    clock = f"clock offset {1e3 * calibration.time_offset_s:.1f} +- {1e3 * calibration.time_sigma_s:.1f} ms"
+    clock = f"clock offset {1e3 * calibration.drive.time_offset_s:.1f} +- {1e3 * calibration.time_sigma_s:.1f} ms"
     differs = calibration.paper_differs
     beside = "has no answer" if differs is None else f"would place objects {differs[0]:.2f} m, {differs[1]:.2f} deg off"
     return f"points are {rms_m:.2f} m from the vehicle's outline (RMS); {clock}; the paper's method {beside}"

@@ -181,7 +181,7 @@ def _draw_map(canvas: Canvas, view: MapView, calibration: Calibration, lane_map:
 def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> list[Entry]:
     T = T_world_level(calibration)
     drives = list(drives_of(calibration))
-    for sighting in (sighting for drive in drives for sighting in drive.track.usable):
+    for sighting in (sighting for alone in drives for sighting in alone.drive.track.usable):
         canvas.specks(view.pixels(transform(T, sighting.points)[:, :2]), POINTS.colour)
     marks = [mark for drive in drives for mark in marks_of(drive)]
     for mark in marks:
@@ -305,7 +305,7 @@ def facts(calibration: Calibration) -> list[str]:
         f"N {north:.2f} m, height {calibration.height_m:.2f} m",
         f"looks to {(90.0 - angles.yaw_deg) % 360.0:.1f}°, {angles.down_deg:.1f}° down",
         f"{stations_of(calibration)}, {quality.frames_used} frames used",
-        f"verdict: {quality.verdict}, method: {calibration.method}",
+        f"verdict: {quality.verdict}, method: {calibration.drive.method}",
         f"objects placed to ±{quality.track_xy_sigma_m:.2f} m (1σ)",
     ]
 

@@ -124,7 +124,7 @@ def test_a_stale_calibration_gives_what_the_right_one_does(tmp_path: Path, mirro
     job = prepare(left, right, cam, Options(stereo=write(tmp_path / "stale.yaml", stale(rig, turn_deg))))
     one, result = fresh.run().calibration, job.run()
     other, provenance = result.calibration, result.job.provenance
-    middles = np.array([[*sighting.middle, 0.0] for sighting in one.track.sightings])
+    middles = np.array([[*sighting.middle, 0.0] for sighting in one.drive.track.sightings])
     on_road = transform(one.T_utm_sensor @ invert(one.T_level_sensor), middles)
     off_m = np.linalg.norm(transform(other.T_utm_sensor @ invert(one.T_utm_sensor), on_road) - on_road, axis=1)
     assert np.sqrt((off_m**2).mean()) < 3.0 * other.quality.track_xy_sigma_m

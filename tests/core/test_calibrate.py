@@ -56,7 +56,7 @@ class Errors:
 
 def errors(made: Scene, found: Calibration) -> Errors:
     """Compare with the truth in UTM, at the places on the road where the vehicle was used."""
-    xy, _ = made.vehicle.drive.at(found.track.stamps_s)
+    xy, _ = made.vehicle.drive.at(found.drive.track.stamps_s)
     sensor = transform(invert(made.recording.T_world_sensor), np.column_stack([xy, np.zeros(len(xy))]))
     utm = transform(found.T_utm_sensor, sensor)
     off = utm[:, :2] - made.place.to_utm(xy)
@@ -78,7 +78,7 @@ def check(made: Scene, found: Calibration, most_m: float = 0.25, most_deg: float
     assert error.track_xy_m < 3 * found.quality.track_xy_sigma_m
     assert abs(error.yaw_deg) < 3 * found.quality.yaw_sigma_deg
     assert found.quality.track_xy_sigma_m < 2.0
-    assert found.station_id == 42
+    assert found.drive.station_id == 42
     assert found.height_m == pytest.approx(6.0, abs=0.02)
     angles = found.viewing_angles
     assert (angles.down_deg, angles.roll_deg) == pytest.approx((14.0, 1.5), abs=0.05)
@@ -121,7 +121,7 @@ def test_the_truth_is_found(name: str, method: Method) -> None:
     found = solved(name, method)
     within = {"joint": (0.25, 0.3), "paper": (0.8, 1.5)}[method]
     check(made, found, *within)
-    assert found.method == method
+    assert found.drive.method == method
     assert found.world.crs == made.place.crs
     assert sum(found.quality.left_out.values()) + found.quality.frames_used == found.quality.frames_seen
 
@@ -130,9 +130,9 @@ def test_the_truth_is_found(name: str, method: Method) -> None:
 def test_every_result_shows_what_the_paper_says(name: str) -> None:
     joint, paper = solved(name), solved(name, "paper")
     assert joint.paper is not None
-    assert joint.paper.yaw_rad == paper.match.yaw_rad
-    assert joint.paper.shift == pytest.approx(paper.match.shift)
-    assert 0 < paper.quality.frames_used <= len(paper.track.usable)
+    assert joint.paper.yaw_rad == paper.drive.match.yaw_rad
+    assert joint.paper.shift == pytest.approx(paper.drive.match.shift)
+    assert 0 < paper.quality.frames_used <= len(paper.drive.track.usable)
 
 
 @pytest.mark.slow
@@ -188,7 +188,7 @@ def test_two_senders_in_view() -> None:
     made = scene(LEFT_TURN, others=[OTHER_CAR])
     other = cam_log(ULM, made.recording.movers[1], 6.0, station=7)
     found = calibrate(made.recording, together([made.messages, other]))
-    assert found.station_id in (7, 42)
+    assert found.drive.station_id in (7, 42)
     assert errors(made, found).track_xy_m < 1.0
 
 
@@ -198,7 +198,7 @@ def test_a_roadside_unit_that_sends_too_is_no_vehicle() -> None:
     unit = cam_log(ULM, car(Drive((3.0, 2.0), 0.0, speeds=((0.0, 0.0),))), 6.0, rate_hz=1.0, station=900)
     nothing = np.full(len(unit), np.nan)
     unit = replace(unit, length_m=nothing, width_m=nothing, heading_deg=nothing, speed_mps=nothing)
-    assert calibrate(made.recording, together([made.messages, unit])).station_id == 42
+    assert calibrate(made.recording, together([made.messages, unit])).drive.station_id == 42
 
 
 @pytest.mark.slow
@@ -240,7 +240,7 @@ def test_another_zone_gives_the_same_place() -> None:
 
 def test_stamps_are_exact_far_from_1970() -> None:
     stamps = np.array(SCENES["lidar-left"][0].recording.stamps_ns)
-    used = (solved("lidar-left").track.stamps_s * 1e9).round().astype(np.int64) + stamps[0]
+    used = (solved("lidar-left").drive.track.stamps_s * 1e9).round().astype(np.int64) + stamps[0]
     assert np.isin(used, stamps).all()
 
 
@@ -320,13 +320,13 @@ def test_the_body_is_found_where_the_messages_tell_how_the_front_moves() -> None
     moved = front(sent_s + 0.01) - front(sent_s - 0.01)
     heading = made.place.heading_deg(front(sent_s), np.arctan2(moved[:, 1], moved[:, 0])) % 360.0
     found = calibrate(made.recording, replace(log, heading_deg=heading.round(1)))
-    assert found.body is not None
+    assert found.drive.body is not None
 
     def off_m(track: VehicleTrack) -> float:
-        stamps_s = found.track.stamps_s
-        xy, _, known = track.at(stamps_s + found.time_offset_s)
+        stamps_s = found.drive.track.stamps_s
+        xy, _, known = track.at(stamps_s + found.drive.time_offset_s)
         true = found.world.from_utm(made.place.to_utm(mover.drive.at(stamps_s)[0]))
         return float(np.linalg.norm(xy - true, axis=1)[known].max())
 
-    assert off_m(found.vehicle) > 0.4
-    assert off_m(found.body) < 0.1
+    assert off_m(found.drive.vehicle) > 0.4
+    assert off_m(found.drive.body) < 0.1

@@ -230,7 +230,7 @@ def test_in_one_recording_cars_that_meet_tell_the_clock_which_neither_does_alone
     one, other, truth = met(0.03)
     for alone in (one, other):
         assert np.linalg.norm(alone.T_utm_sensor[:2, 3] - truth) > 0.15
-    found = combine([replace(each.passages[0], name=str(each.station_id)) for each in (one, other)])
+    found = combine([replace(each.passages[0], name=str(each.drive.station_id)) for each in (one, other)])
     quality = found.calibration.quality
     assert np.linalg.norm(found.calibration.T_utm_sensor[:2, 3] - truth) < 0.05
     assert quality.track_xy_sigma_m < 0.5 * min(each.quality.track_xy_sigma_m for each in (one, other))
@@ -257,8 +257,8 @@ def test_the_clocks_are_as_loose_as_in_the_loosest_drive() -> None:
     one, other = passages()[:2]
     tight = combine([one, other], Settings(joint=JointSettings(clock_sigma_s=1.0)))
     loose = combine([one, replace(other, clock_sigma_s=1.0)])
-    assert tight.calibration.clock_sigma_s == other.clock_sigma_s
-    assert loose.calibration.clock_sigma_s == 1.0
+    assert tight.calibration.drive.clock_sigma_s == other.clock_sigma_s
+    assert loose.calibration.drive.clock_sigma_s == 1.0
     # Without the prior, the information on a clock is less by what the prior tells.
     without = (tight.shares[0].time_sigma_s ** -2 - other.clock_sigma_s**-2) ** -0.5
     assert loose.shares[0].time_sigma_s == pytest.approx(without, rel=0.1)

@@ -69,7 +69,7 @@ def test_a_steady_drive_does_not_tell_the_clock() -> None:
 def test_a_change_of_speed_does(made: Scene, by_s: float) -> None:
     found = calibrate(made.recording, late(made.messages, by_s), UNKNOWN_CLOCK)
     covered(made, found)
-    assert abs(found.time_offset_s - by_s) < 3.0 * found.time_sigma_s
+    assert abs(found.drive.time_offset_s - by_s) < 3.0 * found.time_sigma_s
     assert found.time_sigma_s < 0.1
 
 

@@ -38,7 +38,7 @@ def test_all_senders_that_are_seen_are_used_and_tell_the_clock_together() -> Non
     assert np.linalg.norm(alone.T_utm_sensor[:2, 3] - truth) > 0.15
     assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) < 0.05
     assert found.quality.track_xy_sigma_m < 0.5 * alone.quality.track_xy_sigma_m
-    assert found.time_offset_s == pytest.approx(LATE_S, abs=3 * found.time_sigma_s)
+    assert found.drive.time_offset_s == pytest.approx(LATE_S, abs=3 * found.time_sigma_s)
     assert found.quality.verdict == "pass"
     assert found.quality.frames_seen == sum(len(each.track.sightings) for each in found.passages)
 
@@ -63,14 +63,14 @@ def test_senders_that_contradict_each_other_are_a_warning() -> None:
     assert found.others == ()
     assert found.quality.verdict == "warn"
     (reason,) = found.quality.reasons
-    assert reason.startswith(f"only station {found.station_id} was used: no majority of the 2 drives (station 4")
+    assert reason.startswith(f"only station {found.drive.station_id} was used: no majority of the 2 drives (station 4")
 
 
 def test_a_sender_that_tells_something_wrong_is_not_used_and_it_is_said() -> None:
     recording, (one, other), _ = meeting()
     turned = replace(other, heading_deg=(other.heading_deg + 6.0) % 360.0)
     found = calibrate(recording, together([one, turned]))
-    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "pass")
+    assert (found.drive.station_id, found.others, found.quality.verdict) == (42, (), "pass")
     (remark,) = (remark for remark in found.remarks if "station 43" in remark)
     assert remark.startswith("station 43 is seen as well, but was not used: the messages' heading is ")
 
@@ -81,7 +81,7 @@ def test_a_sender_that_is_seen_by_another_clock_alone_is_told(late_s: float) -> 
     recording, (one, other), _ = meeting()
     late = replace(other, stamps_ns=other.stamps_ns + round(1e9 * late_s))
     found = calibrate(recording, together([one, late]))
-    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "warn")
+    assert (found.drive.station_id, found.others, found.quality.verdict) == (42, (), "warn")
     reason = found.quality.reasons[0]
     assert reason.startswith("only station 42 was used: no majority of the 2 drives (station 42, station 43) agrees: ")
     told = re.search(
@@ -97,7 +97,7 @@ def test_a_sender_that_nobody_sees_has_no_other_clock() -> None:
     recording, logs, _ = meeting()
     aside = car(Drive((29.0, -24.0), 90.0, speeds=((0.0, 9.0),)))
     found = calibrate(replace(recording, movers=(recording.movers[0], aside)), together(logs))
-    assert (found.station_id, found.others) == (42, ())
+    assert (found.drive.station_id, found.others) == (42, ())
     assert not any("43" in each for each in (*found.quality.reasons, *found.remarks))
 
 
@@ -147,7 +147,7 @@ def test_a_refusal_names_the_clock_by_which_the_one_sender_is_seen() -> None:
 def test_a_sender_that_contradicts_the_clock_and_the_place_is_a_warning(late_s: float) -> None:
     recording, logs, truth = meeting(late_s, turning(0.5))
     found = calibrate(recording, together(logs))
-    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "warn")
+    assert (found.drive.station_id, found.others, found.quality.verdict) == (42, (), "warn")
     assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) > 0.5
     assert re.match(
         r"station 43 is seen as well, but was not used: the clocks are -?\d+ ms apart, .*; no majority of the 2 ",
@@ -161,7 +161,7 @@ def test_a_sender_whose_clock_alone_is_wrong_does_no_harm() -> None:
     late = replace(other, stamps_ns=other.stamps_ns + 200_000_000)
     found = calibrate(recording, together([one, late]))
     assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) < 0.05
-    assert (found.station_id, found.others, found.quality.verdict) == (42, (), "pass")
+    assert (found.drive.station_id, found.others, found.quality.verdict) == (42, (), "pass")
     assert any(
         each.startswith("station 43 is seen as well, but was not used: the clocks are ") for each in found.remarks
     )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import OPENCV_AXES, Axes, FloatArray, invert, planar, rotate_xy, transform
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.result import Calibration, Quality
+from laci_stereo.core.settings import SYNCHRONISED_S
 from laci_stereo.core.tracking.background import Background, BackgroundBox
 from laci_stereo.core.tracking.box import Box
 from laci_stereo.core.tracking.sighting import Sighting
@@ -50,25 +53,34 @@ def calibration(axes: Axes = OPENCV_AXES, far_box: bool = False) -> Calibration:
     if far_box:
         boxes.append(BackgroundBox(Box(np.array([120.0, -30.0]), 6.0, 4.0, 0.3), 3.0))
     covariance = np.diag([1e-4, 1e-4, 4e-4, 0.09, 0.04, 1e-4])
-    return Calibration(
+    passage = Passage(
         world=World("EPSG:32632", (569797.0, 5363703.0), 0.99966),
-        T_world_sensor=T_world_level @ T_level_sensor,
-        T_level_sensor=T_level_sensor,
-        covariance=covariance,
-        centre_world=np.append(xy[10:41].mean(axis=0), 0.0),
-        time_offset_s=0.0,
-        time_sigma_s=0.01,
-        station_id=4711,
+        axes=axes,
         ground=ground,
         background=Background(tuple(boxes), 5, 0.2),
         track=Track(sightings),
         vehicle=vehicle,
+        station_id=4711,
         match=PlanarMatch(float(YAW_RAD), SENSOR_XY),
-        paper=PlanarMatch(float(YAW_RAD) + 0.01, SENSOR_XY),
-        axes=axes,
-        quality=Quality("pass", (), 0.36, 0.3, 90.0, "", 1.1, 0.01, 0.01, 0.05, 31, 31, {}),
+        time_offset_s=0.0,
         method="paper",
+        clock_sigma_s=SYNCHRONISED_S,
     )
+    return Calibration(
+        passages=(passage,),
+        T_world_sensor=T_world_level @ T_level_sensor,
+        T_level_sensor=T_level_sensor,
+        covariance=covariance,
+        centre_world=np.append(xy[10:41].mean(axis=0), 0.0),
+        time_sigma_s=0.01,
+        paper=PlanarMatch(float(YAW_RAD) + 0.01, SENSOR_XY),
+        quality=Quality("pass", (), 0.36, 0.3, 90.0, "", 1.1, 0.01, 0.01, 0.05, 31, 31, {}),
+    )
+
+
+def with_drive(true: Calibration, **changes: Any) -> Calibration:
+    """Return a calibration whose own drive is another."""
+    return replace(true, passages=(replace(true.drive, **changes), *true.others))
 
 
 def with_another(true: Calibration) -> Calibration:
@@ -82,7 +94,7 @@ def with_another(true: Calibration) -> Calibration:
         )
     )
     vehicle = replace(own.vehicle, xy=own.vehicle.xy + BESIDE_M)
-    return replace(true, others=(replace(own, track=track, vehicle=vehicle, station_id=4712),))
+    return replace(true, passages=(own, replace(own, track=track, vehicle=vehicle, station_id=4712)))
 
 
 def drive(stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:

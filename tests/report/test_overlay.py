@@ -9,7 +9,7 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.style import SKY_BLUE, VERMILLION, YELLOW, Colour
-from tests.report.support import BESIDE_M, calibration, drive, lane, lane_map, lens, pixel, with_another
+from tests.report.support import BESIDE_M, calibration, drive, lane, lane_map, lens, pixel, with_another, with_drive
 
 MAP = lane_map(lane((-20.0, 24.0), (20.0, 24.0)), lane((8.0, 15.0), (8.0, 60.0), subtype="dashed"))
 
@@ -81,7 +81,7 @@ def test_every_vehicle_has_its_tracks_and_boxes() -> None:
 
 def test_the_clock_offset_moves_the_senders_box() -> None:
     true = calibration()
-    late = replace(true, time_offset_s=0.5)
+    late = with_drive(true, time_offset_s=0.5)
     at_once = draw_overlay(grey(), lens(), true, 1.5, None)
     shifted = draw_overlay(grey(), lens(), late, 1.5, None)
     (x, y), *_ = drive(np.array([2.0]))[0]
@@ -128,22 +128,23 @@ def test_three_frames_are_drawn_early_in_the_middle_and_late() -> None:
     true = calibration()
     first, middle, last = overlay_stamps(true)
     assert [first, middle, last] == pytest.approx([1.3, 2.5, 3.7])
-    assert {first, middle, last} <= set(true.track.stamps_s.tolist())
+    assert {first, middle, last} <= set(true.drive.track.stamps_s.tolist())
 
 
 def test_no_frame_is_drawn_for_which_no_message_tells_where_the_vehicle_was() -> None:
     true = calibration()
-    known = true.vehicle.stamps_s <= 2.0
+    known = true.drive.vehicle.stamps_s <= 2.0
     vehicle = replace(
-        true.vehicle,
-        stamps_s=true.vehicle.stamps_s[known],
-        xy=true.vehicle.xy[known],
-        yaw_rad=true.vehicle.yaw_rad[known],
+        true.drive.vehicle,
+        stamps_s=true.drive.vehicle.stamps_s[known],
+        xy=true.drive.vehicle.xy[known],
+        yaw_rad=true.drive.vehicle.yaw_rad[known],
     )
-    assert max(overlay_stamps(replace(true, vehicle=vehicle))) <= 2.0
-    assert overlay_stamps(replace(true, vehicle=vehicle, time_offset_s=60.0)) == []
+    assert max(overlay_stamps(with_drive(true, vehicle=vehicle))) <= 2.0
+    assert overlay_stamps(with_drive(true, vehicle=vehicle, time_offset_s=60.0)) == []
 
 
 def test_one_sighting_is_drawn_once() -> None:
     true = calibration()
-    assert overlay_stamps(replace(true, track=Track(true.track.sightings[:1]))) == [true.track.sightings[0].stamp_s]
+    first = true.drive.track.sightings[:1]
+    assert overlay_stamps(with_drive(true, track=Track(first))) == [first[0].stamp_s]

@@ -31,6 +31,7 @@ from tests.report.support import (
     lane_map,
     lens,
     pixel,
+    with_drive,
 )
 
 LARGEST = 8_000_000
@@ -66,7 +67,7 @@ def test_by_how_much_a_rigid_transform_is_off_is_the_places_own_scale() -> None:
     """In the middle of a UTM zone 4 cm in 100 m, at its edge on the equator 10 cm."""
     for longitude_deg, off_cm in ((9.0, 4), (12.0, 10)):
         world = World.around(0.0, longitude_deg, "EPSG:32632")
-        assert f"makes {off_cm} cm in 100 m" in page(replace(calibration(), world=world), Made(PROVENANCE, ""))
+        assert f"makes {off_cm} cm in 100 m" in page(with_drive(calibration(), world=world), Made(PROVENANCE, ""))
 
 
 def test_place_and_direction_are_what_they_are() -> None:
@@ -119,8 +120,9 @@ def test_the_papers_method_stands_beside() -> None:
 @pytest.mark.slow
 def test_each_drive_has_its_own_track_by_the_messages() -> None:
     true = recorded()[0][1]
-    others = [replace(one, match=true.match) for one in passages()[1:]]
-    combined = replace(true, others=tuple(others), body=true.vehicle)
+    others = [replace(one, match=true.drive.match) for one in passages()[1:]]
+    own = replace(true.drive, body=true.drive.vehicle)
+    combined = replace(true, passages=(own, *others))
     tracks = [sender_track(drive) for drive in drives_of(combined)]
     vehicles = [one.body or one.vehicle for one in combined.passages]
     assert len(tracks) == len(vehicles) > 1
@@ -131,7 +133,8 @@ def test_each_drive_has_its_own_track_by_the_messages() -> None:
 @pytest.mark.slow
 def test_the_drives_of_several_are_named() -> None:
     true = recorded()[0][1]
-    combined = replace(true, others=tuple(replace(one, match=true.match) for one in passages()[1:]))
+    others = [replace(one, match=true.drive.match) for one in passages()[1:]]
+    combined = replace(true, passages=(true.drive, *others))
     shown = read(page(combined, Made(replace(PROVENANCE, kind="lidar"), "")))
     rows = shown.one("section", id="drives").all("tr")[1:]
     assert [row.all("td")[0].text for row in rows] == ["42", "43", "44"]
@@ -203,7 +206,7 @@ def test_the_map_puts_tracks_and_sensor_where_they_are() -> None:
     sent = layer(figure, "sent").one("path").attributes["d"]
     np.testing.assert_allclose(distances_to(sent, drive(np.array([0.0, 1.2, 4.0, 5.0]))[0]), 0.0, atol=2e-3)
     seen = points_of(layer(figure, "seen").one("path").attributes["d"])
-    np.testing.assert_allclose(seen, drive(true.track.stamps_s)[0], atol=2e-3)
+    np.testing.assert_allclose(seen, drive(true.drive.track.stamps_s)[0], atol=2e-3)
     assert points_of(layer(figure, "lanes").one("path").attributes["d"]).tolist() == [[-5.0, 20.0], [9.0, 20.0]]
     foot = layer(figure, "sensor").one("path", look="sensor dots").attributes["d"]
     np.testing.assert_allclose(points_of(foot), SENSOR_XY[None], atol=1e-3)
@@ -304,8 +307,8 @@ def test_it_stays_small_whatever_the_camera_sees() -> None:
 
 def test_a_long_drive_on_a_large_map_stays_small() -> None:
     true = calibration()
-    sightings = true.track.sightings * 200
-    long = replace(true, track=replace(true.track, sightings=sightings))
+    sightings = true.drive.track.sightings * 200
+    long = with_drive(true, track=replace(true.drive.track, sightings=sightings))
     rng = np.random.default_rng(1)
     lanes = lane_map(*(lane(*map(tuple, np.cumsum(rng.normal(0, 2, (50, 2)), axis=0))) for _ in range(500)))
     assert len(page(long, replace(with_images(), lane_map=lanes)).encode()) < LARGEST
@@ -313,6 +316,6 @@ def test_a_long_drive_on_a_large_map_stays_small() -> None:
 
 def test_what_is_not_known_leaves_a_page_all_the_same() -> None:
     true = calibration()
-    unknown = replace(true.vehicle, stamps_s=true.vehicle.stamps_s + 100.0)
-    shown = read(page(replace(true, vehicle=unknown)))
+    unknown = replace(true.drive.vehicle, stamps_s=true.drive.vehicle.stamps_s + 100.0)
+    shown = read(page(with_drive(true, vehicle=unknown)))
     assert "No frame of this drive can be compared" in shown.text

@@ -38,7 +38,7 @@ def test_the_residuals_are_the_estimates_own(number: int) -> None:
 @pytest.mark.parametrize("number", range(3))
 def test_the_clock_is_the_estimates_own(number: int) -> None:
     found = recorded()[number][1]
-    assert correction(fitted(number), "clock") == pytest.approx(found.time_offset_s, abs=0.2 * found.time_sigma_s)
+    assert correction(fitted(number), "clock") == pytest.approx(found.drive.time_offset_s, abs=0.2 * found.time_sigma_s)
 
 
 @pytest.mark.parametrize("number", range(3))

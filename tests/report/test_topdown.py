@@ -24,6 +24,7 @@ from tests.report.support import (
     lane,
     lane_map,
     with_another,
+    with_drive,
 )
 
 
@@ -98,7 +99,7 @@ def test_all_that_matters_is_in_view_and_a_far_box_does_not_shrink_it() -> None:
 
 def test_background_is_drawn_in_its_place() -> None:
     true = calibration()
-    level = true.background.boxes[0].box.centre
+    level = true.drive.background.boxes[0].box.centre
     world = SENSOR_XY + np.array([-level[1], level[0]])  # the level frame's x points north
     assert pytest.approx(np.pi / 2) == YAW_RAD
     x, y = np.rint(plot_view(true).pixels(world)).astype(int)
@@ -145,7 +146,7 @@ def test_no_ellipse_is_drawn_that_would_be_hidden() -> None:
 
 
 def test_a_vehicle_without_known_times_still_gives_a_map() -> None:
-    assert draw_topdown(replace(calibration(), time_offset_s=1000.0)).shape == (SIZE[1], SIZE[0], 3)
+    assert draw_topdown(with_drive(calibration(), time_offset_s=1000.0)).shape == (SIZE[1], SIZE[0], 3)
 
 
 @given(st.floats(1e-3, 1e5), st.integers(2, 12))

@@ -370,7 +370,7 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
     """
     assert calibration.world.crs == scene.crs, f"{calibration.world.crs} is not {scene.crs}"
     T_true, T_found = scene.T_utm_sensor, calibration.T_utm_sensor
-    track = scene.track_utm_of(calibration.station_id)
+    track = scene.track_utm_of(calibration.drive.station_id)
     track = track[np.linalg.norm(track - T_true[:2, 3], axis=1) < SCORED_M]
     ground = np.column_stack([track, np.zeros(len(track))])
     error = transform(T_found @ invert(T_true), ground) - ground

@@ -76,12 +76,12 @@ def validate(document: object) -> None:
 
 def to_document(calibration: Calibration, provenance: Provenance, lane_check: Document | None = None) -> Document:
     """Return a result as JSON; ``lane_check`` is its comparison with the map's lines, if that was requested."""
-    quality, angles = calibration.quality, calibration.viewing_angles
+    quality, angles, drive = calibration.quality, calibration.viewing_angles, calibration.drive
     document: Document = {
         "schema": "laci-calibration/1",
         "version": version("laci-stereo"),
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "method": calibration.method,
+        "method": drive.method,
         "sensor": {"name": provenance.name, "kind": provenance.kind, "frame": provenance.frame},
         "world": {
             "crs": calibration.world.crs,
@@ -94,10 +94,10 @@ def to_document(calibration: Calibration, provenance: Provenance, lane_check: Do
         "slope": _slope(calibration.slope),
         "height_m": calibration.height_m,
         "euler_deg": {"yaw": angles.yaw_deg, "down": angles.down_deg, "roll": angles.roll_deg},
-        "time_offset_s": calibration.time_offset_s,
+        "time_offset_s": drive.time_offset_s,
         "time_sigma_s": calibration.time_sigma_s,
-        "station_id": calibration.station_id,
-        "vehicle": {"length_m": calibration.vehicle.length_m, "width_m": calibration.vehicle.width_m},
+        "station_id": drive.station_id,
+        "vehicle": {"length_m": drive.vehicle.length_m, "width_m": drive.vehicle.width_m},
         "covariance": calibration.covariance.tolist(),
         "covariance_centre_world": calibration.centre_world.tolist(),
         "quality": {
@@ -153,7 +153,7 @@ def _paper(calibration: Calibration) -> Document | None:
 
 def boxes_in_world(calibration: Calibration) -> list[list[float]]:
     """Return each background box as centre x, centre y, length, width, yaw, height; metres and radians, world frame."""
-    match = calibration.match
+    match = calibration.drive.match
     return [
         [
             *map(float, rotate_xy(match.yaw_rad, static.box.centre) + match.shift),
@@ -162,7 +162,7 @@ def boxes_in_world(calibration: Calibration) -> list[list[float]]:
             float(static.box.yaw_rad + match.yaw_rad),
             static.height_m,
         ]
-        for static in calibration.background.boxes
+        for static in calibration.drive.background.boxes
     ]
 
 

@@ -175,9 +175,9 @@ def place_facts(calibration: Calibration) -> tuple[Fact, ...]:
 
 def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
     """Return the result's uncertainty, its residual, and the amount of data that it is based on."""
-    quality, vehicle = calibration.quality, calibration.vehicle
+    quality, drive = calibration.quality, calibration.drive
     seen = f"{quality.frames_used} of {quality.frames_seen}"
-    size = f"{vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m"
+    size = f"{drive.vehicle.length_m:.2f} m × {drive.vehicle.width_m:.2f} m"
     return (
         Fact(
             "Position along the track",
@@ -197,24 +197,25 @@ def doubt_facts(calibration: Calibration) -> tuple[Fact, ...]:
         Fact("Frames used", seen, "frames in the fit, of those that show the vehicle"),
         Fact(
             "Vehicle",
-            f"station {calibration.station_id}, {size}{others_of(calibration)}",
+            f"station {drive.station_id}, {size}{others_of(calibration)}",
             "sender of the messages (CAM), and the size that they report",
         ),
     )
 
 
 def _residual_of(calibration: Calibration) -> str:
-    if calibration.method == "paper":
+    if calibration.drive.method == "paper":
         return "between both tracks"
-    points = any(len(sighting.points) for sighting in calibration.track.sightings)
+    points = any(len(sighting.points) for sighting in calibration.drive.track.sightings)
     return "from the points to the vehicle's outline" if points else "from the boxes' middles to the vehicle's"
 
 
 def clock_facts(calibration: Calibration) -> tuple[Fact, ...]:
     """Return the clock offset between sensor and messages, and its prior."""
-    if calibration.method == "paper":
+    if calibration.drive.method == "paper":
         return (Fact("Clock offset", "taken as zero", "the paper's method does not estimate it"),)
-    offset, sigma, prior = calibration.time_offset_s, calibration.time_sigma_s, calibration.clock_sigma_s
+    drive = calibration.drive
+    offset, sigma, prior = drive.time_offset_s, calibration.time_sigma_s, drive.clock_sigma_s
     return (
         Fact(
             "Clock offset",

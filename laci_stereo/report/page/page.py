@@ -134,7 +134,7 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
 
 @in_one_thread
 def _fitted(calibration: Calibration, config: Mapping[str, Any]) -> list[DrivePage]:
-    known = {**config.get("joint", {}), "clock_sigma_s": calibration.clock_sigma_s}
+    known = {**config.get("joint", {}), "clock_sigma_s": calibration.drive.clock_sigma_s}
     several = bool(calibration.others)
     return [
         _drive_page(calibration, passage, JointSettings(**known), f"Drive {number}" if several else "")
@@ -143,7 +143,7 @@ def _fitted(calibration: Calibration, config: Mapping[str, Any]) -> list[DrivePa
 
 
 def _drive_page(calibration: Calibration, passage: Passage, settings: JointSettings, name: str) -> DrivePage:
-    fit = fit_drive(passage, settings) if calibration.method == "joint" else None
+    fit = fit_drive(passage, settings) if calibration.drive.method == "joint" else None
     corrections = () if fit is None else facts.corrected(fit.corrections)
     if fit is None or fit.laid is None:
         return DrivePage(name, _centres_chart(passage), None, (), corrections)

@@ -141,7 +141,7 @@ def _shown(view: MapView) -> tuple[FloatArray, FloatArray]:
 
 
 def _background(calibration: Calibration) -> Iterator[Part]:
-    for corners, static in zip(background_corners(calibration), calibration.background.boxes, strict=True):
+    for corners, static in zip(background_corners(calibration), calibration.drive.background.boxes, strict=True):
         size = f"{static.box.length_m:.1f} m × {static.box.width_m:.1f} m, {static.height_m:.1f} m high"
         yield Part("background", lines([corners], 2, closed=True), f"background box, {size}")
 
@@ -159,27 +159,31 @@ def _lanes(view: MapView, lane_map: LaneMap | None) -> Iterator[Part]:
 def _points(drives: list[Calibration]) -> FloatArray:
     """Return at most `MOST_DOTS` points of the vehicles, world, shape (n, 2)."""
     found = [
-        transform(T_world_level(drive), sighting.points)[:, :2] for drive in drives for sighting in drive.track.usable
+        transform(T_world_level(alone), sighting.points)[:, :2]
+        for alone in drives
+        for sighting in alone.drive.track.usable
     ]
     return thinned(np.concatenate([np.zeros((0, 2)), *found]), MOST_DOTS)
 
 
 def _boxes(drives: list[Calibration]) -> list[FloatArray]:
-    return [mark.corners for drive in drives for mark in marks_of(drive)]
+    return [mark.corners for alone in drives for mark in marks_of(alone)]
 
 
 def _sent(drives: list[Calibration]) -> Iterator[Part]:
-    for drive in drives:
-        yield Part("sent", lines(sender_track(drive), DIGITS), f"track by the messages of station {drive.station_id}")
+    for alone in drives:
+        yield Part(
+            "sent", lines(sender_track(alone), DIGITS), f"track by the messages of station {alone.drive.station_id}"
+        )
 
 
 def _seen(drives: list[Calibration]) -> FloatArray:
-    found = [plan_in_world(drive, drive.track.centres) for drive in drives]
+    found = [plan_in_world(alone, alone.drive.track.centres) for alone in drives]
     return thinned(np.concatenate([np.zeros((0, 2)), *found]), MOST_MOMENTS)
 
 
 def _ellipses(calibration: Calibration, drives: list[Calibration]) -> Iterator[Part]:
-    places = [(mark.seen, 0.0) for drive in drives for mark in marks_of(drive)]
+    places = [(mark.seen, 0.0) for alone in drives for mark in marks_of(alone)]
     places.append((calibration.T_world_sensor[:2, 3], float(calibration.T_world_sensor[2, 3])))
     for sigmas, look in ((1.0, "one"), (3.0, "three")):
         around = [position_ellipse(calibration, xy, z_m, sigmas) for xy, z_m in places]
@@ -201,8 +205,8 @@ def _labels(calibration: Calibration, drives: list[Calibration], view: MapView) 
     looks = calibration.T_world_sensor[:2, :3] @ np.array(calibration.axes.forward)
     below = np.array([0.0, LABEL_PX if looks[1] > 0 else -LABEL_PX])
     places = [(calibration.T_world_sensor[:2, 3], "sensor", below)]
-    for drive in drives:
-        for mark in marks_of(drive):
+    for alone in drives:
+        for mark in marks_of(alone):
             clear_m = float(((mark.corners - mark.sent) @ mark.left).max())
             beside = LABEL_PX * mark.left * [1.0, -1.0]
             places.append((mark.sent + mark.left * clear_m, f"{mark.stamp_s:.0f} s", beside))
@@ -215,13 +219,13 @@ def _label(pixels: FloatArray, text: str, beside_px: FloatArray) -> Label:
 
 def _moments(drives: list[Calibration], view: MapView) -> tuple[Moment, ...]:
     found: list[Moment] = []
-    for number, drive in enumerate(drives, start=1):
+    for number, alone in enumerate(drives, start=1):
         named = f"drive {number}, " if len(drives) > 1 else ""
-        step = max(1, -(-len(drive.track.usable) * len(drives) // MOST_MOMENTS))
-        for sighting in drive.track.usable[::step]:
-            seen = plan_in_world(drive, sighting.box.centre[None])[0]
+        step = max(1, -(-len(alone.drive.track.usable) * len(drives) // MOST_MOMENTS))
+        for sighting in alone.drive.track.usable[::step]:
+            seen = plan_in_world(alone, sighting.box.centre[None])[0]
             points = f", {sighting.count} points" if len(sighting.points) else ""
-            said = f"{named}t = {sighting.stamp_s:.2f} s{points}; {_against(drive, sighting.stamp_s, seen)}"
+            said = f"{named}t = {sighting.stamp_s:.2f} s{points}; {_against(alone, sighting.stamp_s, seen)}"
             x, y = view.pixels(seen).tolist()
             found.append(Moment(x, y, said))
     return tuple(found)

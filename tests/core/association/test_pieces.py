@@ -43,7 +43,7 @@ def calibrated(made: Scene) -> Calibration:
 
 def error_m(made: Scene, found: Calibration) -> float:
     """Root mean square along the vehicle's way."""
-    xy, _ = made.vehicle.drive.at(found.track.stamps_s)
+    xy, _ = made.vehicle.drive.at(found.drive.track.stamps_s)
     level = np.column_stack([xy, np.zeros(len(xy))])
     off = transform(found.T_utm_sensor, transform(invert(made.recording.T_world_sensor), level))[:, :2] - ULM.to_utm(xy)
     return float(np.sqrt((off**2).sum(axis=1).mean()))
@@ -64,7 +64,7 @@ def test_a_bus_whose_middle_is_dark_is_one_vehicle(drive: Drive, gap_m: float) -
     found = calibrated(made)
     assert found.quality.verdict == "pass"
     assert error_m(made, found) < 3.0 * found.quality.track_xy_sigma_m
-    assert np.quantile([one.box.length_m for one in found.track.usable], 0.9) == pytest.approx(12.0, abs=0.3)
+    assert np.quantile([one.box.length_m for one in found.drive.track.usable], 0.9) == pytest.approx(12.0, abs=0.3)
 
 
 @pytest.mark.slow

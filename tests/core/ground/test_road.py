@@ -279,7 +279,7 @@ def test_a_recording_is_observed_again_only_where_the_road_is_far_from_the_groun
     assert len(grounds) == times
     assert (found.ground.normal != grounds[0].normal).any()
     # Whether observed again or laid onto the road, the sender is where it was in that frame.
-    first = watched.locate(Settings()).track.sightings[0]
+    first = watched.locate(Settings()).drive.track.sightings[0]
     at = transform(scene.T_world_sensor @ invert(found.T_level_sensor), first.points)
     xy, _ = scene.sender.track(np.array([first.stamp_s]) + scene.times_s[0])
     assert np.abs(at[:, :2] - xy).max() < scene.sender.length_m

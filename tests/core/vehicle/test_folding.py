@@ -91,7 +91,7 @@ def test_where_it_is_straight_it_calibrates(caplog: pytest.LogCaptureFixture) ->
     assert "articulates in bends" in caplog.text
     bends = np.abs(fold(THEN_BENDS, made.recording.times_s)) > 1.5 * STRAIGHT_RAD
     assert found.quality.frames_used <= np.count_nonzero(~bends)
-    xy, _ = made.vehicle.drive.at(found.track.stamps_s)
+    xy, _ = made.vehicle.drive.at(found.drive.track.stamps_s)
     sensor = transform(invert(made.recording.T_world_sensor), np.column_stack([xy, np.zeros(len(xy))]))
     off = transform(found.T_utm_sensor, sensor)[:, :2] - ULM.to_utm(xy)
     assert np.sqrt((off**2).sum(axis=1).mean()) < 3.0 * found.quality.track_xy_sigma_m
