@@ -41,8 +41,8 @@ calibrations were found to be wrong. A wrong place of the reference point on the
 at least the second number, in which an error of half the vehicle's length moves the position by half of that error; on
 a straight drive the noise of the headings looks like it."""
 
-IN_TURNS = frozenset({"ahead", "left"})
-"""Corrections that only a turn determines, and that noise resembles without one."""
+IN_TURNS = frozenset({"ahead", "left", "lag"})
+"""Corrections that only a turn determines."""
 
 LAGGING_S = 0.2
 """Standard deviation of the lag of headings that are not of the same moment as the positions: those of filtered
@@ -65,7 +65,7 @@ class Mistake:
         The hypothesis only holds if the priors allow for all other corrections.
     by_odds : bool
         The hypothesis need not be significant: its prior is centred on no mistake and the volume of its posterior is
-        reckoned, so that where it is the more likely one its standard deviations are the right ones.
+        known, so that where it is the more likely one its standard deviations are the right ones.
     """
 
     what: frozenset[str]
@@ -123,6 +123,9 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
     """
     settings, drives = problem.settings, [model.drive for model in problem.models]
     senders = len(set(problem.recordings.stations))
+    # The variance of a detector's boxes is estimated from their dispersion: an estimate with wrong clocks, which add to
+    # it, never seems to contradict it, and likelihoods only compare as if errors of successive boxes were independent.
+    boxes = not any(len(drive.points) for drive in drives)
     heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
     wider = heading.heading_sigma_deg / settings.heading_sigma_deg
     likely = [Mistake(frozenset({"heading"}), heading, senders * np.log(wider))]
@@ -130,16 +133,13 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
-        likely.append(Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S), by_odds=True))
+        likely.append(Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S), by_odds=not boxes))
     # Where all disparities may be off, as after one camera has rotated relative to the other, a wrong focal length or
     # baseline would only seem to be found.
     if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
         optics = replace(settings, optics_sigma=WRONG_OPTICS)
         likely.append(Mistake(frozenset(OPTICS), optics))
     apart_s = float(np.abs(solved.x[problem.clocks]).max())
-    # The variance of a detector's boxes is estimated from their dispersion, to which a wrong clock adds: an estimate
-    # that takes the clocks as synchronised never seems to contradict that.
-    boxes = not any(len(drive.points) for drive in drives)
     if not problem.turn.possible and (boxes or apart_s > LATE * settings.clock_sigma_s):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         wider = unset.clock_sigma_s / settings.clock_sigma_s
