@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
 from laci_stereo.core.errors import CalibrationFileError
-from laci_stereo.core.frames import FloatArray, invert, transform, wrap
+from laci_stereo.core.frames import FloatArray, invert, planar, rotate_xy, transform, wrap
 from laci_stereo.io.output import EVIDENCE_FILE
 from laci_stereo.io.result.evidence_file import read_evidence
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
@@ -107,7 +107,7 @@ def compare(results: Sequence[Path | str], *, renamed: bool = False) -> tuple[Co
     Raises
     ------
     CalibrationFileError, EvidenceError
-        If one cannot be read, or they differ in sensor, frame or UTM zone.
+        If one cannot be read, or they differ in sensor or frame.
     """
     if len(results) < 2:
         raise CalibrationFileError(f"{len(results)} result; needed are at least 2 to compare")
@@ -130,21 +130,35 @@ def _check_same(one: StoredCalibration, other: StoredCalibration) -> None:
     for what, of_one, of_other in (
         ("the sensor's kind", one.kind, other.kind),
         ("the sensor's frame", one.frame, other.frame),
-        ("the UTM zone", one.world.crs, other.world.crs),
     ):
         if of_one != of_other:
             raise CalibrationFileError(f"{other.path}: {what} is {of_other!r}; needed is {of_one!r} as in {one.path}")
-    apart_m = float(np.linalg.norm(_origin_of(other, one)[:2]))
-    if apart_m > FARTHEST_M:
+    apart_m = float(np.linalg.norm(_world_in(other, one)[:2, 3]))
+    if not apart_m <= FARTHEST_M:
+        of_one, of_other = (f" ({each.world.crs})" if one.world.crs != other.world.crs else "" for each in (one, other))
         raise CalibrationFileError(
-            f"{other.path}: its tracks are {apart_m:.0f} m from those in {one.path}; needed are at most "
-            f"{FARTHEST_M:.0f} m: is it the same sensor?"
+            f"{other.path}: its tracks{of_other} are {apart_m:.0f} m from those in {one.path}{of_one}; needed are at "
+            f"most {FARTHEST_M:.0f} m: is it the same sensor?"
         )
 
 
-def _origin_of(other: StoredCalibration, one: StoredCalibration) -> FloatArray:
-    """Return the origin of the world of ``other`` in the world of ``one``, shape (3,)."""
-    return np.append(one.world.from_utm(np.array([other.world.origin_utm]))[0], 0.0)
+def _world_in(other: StoredCalibration, one: StoredCalibration) -> FloatArray:
+    """Return the transform from the world of ``other`` to that of ``one``, shape (4, 4).
+
+    The grids of two UTM zones are turned against each other by the difference of their meridian convergences. Both
+    worlds are in true metres, so that a rotation and a translation suffice: exact at the other's centre, and to 3 mm
+    100 m from it, as UTM's scale changes by less than 3e-8 per metre, even in a neighbouring zone, and a world's is
+    that of its origin, at most `FARTHEST_M` away.
+    """
+    if other.world.crs == one.world.crs:
+        return planar(0.0, one.world.from_utm(np.array([other.world.origin_utm]))[0])
+    place = other.centre_world[None, :2]
+    latitude_deg, longitude_deg = other.world.to_geodetic(place).T
+    north_one, north_other = (
+        float(each.world.yaw_from_heading(np.zeros(1), latitude_deg, longitude_deg)[0]) for each in (one, other)
+    )
+    turn_rad = north_one - north_other
+    return planar(turn_rad, (one.world.from_geodetic(latitude_deg, longitude_deg) - rotate_xy(turn_rad, place))[0])
 
 
 def _track_of(stored: StoredCalibration) -> FloatArray:
@@ -158,7 +172,7 @@ def _track_of(stored: StoredCalibration) -> FloatArray:
 def compare_two(
     one: StoredCalibration, other: StoredCalibration, track_one: FloatArray, track_other: FloatArray
 ) -> Comparison:
-    """Compare two results, in the world of the first.
+    """Compare two results, in the world of the first, also where that is in another UTM zone.
 
     Parameters
     ----------
@@ -166,18 +180,20 @@ def compare_two(
     track_one, track_other : ndarray, shape (n, 2)
         Positions at which the displacement is evaluated, each in its own world.
     """
-    shift = _origin_of(other, one)
-    T_one, T_other = one.T_world_sensor, other.T_world_sensor.copy()
-    T_other[:3, 3] += shift
-    centre = (one.centre_world + other.centre_world + shift) / 2
+    T_world_other = _world_in(other, one)
+    T_one, T_other = one.T_world_sensor, T_world_other @ other.T_world_sensor
+    centre_other = transform(T_world_other, other.centre_world[None])[0]
+    centre = (one.centre_world + centre_other) / 2
     T_apart = T_other @ invert(T_one)
     six = np.append(Rotation.from_matrix(T_apart[:3, :3]).as_rotvec(), transform(T_apart, centre[None])[0] - centre)
     covariance = _about(one.covariance, one.centre_world, centre)
-    covariance += _about(other.covariance, other.centre_world + shift, centre) + LEAST_SIGMA**2 * np.eye(6)
+    turned = np.kron(np.eye(2), T_world_other[:3, :3])
+    covariance += _about(turned @ other.covariance @ turned.T, centre_other, centre) + LEAST_SIGMA**2 * np.eye(6)
     chi_square = float(six @ np.linalg.solve(covariance, six))
-    track = np.concatenate([track_one, track_other + shift[:2]])
+    turn_rad = float(np.arctan2(T_world_other[1, 0], T_world_other[0, 0]))
+    track = np.concatenate([track_one, rotate_xy(turn_rad, track_other) + T_world_other[:2, 3]])
     differences = (
-        *_angles(one, other, covariance),
+        *_angles(one.angles_deg, np.add(other.angles_deg, (0.0, 0.0, np.degrees(turn_rad))), covariance),
         *_shifts(T_other[:3, 3] - T_one[:3, 3], _about(covariance, centre, T_one[:3, 3])),
         _objects(T_apart, track, centre, covariance),
         _turn(six[:3], covariance[:3, :3]),
@@ -193,10 +209,10 @@ def _about(covariance: FloatArray, centre: FloatArray, point: FloatArray) -> Flo
     return moved
 
 
-def _angles(one: StoredCalibration, other: StoredCalibration, covariance: FloatArray) -> Iterator[Difference]:
+def _angles(one_deg: Sequence[float], other_deg: FloatArray, covariance: FloatArray) -> Iterator[Difference]:
     """Yield the differences of roll, down and yaw, which are psi 1 to 3."""
-    apart_deg = np.degrees(wrap(np.radians(np.subtract(other.angles_deg, one.angles_deg))))
-    angles = Rotation.from_euler("ZYX", one.angles_deg[::-1], degrees=True)
+    apart_deg = np.degrees(wrap(np.radians(np.subtract(other_deg, one_deg))))
+    angles = Rotation.from_euler("ZYX", one_deg[::-1], degrees=True)
     step = 1e-6
     turned = [(Rotation.from_rotvec(step * axis) * angles).as_euler("ZYX")[::-1] for axis in np.eye(3)]
     jacobian = np.column_stack([wrap(each - angles.as_euler("ZYX")[::-1]) / step for each in turned])

@@ -107,7 +107,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
     pairs = pair_images(ImageFolder.open(left), ImageFolder.open(right))
     stereo = calibration_files(options.stereo, left)
     size = first_size(pair.left for pair in pairs.pairs)
-    rig = read_stereo_calibration(stereo, size, left, options.camera.baseline_m)
+    rig = read_stereo_calibration(stereo, size, left, options.camera.baseline_m, right)
     span_ns = pairs.pairs[0].stamp_ns, pairs.pairs[-1].stamp_ns
     drive = read_drive(cam, options.lane_map or find_lane_map(left), span_ns, options)
     if turn is None:

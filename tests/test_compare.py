@@ -18,8 +18,9 @@ from scipy.stats import chi2
 from laci_stereo.commands.cli import cli
 from laci_stereo.compare import compare, compare_two
 from laci_stereo.core.errors import CalibrationFileError
-from laci_stereo.core.frames import FloatArray, invert, rigid, transform
+from laci_stereo.core.frames import FloatArray, invert, planar, rigid, transform
 from laci_stereo.core.result import viewing_angles
+from laci_stereo.core.world import World
 from laci_stereo.io.result.calibration_file import to_document
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 from tests.io.support import with_utm
@@ -54,6 +55,27 @@ def in_other_world(document: dict[str, Any], east_m: float, north_m: float) -> d
     T[:3, 3] -= shift
     changed["T_world_sensor"] = T.tolist()
     changed["covariance_centre_world"] = (np.array(changed["covariance_centre_world"]) - shift).tolist()
+    return with_utm(changed)
+
+
+def in_other_zone(document: dict[str, Any], crs: str) -> dict[str, Any]:
+    """Return the same result in another UTM zone, by where the axes at its centre lie on the ellipsoid."""
+    changed, world = deepcopy(document), document["world"]
+    old = World(world["crs"], tuple(world["origin_utm"]), world["grid_scale"])
+    centre = np.array(document["covariance_centre_world"])
+    axes = centre[:2] + np.array([[0.0, 0.0], [10.0, 0.0], [-10.0, 0.0], [0.0, 10.0], [0.0, -10.0]])
+    degrees = old.to_geodetic(axes)
+    new = World.around(*degrees[0], crs)
+    moved = new.from_geodetic(*degrees.T)
+    yaw = np.arctan2(*(moved[1] - moved[2])[::-1])
+    assert np.linalg.norm(moved[3] - moved[4]) == pytest.approx(20.0, abs=1e-3)
+    T = planar(yaw, moved[0]) @ rigid(np.eye(3), -np.append(centre[:2], 0.0))
+    both = np.kron(np.eye(2), T[:3, :3])
+    changed["world"] = {"crs": new.crs, "origin_utm": list(new.origin_utm), "grid_scale": new.grid_scale}
+    changed["T_world_sensor"] = (T @ np.array(changed["T_world_sensor"])).tolist()
+    changed["covariance"] = (both @ np.array(changed["covariance"]) @ both.T).tolist()
+    changed["covariance_centre_world"] = [*moved[0], centre[2]]
+    changed["euler_deg"]["yaw"] += np.degrees(yaw)
     return with_utm(changed)
 
 
@@ -107,6 +129,18 @@ def test_world_in_which_a_result_is_given_does_not_matter(tmp_path: Path) -> Non
     assert elsewhere.chi_square == pytest.approx(plain.chi_square, rel=1e-6)
     for one, other in zip(plain.differences, elsewhere.differences, strict=True):
         assert (other.value, other.sigma) == pytest.approx((one.value, one.sigma), rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32631", "EPSG:32633"])
+def test_zone_in_which_a_result_is_given_does_not_matter(tmp_path: Path, crs: str) -> None:
+    second = moved(np.array([1e-3, 0.0, 2e-3, 0.1, 0.05, 0.01]))
+    other = in_other_zone(second, crs)
+    assert abs(other["euler_deg"]["yaw"] - second["euler_deg"]["yaw"]) > 1.0
+    plain = compare([written(tmp_path, "a", original()), written(tmp_path, "b", second)])[0]
+    zone = compare([written(tmp_path, "a", original()), written(tmp_path, "c", other)])[0]
+    assert zone.chi_square == pytest.approx(plain.chi_square, rel=1e-3)
+    for one, two in zip(plain.differences, zone.differences, strict=True):
+        assert (two.value, two.sigma) == pytest.approx((one.value, one.sigma), rel=1e-3, abs=1e-5)
 
 
 @pytest.mark.slow
@@ -203,7 +237,9 @@ def changed(**entries: object) -> dict[str, Any]:
         ({"sensor__name": "mast 8"}, ("name", "mast 8", "mast 7", "--renamed")),
         ({"sensor__kind": "lidar"}, ("kind", "lidar", "stereo")),
         ({"sensor__frame": "as in the scans"}, ("frame", "as in the scans")),
-        ({"world__crs": "EPSG:32633"}, ("UTM zone", "EPSG:32633", "EPSG:32632")),
+        ({"world__crs": "EPSG:32633"}, ("(EPSG:32633)", "(EPSG:32632)", "1000 m")),
+        ({"world__crs": "EPSG:32602"}, ("(EPSG:32602)", "(EPSG:32632)", "1000 m")),
+        ({"world__crs": "EPSG:32618"}, ("(EPSG:32618)", "(EPSG:32632)", "1000 m")),
         ({"world__origin_utm": [569797.0, 5463703.0]}, ("100034 m", "1000 m")),
         ({"T_world_sensor": (2 * np.eye(4)).tolist()}, ("T_world_sensor", "rotation")),
         ({"covariance": (-np.eye(6)).tolist()}, ("covariance", "eigenvalue")),

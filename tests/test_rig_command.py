@@ -289,6 +289,28 @@ def test_images_without_times_are_paired_by_name(tmp_path: Path) -> None:
     assert invoke(tmp_path / "left", tmp_path / "right").exit_code == 0
 
 
+def test_images_that_are_missing_are_asked_for(tmp_path: Path) -> None:
+    pairs(tmp_path, "five")
+    path = write_storage(tmp_path / "stereo.yaml", opencv_entries(RIGS["five"]))
+    for given in ([], [path], [path, tmp_path / "left"], [tmp_path / "left"], [path, path]):
+        ended = run(arguments(*given), tmp_path)
+        refusal(ended, 2, "LEFT and RIGHT, two folders of images")
+
+
+def test_an_image_folder_inside_the_one_given_is_named(tmp_path: Path) -> None:
+    pairs(tmp_path / "image_02", "five")
+    path = write_storage(tmp_path / "stereo.yaml", opencv_entries(RIGS["five"]))
+    ended = run(arguments(path, tmp_path / "image_02", tmp_path / "image_02/right"), tmp_path)
+    refusal(ended, 2, "but no image", f"as in {tmp_path / 'image_02/left'}")
+
+
+def test_images_of_another_size_are_told_both_sizes_of_the_calibration(matched: Callable[[str], Matched]) -> None:
+    rig = RIGS["five"]
+    rectified = replace(rig, left=replace(rig.left, size=(360, 270)))
+    other = replace(rig, left=replace(rig.left, size=(400, 200)), rectified=rectified)
+    assert "the calibration is for 400 x 200, rectified for 360 x 270" in said(check_rig(other, matched("five")))
+
+
 def arguments(*given: object) -> Sequence[str]:
     return ["rig", *map(str, given)]
 

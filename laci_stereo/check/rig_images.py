@@ -152,6 +152,8 @@ def _sized(rig: StereoRig, size: Size) -> tuple[StereoRig | None, tuple[Finding,
     if rig.left.size == size:
         return rig, ()
     mismatch = "the images are {} x {} pixels, the calibration is for {} x {}".format(*size, *rig.left.size)
+    if rig.rectified is not None and rig.rectified.left.size != rig.left.size:
+        mismatch += ", rectified for {} x {}".format(*rig.rectified.left.size)
     factor = size[0] / rig.left.size[0]
     if abs(rig.left.size[1] * factor - size[1]) > 1:
         return None, (Finding("fail", f"{mismatch}: another camera's, or cropped"),)

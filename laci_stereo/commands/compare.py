@@ -25,7 +25,8 @@ def compare_command(
 ) -> None:
     """Compare results of one sensor: by how much they differ, and by how much they claim to.
 
-    RESULT are result folders or their calibration.json, of different drives or settings.
+    RESULT are result folders or their calibration.json, of different drives or settings. Results in
+    different UTM zones are compared in that of the first.
 
     Exit codes: 0 they agree within what they claim, or one was imported and claims nothing; 1 some contradict each
     other; 2 the input cannot be read or makes no sense.

@@ -57,7 +57,7 @@ def import_command(
     """Take over a calibration that another tool made, to check, compare and export it.
 
     FILE holds a 4 x 4 matrix as text, or YAML, JSON or XML with a matrix, or with a translation and a rotation (matrix,
-    quaternion, rotation vector, or roll, pitch and yaw in radians), or is an export of this tool; of DAIR-V2X's cameras
+    quaternion, rotation vector, or roll, pitch and yaw), or is an export of this tool; of DAIR-V2X's cameras
     it is the folder with both files. How good it is nobody knows: compare tells by how much it differs, not whether
     that is too much, and check holds it against the map alone.
     """

@@ -12,7 +12,7 @@ from laci_stereo.check.rig_images import check_rig, match_images
 from laci_stereo.check.rig_picture import draw_rig
 from laci_stereo.commands.options import PATH, baseline_option, say_written
 from laci_stereo.commands.program import NEGATIVE
-from laci_stereo.core.errors import ImageError
+from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images, write_picture
 from laci_stereo.io.output import check_files, check_png, write_document
 from laci_stereo.io.rig.stereo_calibration import ForImages, calibration_files, read_rig
@@ -21,18 +21,14 @@ from laci_stereo.stereo.rectify import already_rectified
 
 
 @click.command()
-@click.argument("calibration", nargs=-1, type=PATH, metavar="[CALIB]...")
-@click.argument("left", type=PATH)
-@click.argument("right", type=PATH)
+@click.argument("paths", nargs=-1, type=PATH, metavar="[CALIB]... LEFT RIGHT")
 @click.option("--rectified", is_flag=True, help="The images are rectified already.")
 @baseline_option
 @click.option("--picture", type=PATH, help="File for a picture of the rectified pair with its matches (PNG).")
 @click.option("--json", "json_file", type=PATH, help="File for all figures.")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
 def rig(
-    calibration: tuple[Path, ...],
-    left: Path,
-    right: Path,
+    paths: tuple[Path, ...],
     rectified: bool,
     baseline: float | None,
     picture: Path | None,
@@ -47,13 +43,14 @@ def rig(
 
     Exit codes: 0 it fits, perhaps with a warning; 1 it does not; 2 something cannot be read or makes no sense.
     """
+    calibration, left, right = _parted(paths)
     outputs = [path for path in (picture, json_file) if path is not None]
     check_files(outputs, overwrite=overwrite)
     if picture is not None:
         check_png(picture)
     files = calibration_files(calibration, left)
     pairs = _pairs(left, right)
-    found = read_rig(files, ForImages(first_size(pair.left for pair in pairs), left, baseline))
+    found = read_rig(files, ForImages(first_size(pair.left for pair in pairs), left, baseline, right))
     check = check_rig(already_rectified(found) if rectified else found, match_images(pairs))
     click.echo(describe_rig(files, check))
     if picture is not None:
@@ -64,6 +61,24 @@ def rig(
         say_written(*outputs)
     if check.outcome == "fail":
         sys.exit(NEGATIVE)
+
+
+def _parted(paths: tuple[Path, ...]) -> tuple[tuple[Path, ...], Path, Path]:
+    """Return the files of the calibration and the two folders of images.
+
+    Raises
+    ------
+    SettingError
+        If one of the folders is missing.
+    """
+    folders = [path for path in paths[-2:] if not path.is_file()]
+    if len(folders) < 2:
+        found = ", ".join(map(str, paths)) or "nothing"
+        raise SettingError(
+            f"{found} given to rig; needed are LEFT and RIGHT, two folders of images, after the calibration's files, "
+            "for a calibration is shown as images need it, and held against them"
+        )
+    return paths[:-2], paths[-2], paths[-1]
 
 
 def _pairs(left: Path, right: Path) -> tuple[StereoPair, ...]:

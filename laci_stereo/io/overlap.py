@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.messages.cam import CamLog
+from laci_stereo.io.epochs import OTHER_CLOCKS, epoch_notes
 from laci_stereo.io.stamps import iso_text
 
 _S = 10**9
 _GPS_AHEAD_S = 18
 _TAI_AHEAD_S = 37
-_GPS_EPOCH_S = 315_964_800
-_ETSI_EPOCH_S = 1_072_915_200
-# ETSI's clock has counted the leap seconds since 2004.
-_ETSI_AHEAD_S = 5
 _FARTHEST_ZONE_H = 14
 
 
@@ -37,28 +34,10 @@ _CLOCK_ERRORS = (
         for sign in (1, -1)
     ),
     *(
-        _ClockError(
-            ahead_s - _ETSI_EPOCH_S,
-            f"the messages count from ETSI's epoch, 2004-01-01; add {_ETSI_EPOCH_S - _ETSI_AHEAD_S} s to their times, "
-            f"or {_ETSI_EPOCH_S} s if leap seconds are left out",
-        )
-        for ahead_s in (_ETSI_AHEAD_S, 0)
-    ),
-    *(
-        _ClockError(
-            ahead_s - _GPS_EPOCH_S,
-            f"the messages count from GPS's epoch, 1980-01-06; add {_GPS_EPOCH_S - _GPS_AHEAD_S} s to their times, "
-            f"or {_GPS_EPOCH_S} s if leap seconds are left out",
-        )
-        for ahead_s in (_GPS_AHEAD_S, 0)
-    ),
-    *(
-        _ClockError(
-            _GPS_EPOCH_S - ahead_s,
-            f"the recording counts from GPS's epoch, 1980-01-06; add {_GPS_EPOCH_S - _GPS_AHEAD_S} s to its times, "
-            f"or {_GPS_EPOCH_S} s if leap seconds are left out",
-        )
-        for ahead_s in (_GPS_AHEAD_S, 0)
+        _ClockError(sign * behind_s, f"{who} {clock.count}; {clock.remedy(times)}")
+        for clock in OTHER_CLOCKS
+        for sign, who, times in ((-1, "the messages count", "their times"), (1, "the recording counts", "its times"))
+        for behind_s in clock.behind_s
     ),
 )
 
@@ -84,11 +63,12 @@ def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
     after_s = (first_cam - first_ns) / _S
     side = "after" if after_s > 0 else "before"
     explained = _explanation(first_cam, last_cam, first_ns, last_ns)
-    hint = "" if explained is None else f"; likely: {explained.cause}"
+    hints = epoch_notes(log.stamps_ns) if explained is None else [f"likely: {explained.cause}"]
+    needed = "; ".join(["messages of the recording's time", *hints])
     raise CamError(
         f"the CAM log ({iso_text(first_cam)} to {iso_text(last_cam)}) and the recording ({iso_text(first_ns)} to "
         f"{iso_text(last_ns)}) do not overlap: the log begins {abs(after_s):.1f} s {side} the recording; needed are "
-        f"messages of the recording's time{hint}"
+        f"{needed}"
     )
 
 

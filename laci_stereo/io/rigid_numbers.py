@@ -76,8 +76,8 @@ def rotation_of_quaternion(xyzw: Sequence[float], name: str) -> FloatArray:
     return np.asarray(Rotation.from_quat(np.array(xyzw)).as_matrix())
 
 
-def rotation_of_angles(angles: Sequence[float], sequence: str, name: str) -> FloatArray:
-    """Return the rotation, shape (3, 3), of Euler angles in radians about axes in scipy's notation.
+def rotation_of_angles(angles: Sequence[float], sequence: str, name: str, *, degrees: bool = False) -> FloatArray:
+    """Return the rotation, shape (3, 3), of Euler angles in radians, or degrees, about axes in scipy's notation.
 
     Raises
     ------
@@ -85,9 +85,10 @@ def rotation_of_angles(angles: Sequence[float], sequence: str, name: str) -> Flo
         If an angle exceeds a full turn.
     """
     largest = max(angles, key=abs)
-    if not abs(largest) <= 2 * np.pi:
-        raise NoTransformError(f"an angle of {name} is {largest:.6g}; needed are radians: is it in degrees?")
-    return np.asarray(Rotation.from_euler(sequence, list(angles)).as_matrix())
+    if not abs(largest) <= (360.0 if degrees else 2 * np.pi):
+        needed = "degrees, at most 360" if degrees else "radians: is it in degrees? A name such as roll_deg says so"
+        raise NoTransformError(f"an angle of {name} is {largest:.6g}; needed are {needed}")
+    return np.asarray(Rotation.from_euler(sequence, list(angles), degrees=degrees).as_matrix())
 
 
 def rotation_of_vector(vector: Sequence[float], name: str) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from laci_stereo.core.errors import InputError
 from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.io.epochs import OF_GPS_WEEK, WEEK_MS
 from laci_stereo.io.stamps import iso_time, number, unit_of
 from laci_stereo.io.text_file import listed, quoted, read_text
 
@@ -194,8 +195,11 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
     texts = table.texts(TIMESTAMP) or []
     numbers = [number(text) for text in texts]
     moments = [iso_time(text) if value is None else None for text, value in zip(texts, numbers, strict=True)]
-    unit = unit_of([value for value in numbers if value is not None])
+    known = sorted(value for value in numbers if value is not None)
+    unit = unit_of(known)
     needed = f"a Unix time in {unit.name}" if unit is not None else "a Unix time or an ISO 8601 time"
+    if unit is None and known and 0 <= known[len(known) // 2] < WEEK_MS:
+        needed += f"; if it is of a GPS week, add to its seconds {OF_GPS_WEEK}"
     stamps: list[int] = []
     problems = {}
     for i, (text, value, moment) in enumerate(zip(texts, numbers, moments, strict=True)):

@@ -71,8 +71,19 @@ def names_in(folder: Path, kind: FileKind) -> list[str]:
         raise kind.error(f"{folder} is empty; needed are {kind.noun}s")
     names = [entry.name for entry in inside if kind.has(entry)]
     if not names:
-        raise kind.error(f"{folder} holds {len(inside)} files but no {kind.noun}; needed are {kind.formats} files")
+        below = next((entry for entry in inside if entry.is_dir() and _any_in(entry, kind)), None)
+        where = "" if below is None else f", as in {below}"
+        raise kind.error(
+            f"{folder} holds {len(inside)} files but no {kind.noun}; needed are {kind.formats} files{where}"
+        )
     return names
+
+
+def _any_in(folder: Path, kind: FileKind) -> bool:
+    try:
+        return any(map(kind.has, folder.iterdir()))
+    except OSError:
+        return False
 
 
 def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[Path, ...], IntArray]:

@@ -119,7 +119,7 @@ class StereoFrames:
     @cached_property
     def _rig(self) -> StereoRig:
         size = first_size(pair.left for pair in self._pairs)
-        return read_stereo_calibration(self._stereo, size, self._left, self._settings.baseline_m)
+        return read_stereo_calibration(self._stereo, size, self._left, self._settings.baseline_m, self._right)
 
 
 class _Patient(GreyReader):

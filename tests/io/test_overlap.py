@@ -70,6 +70,8 @@ def test_both_intervals_and_their_difference_are_named() -> None:
         (18 - 315964800, "the messages count from GPS's epoch, 1980-01-06; add 315964782 s to their times"),
         (-315964800, "the messages count from GPS's epoch, 1980-01-06; add 315964782 s to their times, or 315964800 s"),
         (315964800 - 18, "the recording counts from GPS's epoch, 1980-01-06; add 315964782 s to its times"),
+        (-619315200, "the messages count the weeks of GPS anew after 1024; add 619315200 s to their times"),
+        (1072915195, "the recording counts from ETSI's epoch, 2004-01-01; add 1072915195 s to its times"),
         (315964800, "the recording counts from GPS's epoch, 1980-01-06; add 315964782 s to its times, or 315964800 s"),
     ],
 )

@@ -29,10 +29,14 @@ from laci_stereo.io.cam.columns import (
     Values,
 )
 from laci_stereo.io.cam.exchange import look_exchanged
+from laci_stereo.io.epochs import epoch_notes
 from laci_stereo.io.table import BAD_SHARE, Problems, merged, skip_notes
+from laci_stereo.io.text_file import listed
 
 _NOWHERE_DEG = 1e-4
 _SAME_PLACE_DEG = 1e-6
+_SAME_SIZE_M = 0.01
+_MOST_STATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,8 @@ def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamR
     good = np.array([i not in problems for i in range(len(messages))], dtype=bool)
     log, order_notes = _in_order(messages, _log(messages.stamps_ns, messages.station_id, values)[good])
     position_notes = _check_positions(messages, log)
-    understood = (*notes, *zero_notes, *sign_notes, *skipped, *range_notes, *order_notes, *position_notes)
+    log_notes = (*order_notes, *position_notes, *epoch_notes(log.stamps_ns), *_size_notes(log))
+    understood = (*notes, *zero_notes, *sign_notes, *skipped, *range_notes, *log_notes)
     return CamRecording(log, understood, file_format)
 
 
@@ -255,3 +260,24 @@ def _check_positions(messages: Messages, log: CamLog) -> list[str]:
             "they do not move as heading and speed say, exchanged they do; needed are latitudes as latitude"
         )
     return [f"{missing} {messages.noun}s without position"] if missing else []
+
+
+def _size_notes(log: CamLog) -> list[str]:
+    """Return notes on stations whose vehicle changes its length or width."""
+    notes = []
+    for quantity, sizes in ((LENGTH, log.length_m), (WIDTH, log.width_m)):
+        told = np.flatnonzero(np.isfinite(sizes))
+        told = told[np.argsort(log.station_id[told], kind="stable")]
+        stations, sizes = log.station_id[told], sizes[told]
+        changes = (np.diff(stations) == 0) & (np.abs(np.diff(sizes)) > _SAME_SIZE_M)
+        changing, counts = np.unique(stations[1:][changes], return_counts=True)
+        if len(changing) == 0:
+            continue
+        of_first = sizes[stations == changing[0]]
+        others = listed([str(station) for station in changing[1:]], _MOST_STATIONS)
+        notes.append(
+            f"station {changing[0]} changes its {quantity.name} {counts[0]} times, between {of_first.min():.2f} and "
+            f"{of_first.max():.2f} m{others and f' (so do {others})'}: the median is taken; if several vehicles send "
+            "under one number, give each its own"
+        )
+    return notes

@@ -345,7 +345,11 @@ def _check(path: Path, found: Arrays) -> None:
         "axes, at right angles and of length 1": np.allclose(found["axes"] @ found["axes"].T, np.eye(2), atol=1e-6),
         "ground's normal, of length 1": abs(np.linalg.norm(plane[:3]) - 1.0) < 1e-6,
         "ground's height, above 0": plane[3] > 0.0,
-        "ground's covariance, symmetric and not negative": np.allclose(covariance, covariance.T)
+        "ground's covariance, symmetric, not negative, and above 0 of normal and height": np.allclose(
+            covariance, covariance.T
+        )
+        and np.trace(covariance[:3, :3]) > 0.0
+        and covariance[3, 3] > 0.0
         and np.linalg.eigvalsh(covariance)[0] > -1e-6 * max(float(np.trace(covariance)), 0.0) - 1e-15,
         "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all() and (found["vehicle"][4:6] >= 0.0).all(),
         "turn, of at least 0 s, by -1, 0 or 1": found["turn"][0] >= 0.0 and found["turn"][1] in TURNS,

@@ -19,6 +19,8 @@ from laci_stereo.io.text_file import read_text
 _FARTHEST_FROM_RIGID = 1e-6
 """Largest error of the products of a rotation's rows; written numbers have more digits."""
 
+_FARTHEST_FROM_SYMMETRIC = 1e-6
+"""Largest difference of a covariance's two halves, as a correlation; rounding makes less than 1e-12."""
 
 _SAME = 1e-3
 """Largest difference of two transforms that are the same, in metres: UTM coordinates are written with more digits."""
@@ -168,4 +170,18 @@ def _check(stored: StoredCalibration) -> None:
     if not least > -1e-12 * max(float(np.trace(stored.covariance)), 1e-12):
         raise CalibrationFileError(
             f"{stored.path}: covariance has the eigenvalue {least:.2g}; needed are none below zero"
+        )
+    variances = np.diag(stored.covariance)
+    if not (variances > 0.0).all():
+        raise CalibrationFileError(
+            f"{stored.path}: covariance has the variance {variances.min():.2g}, as if the result were exact; needed "
+            "are six above zero, or null instead of a covariance that nobody knows"
+        )
+    apart = np.abs(stored.covariance - stored.covariance.T) / np.sqrt(np.outer(variances, variances))
+    if not apart.max() < _FARTHEST_FROM_SYMMETRIC:
+        row, column = np.unravel_index(apart.argmax(), apart.shape)
+        upper, lower = stored.covariance[row, column], stored.covariance[column, row]
+        raise CalibrationFileError(
+            f"{stored.path}: covariance is not symmetric, it has {upper:.3g} in row {row + 1}, column "
+            f"{column + 1} and {lower:.3g} the other way; needed is the same in both"
         )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -32,8 +33,19 @@ _LONGEST_TEXT = 4000
 _NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _NUMBERS = re.compile(rf"\s*{_NUMBER}(?:[\s,;]+{_NUMBER})*[\s,;]*")
 _ORDERS = (("x", "y", "z", "w"), ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw"))
-_ROTATIONS = ("rotation", "orientation", "quaternion", "q", "R", "rvec", "rpy", "euler_angles")
-_TRANSLATIONS = ("translation", "position", "T", "t", "tvec", "xyz")
+_QUATERNIONS = ("rotation", "orientation", "quaternion", "quat", "q")
+_ROLL_FIRST, _YAW_FIRST = ("rpy", "roll_pitch_yaw"), ("ypr", "yaw_pitch_roll")
+_DEGREES = "_deg"
+_UNITS = ("", "_rad", _DEGREES)
+_ROTATIONS = (
+    *_QUATERNIONS,
+    *(f"{name}_{order}" for name in _QUATERNIONS for order in ("xyzw", "wxyz")),
+    *("R", "rvec"),
+    *(f"{name}{unit}" for name in (*_ROLL_FIRST, *_YAW_FIRST, "euler", "euler_angles") for unit in _UNITS),
+)
+_TRANSLATIONS = tuple(
+    f"{name}{unit}" for unit in ("", "_m") for name in ("translation", "position", "T", "t", "tvec", "xyz")
+)
 _MAP = r"(?:utm|map|world|odom|earth|global|enu)"
 _MAP_FRAME = re.compile(rf"(?:.*/)?{_MAP}(?:_?(?:frame|link|origin|{_MAP}|(?<!\d)\d+[a-z]?))*", re.IGNORECASE)
 _FRAME = re.compile(r"/?[A-Za-z][\w/.-]*")
@@ -251,10 +263,11 @@ def _named(node: Node, name: str, depth: int, frames: _Frames | None = None) -> 
         yield _path(name, key), partial(_whole, _path(name, key), found, frames)
     rotation, translation = _rotation_in(node, numbers), _translation_in(node, numbers)
     if not whole and rotation is not None and translation is not None:
-        if rotation[0] == "roll" and frames is None and "/" in name:  # Autoware writes a frame below its parent
+        if rotation.name == "roll" and frames is None and "/" in name:  # Autoware writes a frame below its parent
             below = _Frames(*name.split("/")[-2:])
             frames = below if below.from_map is False else None
-        yield name or rotation[0], partial(_of_parts, name or rotation[0], node, rotation, translation, frames)
+        called = name or rotation.name
+        yield called, partial(_of_parts, called, node, rotation, translation, frames)
         return
     for key, inner in node.items():
         if key != STATEMENT and numbers[key] is None:
@@ -278,19 +291,74 @@ def _path(name: str, key: str) -> str:
 _Numbers = Mapping[str, "list[float] | None"]
 
 
-def _rotation_in(node: Mapping[str, Node], numbers: _Numbers) -> tuple[str, list[float]] | None:
-    """Return the name and the numbers of a node's rotation, if it has one."""
-    for order in (("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")):
-        flat = _in_order(node, order)
-        if flat is not None:
-            return order[0], flat
-    return next(((key, found) for key in _ROTATIONS if (found := numbers.get(key)) and len(found) in (3, 4, 9)), None)
+@dataclass(frozen=True)
+class _Rotation:
+    """A rotation as written: its entry's name, its kind, its numbers, and what had to be assumed of them.
+
+    Quaternions are in the order x, y, z, w; radians and degrees are roll, pitch and yaw; of an unclear one, the order
+    of the three numbers is unknown.
+    """
+
+    name: str
+    kind: Literal["matrix", "quaternion", "vector", "radians", "degrees", "unclear"]
+    numbers: list[float]
+    assumed: str = ""
+
+
+def _rotation_in(node: Mapping[str, Node], numbers: _Numbers) -> _Rotation | None:
+    """Return a node's rotation, if it has one."""
+    flat = _in_order(node, ("qx", "qy", "qz", "qw"))
+    if flat is not None:
+        return _Rotation("qx", "quaternion", flat)
+    clear = _angles_in(node) or next(
+        (found for key in _ROTATIONS if key in node and (found := _rotation_of(key, node[key], numbers[key]))), None
+    )
+    unclear = (
+        _Rotation(key, "unclear", found)
+        for key, found in numbers.items()
+        if found is not None and len(found) == 3 and (key in _ROTATIONS or key.lower().startswith("euler"))
+    )
+    return clear or next(unclear, None)
+
+
+def _rotation_of(key: str, node: Node, numbers: list[float] | None) -> _Rotation | None:
+    """Return the rotation of an entry, if its name and the number of its numbers make clear what they are."""
+    angles = _angles_in(node, key) if isinstance(node, dict) else None
+    if angles is not None or numbers is None:
+        return angles
+    if len(numbers) == 9:
+        return _Rotation(key, "matrix", numbers)
+    if len(numbers) == 4 and key.startswith(_QUATERNIONS):
+        stated = key.endswith(("_xyzw", "_wxyz"))
+        if key.endswith("_wxyz") and not (isinstance(node, dict) and "w" in node):
+            numbers = [*numbers[1:], numbers[0]]
+        return _Rotation(key, "quaternion", numbers, "x, y, z, w" if isinstance(node, list) and not stated else "")
+    if len(numbers) == 3 and key == "rvec":
+        return _Rotation(key, "vector", numbers)
+    if len(numbers) == 3 and key.startswith((*_ROLL_FIRST, *_YAW_FIRST)):
+        return _angles(key, numbers if key.startswith(_ROLL_FIRST) else numbers[::-1], key.endswith(_DEGREES))
+    return None
+
+
+def _angles_in(node: Mapping[str, Node], key: str = "") -> _Rotation | None:
+    """Return the angles that a node has by name; ``key``, its own name, may tell their unit."""
+    for unit in _UNITS:
+        found = _in_order(node, (f"roll{unit}", f"pitch{unit}", f"yaw{unit}"))
+        if found is not None:
+            return _angles(key or "roll", found, (unit or key).endswith(_DEGREES))
+    return None
+
+
+def _angles(name: str, roll_pitch_yaw: list[float], in_degrees: bool) -> _Rotation:
+    unit: Literal["radians", "degrees"] = "degrees" if in_degrees else "radians"
+    return _Rotation(name, unit, roll_pitch_yaw, f"roll, pitch and yaw about fixed axes, {unit}")
 
 
 def _translation_in(node: Mapping[str, Node], numbers: _Numbers) -> list[float] | None:
-    flat = _in_order(node, ("x", "y", "z"))
-    if flat is not None:
-        return flat
+    for unit in ("", "_m"):
+        flat = _in_order(node, (f"x{unit}", f"y{unit}", f"z{unit}"))
+        if flat is not None:
+            return flat
     return next((found for key in _TRANSLATIONS if (found := numbers.get(key)) and len(found) == 3), None)
 
 
@@ -333,11 +401,10 @@ def _of_map(words: list[str]) -> bool:
 def _of_parts(
     name: str,
     node: Mapping[str, Node],
-    rotation: tuple[str, list[float]],
+    rotation: _Rotation,
     translation: list[float],
     frames: _Frames | None,
 ) -> WrittenPose:
-    key, numbers = rotation
     from_map, unclear = _stated(name, frames)
     notes = list(unclear)
     error = node.get("relative_error")
@@ -345,21 +412,33 @@ def _of_parts(
         delta = [error.get(axis) for axis in ("delta_x", "delta_y")]
         shift = (*(value if isinstance(value, float) else 0.0 for value in delta), 0.0)
         translation = [a + b for a, b in zip(translation, shift, strict=True)]
-    if len(numbers) == 9:
-        turned = rotation_of(np.reshape(numbers, (3, 3)), name)
-    elif len(numbers) == 4:
-        if isinstance(node.get(key), list):
-            notes.append(f"the quaternion of {name} was taken as x, y, z, w")
-        turned = rotation_of_quaternion(numbers, name)
-    elif key == "rvec":
-        turned = rotation_of_vector(numbers, name)
-    else:
-        notes.append(f"the angles of {name} were taken as roll, pitch and yaw about fixed axes, radians")
-        turned = rotation_of_angles(numbers, "xyz", name)
+    if rotation.assumed:
+        written = f"quaternion of {name} was" if rotation.kind == "quaternion" else f"angles of {name} were"
+        notes.append(f"the {written} taken as {rotation.assumed}")
+    turned = _turned(rotation, name)
     T = rigid(turned, translation_of(translation, name))
-    if from_map is None and key == "rvec":  # OpenCV's rvec and tvec map points from the map to the camera
+    if from_map is None and rotation.kind == "vector":  # OpenCV's rvec and tvec map points from the map to the camera
         from_map = True
     return WrittenPose(name, T, from_map=from_map, notes=tuple(notes))
+
+
+def _turned(rotation: _Rotation, name: str) -> FloatArray:
+    """Return the rotation, shape (3, 3)."""
+    match rotation.kind:
+        case "matrix":
+            return rotation_of(np.reshape(rotation.numbers, (3, 3)), name)
+        case "quaternion":
+            return rotation_of_quaternion(rotation.numbers, name)
+        case "vector":
+            return rotation_of_vector(rotation.numbers, name)
+        case "radians" | "degrees":
+            return rotation_of_angles(rotation.numbers, "xyz", name, degrees=rotation.kind == "degrees")
+        case "unclear":
+            raise NoTransformError(
+                f"{rotation.name} is three numbers, whose order and axes nobody knows; needed is a name that tells "
+                "them: roll, pitch and yaw, rpy or ypr (yaw first), in radians about fixed axes, or the same with _deg "
+                "(roll_deg, rpy_deg), a rotation matrix, quaternion_xyzw or quaternion_wxyz"
+            )
 
 
 def _numbers(node: Node, depth: int) -> list[float] | None:

@@ -65,13 +65,23 @@ def _rectified(document: Document, left: str, right: str, size: Size, notes: tup
 
 def _pair(name: str, cameras: set[int], images: ForImages) -> tuple[tuple[int, int], str]:
     """Return the numbers of the left and the right camera, and a note on the reason for this choice."""
-    named = images.left_camera
+    pair, chosen = _pair_by_left(name, cameras, images.left_camera)
+    if images.left_camera in cameras and images.right_camera in cameras and images.right_camera != pair[1]:
+        raise RigError(
+            f"{name}: the images are of cameras {images.left_camera} and {images.right_camera}, as their folders are "
+            "numbered; needed are those of cameras 0 and 1, or 2 and 3, the left one first"
+        )
+    return pair, chosen
+
+
+def _pair_by_left(name: str, cameras: set[int], named: int | None) -> tuple[tuple[int, int], str]:
     if named is not None and {named, named + 1} <= cameras:
         return (named, named + 1), f"cameras {named} and {named + 1}, as the folder of the left images is numbered"
     found = next((pair for pair in _PAIRS if set(pair) <= cameras), None)
     if found is None:
         raise RigError(
-            f"{name} has camera {listed([str(camera) for camera in sorted(cameras)])}; needed are 0 and 1, or 2 and 3"
+            f"{name} has camera {listed([str(camera) for camera in sorted(cameras)])}; needed are 0 and 1, or 2 and 3: "
+            "of raw data, their S, K, D, R and T, as the calib_cam_to_cam.txt of the day has them"
         )
     return found, f"cameras {found[0]} and {found[1]}; a left folder called image_00 or image_02 would tell which"
 

@@ -59,7 +59,10 @@ CALIBRATION_FILES: tuple[tuple[str, ...], ...] = (
 )
 """File names by which a calibration is found, in order of preference; its format is recognised by its content."""
 
-_USUAL = "stereo.yaml, left.yaml with right.yaml, intrinsics.yml with extrinsics.yml, camchain*.yaml or calib.txt"
+_USUAL = (
+    "stereo.yaml, left.yaml with right.yaml, intrinsics.yml with extrinsics.yml, camchain*.yaml, calib.txt or "
+    "calib_cam_to_cam.txt"
+)
 
 Reader: TypeAlias = Callable[[Sequence[Document], ForImages], StereoRig | None]
 
@@ -97,7 +100,7 @@ def calibration_files(given: Path | Sequence[Path], left_folder: Path) -> tuple[
         beside = left_folder.absolute().parent
         found = _found_in(beside)
         if not found:
-            raise RigError(f"{beside}: no {_USUAL}; needed is one, or --stereo FILE")
+            raise RigError(f"{beside}: no {_USUAL}; needed is one, or --stereo FILE (of rig: FILE before LEFT)")
         return found
     if len(paths) == 1 and paths[0].is_dir():
         found = _found_in(paths[0])
@@ -112,6 +115,7 @@ def read_stereo_calibration(
     image_size: Size | None = None,
     left_folder: Path | None = None,
     baseline_m: float | None = None,
+    right_folder: Path | None = None,
 ) -> StereoRig:
     """Read a stereo calibration and check that it is plausible.
 
@@ -121,8 +125,8 @@ def read_stereo_calibration(
         One or two files, in any format of docs/stereo-calibrations.md.
     image_size : tuple of int, optional
         Width and height of the images to be calibrated, pixels.
-    left_folder : path, optional
-        The folder of the left images; its name may determine which cameras of a file with several are meant.
+    left_folder, right_folder : path, optional
+        The folders of the images; their names may determine which cameras of a file with several are meant.
     baseline_m : float, optional
         The distance between the cameras, where the file's lengths are in an unknown unit.
 
@@ -132,7 +136,7 @@ def read_stereo_calibration(
         If the calibration cannot be read, lacks an entry, is for images of another size, or describes no usable stereo
         camera.
     """
-    rig = read_rig(files, ForImages(image_size, left_folder, baseline_m))
+    rig = read_rig(files, ForImages(image_size, left_folder, baseline_m, right_folder))
     if image_size is not None:
         check_size(_names(files), rig, image_size)
     return rig

@@ -107,18 +107,30 @@ class ForImages:
         The folder of the left images.
     baseline_m : float or None
         The distance between the cameras, where the user states it: the unit of a file's lengths may be unknown.
+    right : Path or None
+        The folder of the right images.
     """
 
     size: Size | None = None
     left: Path | None = None
     baseline_m: float | None = None
+    right: Path | None = None
 
     @property
     def left_camera(self) -> int | None:
         """The camera number in the name of the left folder or its parent, as in ``image_02/data``; None without one."""
-        parts = () if self.left is None else self.left.absolute().parts[-2:]
-        found = [re.fullmatch(r"(?:image|cam|camera)_?0*(\d{1,2})", part) for part in reversed(parts)]
-        return next((int(match[1]) for match in found if match), None)
+        return _camera_in(self.left)
+
+    @property
+    def right_camera(self) -> int | None:
+        """The same of the right folder."""
+        return _camera_in(self.right)
+
+
+def _camera_in(folder: Path | None) -> int | None:
+    parts = () if folder is None else folder.absolute().parts[-2:]
+    found = [re.fullmatch(r"(?:image|cam|camera)_?0*(\d{1,2})", part) for part in reversed(parts)]
+    return next((int(match[1]) for match in found if match), None)
 
 
 def rectified_pair(left_P: FloatArray, right_P: FloatArray, size: Size, notes: tuple[str, ...]) -> StereoRig:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timezone
@@ -135,6 +136,43 @@ def test_a_message_is_of_its_generation_not_of_its_reception(tmp_path: Path, shi
     recording = read_cam_csv(write(tmp_path / "received.csv", rows))
     assert recording.log.stamps_ns.tolist() == [message.ns for message in sent]
     assert any("generationDeltaTime, of which 65.536 s the time of reception tells" in note for note in recording.notes)
+
+
+def test_seconds_of_a_gps_week_are_refused_with_what_they_lack(tmp_path: Path) -> None:
+    gps_s = START_NS // 10**9 - 315_964_782
+    in_week = [
+        replace(message, ns=message.ns - (315_964_782 + gps_s // 604_800 * 604_800) * 10**9) for message in drive()
+    ]
+    with pytest.raises(CamError) as refused:
+        read_cam_csv(write(tmp_path / "cam.csv", table(in_week)))
+    first_s, week_s = map(
+        int, re.findall(r"(\d+) s, and (\d+) s for each week since 1980-01-06", str(refused.value))[0]
+    )
+    mended_s = in_week[0].ns // 10**9 + first_s + gps_s // 604_800 * week_s
+    assert mended_s == START_NS // 10**9
+
+
+@pytest.mark.parametrize("milliseconds", [False, True])
+def test_times_of_another_epoch_are_remarked(tmp_path: Path, milliseconds: bool) -> None:
+    behind = [replace(message, ns=message.ns - 1_072_915_195 * 10**9) for message in drive()]
+    title, stamp = (
+        ("timestamp_ms", lambda m: str(m.ns // 10**6)) if milliseconds else ("timestamp", CANONICAL["timestamp"])
+    )
+    columns = {title: stamp, **{name: text for name, text in CANONICAL.items() if name != "timestamp"}}
+    (note,) = [n for n in read_cam_csv(write(tmp_path / "cam.csv", table(behind, columns))).notes if "the times" in n]
+    assert "the times are of 1991-10-10" in note
+    assert "from ETSI's epoch, 2004-01-01, they are of 2025-10-09: add 1072915195 s to them" in note
+
+
+@pytest.mark.parametrize("other_m", [4.8, 12.0])
+def test_a_vehicle_that_changes_its_length_is_remarked(tmp_path: Path, other_m: float) -> None:
+    sent = [replace(message, length=(4.7, other_m)[i % 2]) for i, message in enumerate(drive())]
+    steady = [replace(message, station=4712, length=9.9) for message in drive()]
+    changing = read_cam_csv(write(tmp_path / "cam.csv", table([*sent, *steady])))
+    (note,) = changing.notes[-1:]
+    assert note.startswith(f"station 4711 changes its vehicle_length 19 times, between 4.70 and {other_m:.2f} m: the")
+    assert "4712" not in note
+    assert not any("changes" in each for each in read_cam_csv(write(tmp_path / "b.csv", table(steady))).notes)
 
 
 @pytest.mark.parametrize("filled", ["0", "", "70000", "1.5"])

@@ -210,6 +210,7 @@ def test_every_array_is_needed_in_its_kind_and_shape(tmp_path: Path, name: str) 
         ("ground_plane", 3, -1.0, "height"),
         ("ground_covariance", (0, 1), 1.0, "covariance"),
         ("ground_covariance", (3, 3), -1.0, "covariance"),
+        ("ground_covariance", ..., 0.0, "above 0 of normal and height"),
         ("vehicle", 0, 0.0, "size"),
         ("own", 4, 0.0, "clock sigma"),
         ("message_stamps_s", 1, -1e9, "messages' stamps"),

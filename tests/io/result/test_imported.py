@@ -112,6 +112,9 @@ T_MAP[:2, 3] += np.array(LIDAR.world.origin_utm) - ORIGIN
 R, T = T_MAP[:3, :3], T_MAP[:3, 3]
 QUATERNION = Rotation.from_matrix(R).as_quat()
 ROLL, PITCH, YAW = Rotation.from_matrix(R).as_euler("xyz")
+ROLL_DEG, PITCH_DEG, YAW_DEG = Rotation.from_matrix(R).as_euler("xyz", degrees=True).tolist()
+WXYZ = QUATERNION[[3, 0, 1, 2]].tolist()
+ANGLES_DEG = {"roll_deg": ROLL_DEG, "pitch_deg": PITCH_DEG, "yaw_deg": YAW_DEG}
 XYZ = dict(zip("xyz", T.tolist(), strict=True))
 
 
@@ -149,6 +152,25 @@ WRITTEN = {
         {"map": {"lidar": {**XYZ, "roll": float(ROLL), "pitch": float(PITCH), "yaw": float(YAW)}}}
     ),
     "rpy": yaml.safe_dump({"xyz": T.tolist(), "rpy": [float(ROLL), float(PITCH), float(YAW)]}),
+    "rpy, degrees": yaml.safe_dump({"translation": T.tolist(), "rpy_deg": [ROLL_DEG, PITCH_DEG, YAW_DEG]}),
+    "ypr": yaml.safe_dump({"translation": T.tolist(), "ypr": [float(YAW), float(PITCH), float(ROLL)]}),
+    "ypr, degrees": yaml.safe_dump({"translation_m": T.tolist(), "yaw_pitch_roll_deg": [YAW_DEG, PITCH_DEG, ROLL_DEG]}),
+    "angles, degrees": yaml.safe_dump({**XYZ, **ANGLES_DEG}),
+    "angles, degrees, metres": json.dumps({**{f"{axis}_m": value for axis, value in XYZ.items()}, **ANGLES_DEG}),
+    "angles inside": json.dumps({"translation": XYZ, "rotation": ANGLES_DEG}),
+    "angles inside, unit outside": json.dumps(
+        {"translation": XYZ, "euler_deg": {"yaw": YAW_DEG, "pitch": PITCH_DEG, "roll": ROLL_DEG}}
+    ),
+    "quaternion, w first": json.dumps({"translation": T.tolist(), "quaternion_wxyz": WXYZ}),
+    "quaternion, w last": json.dumps({"translation": T.tolist(), "q_xyzw": QUATERNION.tolist()}),
+    "quaternion, w first by name": yaml.safe_dump(
+        {"translation": XYZ, "rotation_wxyz": dict(zip("wxyz", WXYZ, strict=True))}
+    ),
+    "quaternion, w first, as a matrix": opencv_yaml(t=T[:, None], quaternion_wxyz=np.array(WXYZ)[:, None]),
+    "quaternion, w first, as text": f"translation: {rows(T[None])}\nquaternion_wxyz: {rows(np.array([WXYZ]))}\n",
+    "euler beside a quaternion": json.dumps(
+        {"translation": T.tolist(), "euler": [0.1, 0.2, 0.3], "quaternion": QUATERNION.tolist()}
+    ),
     "opencv": opencv_yaml(T_map_lidar=T_MAP),
     "opencv inverse": opencv_yaml(T_lidar_map=invert(T_MAP)),
     "solvePnP": opencv_yaml(
@@ -174,6 +196,21 @@ def test_what_other_tools_write(tmp_path: Path, text: str) -> None:
     np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
     np.testing.assert_allclose(in_utm(found), in_utm(LIDAR), rtol=0, atol=1e-5)
     assert (found.name, found.kind) == ("mast", "lidar")
+
+
+@pytest.mark.parametrize("name", ["euler", "euler_deg", "euler_angles", "euler_xyz", "rotation"])
+def test_three_angles_in_an_order_that_nobody_knows_are_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "mast.yaml"
+    path.write_text(yaml.safe_dump({"translation": T.tolist(), name: [0.1, 0.2, 0.3]}))
+    with pytest.raises(CalibrationFileError, match=rf"{name} is three numbers, whose order .* rpy or ypr .*_wxyz"):
+        taken(path, origin=ORIGIN)
+
+
+def test_a_quaternions_order_is_noted_where_no_name_tells_it(tmp_path: Path) -> None:
+    path = tmp_path / "mast.yaml"
+    for name, noted in (("quaternion", True), ("quaternion_xyzw", False)):
+        path.write_text(yaml.safe_dump({"translation": T.tolist(), name: QUATERNION.tolist()}))
+        assert any("taken as x, y, z, w" in note for note in taken(path, origin=ORIGIN).notes) == noted
 
 
 def centre_utm() -> FloatArray:
@@ -479,6 +516,7 @@ WRONG = {
     rows(np.eye(3)): "it holds 9 numbers; needed are the 16",
     rows(turned(T_MAP, lambda m: m[:3, 3].__imul__(1000.0))): r"the sensor would stand at UTM",
     yaml.safe_dump({**XYZ, "roll": 0.0, "pitch": 3.0, "yaw": 114.7}): r"an angle of roll is 114\.7; .* in degrees\?",
+    yaml.safe_dump({**XYZ, "roll_deg": 0.0, "pitch_deg": 3.0, "yaw_deg": 1147.0}): r"roll is 1147; needed are degrees",
     yaml.safe_dump(
         {"t": T.tolist(), "q": [0.1, 0.2, 0.3, 0.4]}
     ): r"the quaternion of q has the norm 0\.547723; needed is 1",

@@ -76,6 +76,36 @@ def test_numbers_beyond_measure_and_long_mistakes_are_one_line(change: Any, mess
     assert len(str(caught.value)) < 1000
 
 
+def with_covariance(made: dict[str, Any], *changes: tuple[int, int, float]) -> None:
+    covariance = np.diag([1e-6, 1e-6, 1e-5, 0.01, 0.01, 1e-4])
+    covariance[2, 3] = covariance[3, 2] = 1e-4
+    for row, column, value in changes:
+        covariance[row, column] = value
+    made.update(covariance=covariance.tolist())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ([(i, j, 0.0) for i in range(6) for j in range(6)], "covariance has the variance 0, .* or null"),
+        ([(5, 5, 0.0)], "covariance has the variance 0, "),
+        ([(2, 3, 1.0), (3, 2, 1.0)], "covariance has the eigenvalue -"),
+        ([(0, 1, 5e-7)], "not symmetric, it has 5e-07 in row 1, column 2 and 0 the other way"),
+    ],
+    ids=["zeros", "one zero", "more than certain", "askew"],
+)
+def test_what_is_no_covariance_is_refused(changes: list[tuple[int, int, float]], message: str, tmp_path: Path) -> None:
+    made = document(tmp_path)
+    with_covariance(made)
+    (tmp_path / "calibration.json").write_text(to_text(made))
+    assert read_calibration(tmp_path).claims
+    with_covariance(made, *changes)
+    (tmp_path / "calibration.json").write_text(to_text(made))
+    with pytest.raises(CalibrationFileError, match=message) as caught:
+        read_calibration(tmp_path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
 @pytest.mark.parametrize("result", ["none", "", "calibration.json"])
 def test_where_there_is_none_it_says_what_is_needed(result: str, tmp_path: Path) -> None:
     with pytest.raises(CalibrationFileError, match=r"does not exist; needed is a result's folder or its calibration"):

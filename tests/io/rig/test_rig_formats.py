@@ -99,6 +99,18 @@ def test_the_size_of_the_images_tells_kittis_rectified_ones(tmp_path: Path) -> N
     assert read.baseline_m == pytest.approx(rig.baseline_m)
 
 
+@pytest.mark.parametrize(
+    ("left", "right"), [("image_00", "image_03"), ("image_02", "image_01"), ("image_03", "image_02")]
+)
+def test_images_of_cameras_that_are_no_pair_of_kittis_are_named(tmp_path: Path, left: str, right: str) -> None:
+    rig = RIGS["five"]
+    (path,) = writers.kitti_raw(tmp_path, rig)
+    read = read_rig(path, ForImages(rig.left.size, tmp_path / "image_00/data", right=tmp_path / "image_01/data"))
+    np.testing.assert_allclose(read.t_right_left_m, rig.t_right_left_m, atol=1e-9)
+    with pytest.raises(RigError, match=rf"cameras {int(left[-2:])} and {int(right[-2:])}, .*; needed .* the left one"):
+        read_stereo_calibration(path, None, tmp_path / left / "data", right_folder=tmp_path / right / "data")
+
+
 P0 = np.array([[718.856, 0.0, 607.1928, 0.0], [0.0, 718.856, 185.2157, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
 
@@ -370,7 +382,8 @@ def test_files_that_are_not_found(tmp_path: Path) -> None:
     left = tmp_path / "left"
     left.mkdir()
     with pytest.raises(
-        RigError, match=r"no stereo\.yaml, left\.yaml with right\.yaml.*needed is one, or --stereo FILE"
+        RigError,
+        match=r"no stereo\.yaml, left\.yaml with right\.yaml.*calib_cam_to_cam\.txt; needed is one, or --stereo FILE",
     ):
         calibration_files((), left)
     with pytest.raises(RigError, match=r"left is a folder; needed is a file, or a folder with"):
@@ -419,7 +432,7 @@ def test_a_real_middlebury_pair() -> None:
 
 @needs_shared
 def test_real_files_that_hold_no_whole_rig() -> None:
-    with pytest.raises(RigError, match="has camera 0; needed are 0 and 1, or 2 and 3"):
+    with pytest.raises(RigError, match=r"has camera 0; needed are 0 and 1, or 2 and 3: of raw .* S, K, D"):
         read_stereo_calibration(FAMOUS / "kitti_calib_cam_to_cam.txt", (1242, 375))
     with pytest.raises(RigError, match=r"opencv_intrinsics\.yml lacks the rotation between the cameras"):
         read_stereo_calibration(FAMOUS / "opencv_intrinsics.yml", (640, 480))
