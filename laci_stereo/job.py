@@ -207,8 +207,8 @@ class Task(ABC):
         Returns images for the report.
     remarks : callable
         Returns remarks on the sensor after the recording was read, one line each.
-    doubts : tuple of str
-        Objections: what in the inputs may have spoilt the result, one line each.
+    doubts, failures : tuple of str
+        Objections: what in the inputs may have spoilt the result, and what surely has, one line each.
     again : callable
         Returns a task that includes what a result, or a refusal, shows about the sensor; None if that is nothing new.
     """
@@ -222,6 +222,7 @@ class Task(ABC):
     photograph: Photographing = not_photographed
     remarks: Callable[[], tuple[str, ...]] = no_remarks
     doubts: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
     again: Callable[[Calibration | CalibrationError], Task | None] = nothing_new
 
     @abstractmethod
@@ -267,12 +268,12 @@ class Task(ABC):
         except CalibrationError as error:
             if (task := self.again(error)) is not None:
                 return task.run(watch)
-            if not self.doubts:
+            if not (objections := self.failures + self.doubts):
                 raise
-            raise type(error)("; ".join((str(error), *self.doubts))) from error
+            raise type(error)("; ".join((str(error), *objections))) from error
         if (task := self.again(found)) is not None:
             return task.run(watch)
-        found = replace(found, quality=found.quality.doubted(*self.doubts))
+        found = replace(found, quality=found.quality.doubted(*self.doubts).failed(*self.failures))
         lanes = self.check(found)
         return Result(found if lanes is None else beside_map(found, lanes.check), self, lanes)
 

@@ -143,6 +143,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
         photograph=partial(_photographs, recording),
         remarks=partial(_words, recording),
         again=partial(_again, partial(prepare, left, right, cam, asked), turn, recording.rectification),
+        failures=turn.failures,
         doubts=turn.doubts + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ()),
     )
 

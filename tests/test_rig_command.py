@@ -14,6 +14,7 @@ from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.check.rig_images import Matched, RigCheck, check_rig, match_images, scaled
+from laci_stereo.check.rig_turn import find_turn
 from laci_stereo.commands.rig import rig as rig_command
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import StereoPair
@@ -217,7 +218,8 @@ def drive(folder: Path, steps_later: float) -> list[StereoPair]:
 @pytest.mark.parametrize("later", [0.0, 0.5, pytest.param(-0.5, marks=pytest.mark.slow)])
 def test_how_much_later_the_right_images_are(tmp_path: Path, later: float) -> None:
     """Frames are 0.1 s apart, so half a frame is 50 ms."""
-    check = check_rig_images(RIGS["five"], drive(tmp_path, later))
+    recorded = drive(tmp_path, later)
+    check = check_rig_images(RIGS["five"], recorded)
     assert check.fit is not None
     assert check.fit.lag is not None
     assert check.fit.lag.seconds == pytest.approx(0.1 * later, abs=3 * check.fit.lag.sigma_s)
@@ -225,6 +227,9 @@ def test_how_much_later_the_right_images_are(tmp_path: Path, later: float) -> No
     assert check.outcome == ("fail" if later else "pass")
     assert ("ms later than the left ones" in said(check)) == bool(later)
     assert "stale" not in said(check)
+    turn = find_turn(RIGS["five"], recorded)
+    assert ["ms later than the left ones" in failure for failure in turn.failures] == [True] * bool(later)
+    assert turn.doubts == ()
 
 
 def test_images_of_different_times_are_named(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from laci_stereo.check.rig_images import fit_of, flat_images, match_images, swapped_images
 from laci_stereo.check.rig_matches import PairMatches
-from laci_stereo.check.rig_verdict import WARN_PX, Fit, contradictions, outcome_of
+from laci_stereo.check.rig_verdict import WARN_PX, Fit, contradictions, exposures_apart, outcome_of
 from laci_stereo.core.errors import ImageError, RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.images import StereoPair
@@ -61,8 +61,8 @@ class RightTurn:
         only roughly.
     looks : int
         Number of times that a drive was used to estimate the yaw.
-    by_rows, doubts : tuple of str
-        What was corrected, and the objections to the calibration that remain.
+    by_rows, doubts, failures : tuple of str
+        What was corrected, the objections to the calibration that remain, and what makes the images unusable.
     fits : callable, or None
         Evaluates the matches under a given turn; None if there is no turn.
     """
@@ -73,6 +73,7 @@ class RightTurn:
     looks: int = 0
     by_rows: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
     fits: Callable[[TurnDeg], Fit] | None = None
 
     @property
@@ -125,19 +126,23 @@ def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
     against = contradictions(fit, fit.judged)
     if outcome_of(against) == "fail" and (mistakes := [*swapped_images(rig, matches), *flat_images(rig, matches)]):
         raise RigError(f"{pairs[0].left.parent}: {mistakes[0].text}")
-    doubts = tuple(f"stereo calibration: {finding.text}" for finding in against)
+    unusable = [finding for finding in exposures_apart(fit) if finding.outcome == "fail"]
+    failures = tuple(f"stereo images: {finding.text}" for finding in unusable)
+    doubts = tuple(f"stereo calibration: {finding.text}" for finding in against if finding not in unusable)
+    found = RightTurn(doubts=doubts, failures=failures)
     if turn_deg == NO_TURN:
-        return RightTurn(doubts=doubts)
+        return found
     words, turn_rad = _in_words(fits(NO_TURN), turn_deg), float(np.radians(np.linalg.norm(turn_deg)))
     off_px = fit.points.focal_px * turn_rad
     if off_px <= WARN_PX:
-        return RightTurn(turn_deg, off_px, by_rows=(f"{words}; this is compensated",), doubts=doubts, fits=fits)
+        by_rows = (f"{words}; this is compensated",)
+        return replace(found, turn_deg=turn_deg, off_px=off_px, by_rows=by_rows, fits=fits)
     doubt = (
         f"{words}; this is compensated, but a yaw of the same size, which only the drive can show, would put what is "
         f"{SAID_AT_M:.0f} m away {SAID_AT_M**2 * turn_rad / rig.baseline_m:.1f} m nearer or farther: calibrate the "
         "cameras again"
     )
-    return RightTurn(turn_deg, off_px, doubts=(doubt, *doubts), fits=fits)
+    return replace(found, turn_deg=turn_deg, off_px=off_px, doubts=(doubt, *doubts), fits=fits)
 
 
 def _fit_turned(rig: StereoRig, matches: Sequence[PairMatches], turn_deg: TurnDeg) -> Fit:

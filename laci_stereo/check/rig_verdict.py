@@ -92,7 +92,7 @@ def contradictions(fit: Fit, shown: Parallax) -> tuple[Finding, ...]:
     found = [*_rows(shown), *_columns(shown, fit.points.focal_px)]
     if fit.strange:
         found.append(Finding("warn", _strangers(fit)))
-    return (*found, *_times(fit))
+    return (*found, *exposures_apart(fit))
 
 
 def outcome_of(findings: tuple[Finding, ...]) -> Outcome:
@@ -177,7 +177,8 @@ def _columns(parallax: Parallax, focal_px: float) -> list[Finding]:
     return found
 
 
-def _times(fit: Fit) -> list[Finding]:
+def exposures_apart(fit: Fit) -> list[Finding]:
+    """Return the objection that left and right images are not of the same moment, by the points that move."""
     expected = fit.moving.points * fit.still.matched / max(fit.still.points, 1)
     if expected >= FEWEST_EXPECTED and fit.moving.matched <= expected / 4:
         return [

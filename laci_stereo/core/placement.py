@@ -263,7 +263,7 @@ def place(
         contradictions=(
             *(f"{name}: {words}" if name else words for name, words in contradicted),
             *([_optics_in_words(fit)] if fit.optics else []),
-            *([_perhaps_unset(fit.perhaps_unset)] if fit.perhaps_unset else []),
+            *([_perhaps_unset(fit.perhaps_unset, fit)] if fit.perhaps_unset else []),
         ),
         bodies=fit.bodies,
     )
@@ -407,15 +407,16 @@ def _optics_in_words(fit: JointFit) -> str:
     return (
         f"depths are {depths} than measured, and widths {breadths}: the stereo calibration's focal length (depths "
         f"alone) or baseline (both) is wrong, and the camera's position is off by about {off_m:.1f} m; correct it and "
-        "calibrate again"
+        "calibrate again; left and right images of different moments look alike"
     )
 
 
-def _perhaps_unset(clock: Correction) -> str:
-    """Return in words that an unset clock would explain the points better, where its offset is not well known."""
+def _perhaps_unset(clock: Correction, fit: JointFit) -> str:
+    """Return in words that an unset clock would explain the points better, or as wrong optics do."""
+    fits = "explain it too" if fit.optics else "fit better"
     return (
-        f"a clock offset of {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms would fit better; unless the clocks "
-        "are known to be synchronised: --clock unknown"
+        f"a clock offset of {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms would {fits}; unless the clocks are "
+        "known to be synchronised: --clock unknown"
     )
 
 

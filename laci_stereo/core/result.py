@@ -63,6 +63,10 @@ class Quality:
         verdict: Verdict = "warn" if self.verdict == "pass" and reasons else self.verdict
         return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
+    def failed(self, *reasons: str) -> Quality:
+        """Return this quality with additional reasons; with any, the verdict is "fail"."""
+        return replace(self, verdict="fail" if reasons else self.verdict, reasons=(*reasons, *self.reasons))
+
 
 @dataclass(frozen=True)
 class Calibration:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, OPENCV_AXES, Axes, FloatArray, rigid, rotation_z
-from laci_stereo.core.result import viewing_angles
+from laci_stereo.core.result import Quality, Verdict, viewing_angles
 from tests.simulated import R_FLU_OPENCV, lidar, mounted, stereo
 
 AXES = pytest.mark.parametrize("axes", [OPENCV_AXES, FORWARD_LEFT_UP_AXES], ids=["opencv", "forward-left-up"])
@@ -58,3 +58,13 @@ def test_straight_down_is_finite(axes: Axes) -> None:
     angles = viewing_angles(pose(Rotation.from_rotvec([0.0, np.pi / 2, 0.0]).as_matrix(), axes), axes)
     assert angles.down_deg == pytest.approx(90.0)
     assert np.isfinite([angles.yaw_deg, angles.roll_deg]).all()
+
+
+@pytest.mark.parametrize(
+    ("verdict", "failures", "expected"),
+    [("pass", (), "pass"), ("warn", (), "warn"), ("pass", ("spoilt",), "fail"), ("warn", ("spoilt",), "fail")],
+)
+def test_what_surely_spoils_a_result_makes_it_fail(verdict: Verdict, failures: tuple[str, ...], expected: str) -> None:
+    before = Quality(verdict, ("doubted",), 0.1, 0.1, 90.0, "", 0.1, 0.1, 0.01, 0.05, 31, 31, {})
+    after = before.failed(*failures)
+    assert (after.verdict, after.reasons) == (expected, (*failures, "doubted"))

@@ -111,7 +111,7 @@ def disparities_off(case: Case) -> Alternative | None:
         exact.choice,
         f"if all disparities were off by one amount, so that what was measured {typical_m:.0f} m away is "
         f"{exact.by * typical_m:.1f} m away, station {exact.choice.station} would match its messages: has one of the "
-        "cameras yawed since they were calibrated?",
+        "cameras yawed since they were calibrated, or are left and right images of different moments?",
         float(np.log(len(ladder))),
         _nearer_per_m(moving, exact.by),
     )

@@ -90,7 +90,8 @@ class JointFit:
         The priors that were used: wider than those given where a mistake was found in the messages or the calibration.
     perhaps_unset : Correction or None
         The clock offset of a drive, if clocks that were never set are more likely than the priors that were used but
-        the estimate is not significant.
+        the estimate is not significant, or if they are an alternative to wrong `optics`, which look alike. The
+        covariance includes what the position would be with it.
     nearer : Correction or None
         Correction to be added to all inverse distances of a matcher, 1/m: the error that all disparities share.
     """
@@ -206,6 +207,7 @@ def fit_jointly(
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
+    rival = perhaps_unset if settings is told or optics else None
     return replace(
         fit,
         optics=optics,
@@ -213,7 +215,8 @@ def fit_jointly(
         turn_probability=probability,
         standing=standing,
         settings=settings,
-        perhaps_unset=perhaps_unset if settings is told else None,
+        covariance=fit.covariance if rival is None else _with_rival(fit.covariance, solved.x, rival.x),
+        perhaps_unset=None if rival is None else rival.clock,
         nearer=_nearer(solved, drives, settings),
     )
 
@@ -290,6 +293,18 @@ def _starts(problem: Problem, offsets: Sequence[float], shifts_m: Sequence[tuple
 def _match(solved: Solved, centre: FloatArray) -> PlanarMatch:
     yaw = float(wrap(solved.x[0]))
     return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
+
+
+def _with_rival(covariance: FloatArray, x: FloatArray, rival: FloatArray) -> FloatArray:
+    """Return the covariance of yaw and position, shape (3, 3), where another estimate is as likely.
+
+    Errors of points are correlated in ways that no model knows all of, so that likelihoods do not tell two hypotheses
+    apart which both explain the points clearly better than none: each has a probability of one half.
+    """
+    off = rival[:3] - x[:3]
+    off[0] = wrap(off[0])
+    widened: FloatArray = covariance + np.outer(off, off) / 2.0
+    return widened
 
 
 def _optics(solved: Solved) -> tuple[Correction, ...]:

@@ -28,11 +28,12 @@ as far off as those of another part of the vehicle, such as a cab in a bend, or 
 in fifty likewise has the calibration of another camera, or of another mode."""
 
 CLEARLY = float(np.log(10.0))
-"""Least log odds for clocks that were never set, where a scanner's rotation is the alternative that explains the same
-delays less well."""
+"""Least log odds for a mistake that is not significant, and for clocks that were never set where a scanner's rotation
+is the alternative that explains the same delays less well."""
 
 LATE = 2.0
-"""Clocks whose estimated offset is at most this many standard deviations are taken as synchronised."""
+"""Clocks whose estimated offset is at most this many standard deviations are taken as synchronised. An offset that the
+points hardly determine is estimated close to its prior, which `Correction.surprise` takes into account."""
 
 SURELY, TURNED_RAD = 4.0, np.radians(30.0)
 """A mistake is accepted only if the correction exceeds the first number of its own posterior standard deviations; for
@@ -63,24 +64,40 @@ class Mistake:
         Log ratio by which the prior volume of these corrections is larger under this hypothesis.
     alone : bool
         The hypothesis only holds if the priors allow for all other corrections.
-    by_odds : bool
-        The hypothesis need not be significant: its prior is centred on no mistake and the volume of its posterior is
-        known, so that where it is the more likely one its standard deviations are the right ones.
+    least_log_odds : float
+        Log odds above which the hypothesis need not be significant. They are finite where its prior is centred on no
+        mistake and the volume of its posterior is known: its standard deviations are then right in any case.
     """
 
     what: frozenset[str]
     settings: JointSettings
     log_wider: float = 0.0
     alone: bool = False
-    by_odds: bool = False
+    least_log_odds: float = np.inf
 
 
-def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
+@dataclass(frozen=True)
+class Unset:
+    """A possible clock offset: the estimate with clocks that were never set.
+
+    Attributes
+    ----------
+    clock : Correction
+        The offset of one drive.
+    x : ndarray, shape (p,)
+        All parameters.
+    """
+
+    clock: Correction
+    x: FloatArray
+
+
+def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Unset | None]:
     """Return the start, the priors, and a possible clock offset under the mistakes that are more likely than none.
 
     The most likely mistake is accepted first, and the others are then looked for beside it. Start and priors are those
-    given where there is none. The clock offset is that of clocks which were perhaps never set, if no mistake is
-    accepted: with log odds above `CLEARLY`, whether it is significant or not; else None.
+    given where there is none. The clock offset is that of clocks which were perhaps never set, beside none of the other
+    mistakes: with log odds above `CLEARLY`, whether it is significant or not; else None.
     """
     x, settings, perhaps_unset = _likeliest_mistake(problem, x)
     while settings is not problem.settings:
@@ -89,7 +106,7 @@ def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointS
     return x, settings, perhaps_unset
 
 
-def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Correction | None]:
+def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Unset | None]:
     """Return the same as `likely_mistakes` for at most one mistake."""
     here = problem.solve(x, COMPARED)
     settings, most_likelier, perhaps_unset = problem.settings, 0.0, None
@@ -98,16 +115,16 @@ def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, Joi
             continue
         wider = problem.expecting(mistake.settings)
         there = wider.solve(here.x, COMPARED)
-        surely, unset = mistake.by_odds or _tells(wider, there, mistake), None
+        least, unset = 0.0 if _tells(wider, there, mistake) else mistake.least_log_odds, None
         if "clock" in mistake.what and only(wider, there, mistake.what):
             unset = _late(wider, there, problem.settings.clock_sigma_s)
-        if not (surely or unset):
+        if np.isinf(least) and not unset:
             continue
         room = _log_room_of(wider, there) - _log_room_of(problem, here) - mistake.log_wider
         likelier = float(np.log(MISTAKEN)) + room + _likelier_by(problem, here, wider, there)
         if unset and likelier > CLEARLY:
-            perhaps_unset = unset
-        if surely and likelier > most_likelier:
+            perhaps_unset = Unset(unset, there.x)
+        if likelier > max(least, most_likelier):
             most_likelier, x, settings = likelier, there.x, mistake.settings
     return x, settings, perhaps_unset
 
@@ -133,14 +150,19 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))
-        likely.append(Mistake(frozenset({"lag"}), replace(settings, heading_lag_s=LAGGING_S), by_odds=not boxes))
+        likely.append(
+            Mistake(
+                frozenset({"lag"}),
+                replace(settings, heading_lag_s=LAGGING_S),
+                least_log_odds=np.inf if boxes else CLEARLY,
+            )
+        )
     # Where all disparities may be off, as after one camera has rotated relative to the other, a wrong focal length or
     # baseline would only seem to be found.
     if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
         optics = replace(settings, optics_sigma=WRONG_OPTICS)
         likely.append(Mistake(frozenset(OPTICS), optics))
-    apart_s = float(np.abs(solved.x[problem.clocks]).max())
-    if not problem.turn.possible and (boxes or apart_s > LATE * settings.clock_sigma_s):
+    if not problem.turn.possible and (boxes or _seem_apart(problem, solved)):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         wider = unset.clock_sigma_s / settings.clock_sigma_s
         likely.append(Mistake(frozenset({"clock"}), unset, len(drives) * np.log(wider), alone=True))
@@ -194,6 +216,11 @@ def _late(problem: Problem, solved: Solved, known_s: float) -> Correction | None
     """Return a drive's clock offset that exceeds both its prior and its posterior uncertainty by far, or None."""
     clocks = (each for _, its in problem.corrections(solved) for each in its if each.what == "clock")
     return next((each for each in clocks if abs(each.value) > LATE * max(known_s, each.after)), None)
+
+
+def _seem_apart(problem: Problem, solved: Solved) -> bool:
+    """Tell whether an estimated clock offset is surprising if the clocks are synchronised."""
+    return any(each.what == "clock" and each.surprise > LATE for _, its in problem.corrections(solved) for each in its)
 
 
 def only(problem: Problem, solved: Solved, what: Set[str]) -> bool:

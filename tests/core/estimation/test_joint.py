@@ -223,6 +223,17 @@ def test_late_headings_are_found_beside_a_clock_that_was_never_set(seed: int) ->
     assert_right(fit, within_m=0.06)
 
 
+@pytest.mark.parametrize("offset_s", [-0.2, 0.1])
+def test_a_clock_that_looks_like_wrong_optics_is_in_the_covariance(offset_s: float) -> None:
+    """On a straight road both stretch the path of a vehicle that brakes."""
+    drive = replace(evidence(BRAKING, sigma_m=0.1, per_frame=20, offset_s=offset_s), window_rad=0.005)
+    fit = fit_jointly([drive], TRUTH)
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 9.0
+    assert fit.perhaps_unset is not None
+    assert fit.perhaps_unset.value == pytest.approx(offset_s, abs=0.03)
+
+
 def filtered(yaw_rad: FloatArray, time_s: float, step_s: float) -> FloatArray:
     """Return headings that follow the given ones as a first-order low-pass filter does."""
     kept = list(yaw_rad[:1])
