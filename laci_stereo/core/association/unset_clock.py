@@ -38,8 +38,7 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> A
         other = replace(loose, likeness=no_likeness).chosen()
         clearly = other is not None and _explains_more(other, choice, case)
     turn_s = max((track.turn_s for track in case.tracks), default=0.0)
-    # Beside a choice, an offset has to exceed the error of one by boxes; where nothing fits, it need not.
-    least_s = max(BOXES_S if choice is not None else 0.0, TAIL * with_turn(known_s, turn_s))
+    least_s = max(BOXES_S, TAIL * with_turn(known_s, turn_s))
     if other is None or not clearly or abs(other.time_offset_s) < least_s:
         return None
     seen = _together(other)
