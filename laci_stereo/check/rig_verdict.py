@@ -194,7 +194,7 @@ def exposures_apart(fit: Fit) -> list[Finding]:
     return [
         Finding(
             graded(lag.effect_px),
-            f"the right images are of {1000 * lag.seconds:+.0f} +- {1000 * lag.sigma_s:.0f} ms later than the left "
+            f"the right images are {1000 * lag.seconds:+.0f} +- {1000 * lag.sigma_s:.0f} ms later than the left "
             f"ones, by {lag.count} points that move and are off by {lag.effect_px:.1f} px; allowed is {WARN_PX:g} px",
         )
     ]

@@ -197,7 +197,7 @@ def fit_jointly(
     problem = Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
-        turned, settings = turns_of(problem, solved, unset=mistakes and settings is told)
+        turned, settings = turns_of(problem, solved, unset=mistakes)
         likeliest = max(turned, key=lambda each: each.log_probability)
         problem = Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), stations)
         solved, probability = among(turned, likeliest, problem.solve(likeliest.x))

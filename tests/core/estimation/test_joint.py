@@ -709,6 +709,15 @@ def test_clocks_that_were_not_set_are_no_scanner_that_turns(by_s: float, turn_s:
     assert clock.surprise > 4.0
 
 
+@pytest.mark.parametrize("by_s", [-0.2, 0.2])
+def test_nor_are_they_beside_late_headings(by_s: float) -> None:
+    drive = replace(evidence(TURN, sigma_m=0.05, per_frame=20, offset_s=by_s), turn_s=0.1)
+    fit = fit_jointly([with_headings(drive, TURN.at(drive.vehicle.stamps_s - 0.2)[1])], TRUTH)
+    assert fit.turn == 0.0
+    assert abs(fit.time_offsets_s[0] - by_s) < 3.0 * fit.time_sigmas_s[0]
+    assert_right(fit)
+
+
 def test_what_the_points_hardly_tell_is_surprising_early() -> None:
     """Clocks as exact as is said are as far off as is said, if the points tell as much of them."""
     rng = np.random.default_rng(0)
