@@ -75,8 +75,7 @@ def _parted(paths: tuple[Path, ...]) -> tuple[tuple[Path, ...], Path, Path]:
     if len(folders) < 2:
         found = ", ".join(map(str, paths)) or "nothing"
         raise SettingError(
-            f"{found} given to rig; needed are LEFT and RIGHT, two folders of images, after the calibration's files, "
-            "for a calibration is shown as images need it, and held against them"
+            f"{found} given to rig; needed are LEFT and RIGHT, two folders of images, after the calibration's files"
         )
     return paths[:-2], paths[-2], paths[-1]
 
