@@ -398,7 +398,7 @@ def exact(scene, station_id=STATION):
     return SimpleNamespace(
         world=SimpleNamespace(crs=scene.crs, from_utm=lambda utm: utm - middle),
         T_utm_sensor=scene.T_utm_sensor.copy(),
-        station_id=station_id,
+        drive=SimpleNamespace(station_id=station_id),
         covariance=np.diag([0.0, 0.0, 0.0, 0.005, 0.005, 0.0]),
         centre_world=np.zeros(3),
         quality=SimpleNamespace(yaw_sigma_deg=0.2, tilt_sigma_deg=0.1),
