@@ -207,7 +207,8 @@ def fit_jointly(
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
-    rival = perhaps_unset if settings is told or optics else None
+    as_told = settings.clock_sigma_s == told.clock_sigma_s  # else the clock's offset is in the estimate
+    rival = perhaps_unset if as_told and (settings is told or optics) else None
     return replace(
         fit,
         optics=optics,
