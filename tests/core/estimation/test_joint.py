@@ -603,6 +603,16 @@ def test_a_stereo_calibration_that_is_right_is_not_told_wrong(seed: int) -> None
     assert not fit_jointly([with_borders(seen, drive, sigma=0.1, seed=seed)], TRUTH).optics
 
 
+@pytest.mark.parametrize(("offset_s", "depth"), [(0.15, -0.05), (-0.2, 0.07)])
+def test_a_clock_that_is_in_the_estimate_beside_wrong_optics_is_no_doubt(offset_s: float, depth: float) -> None:
+    """A turn tells both, and the offset that was found is not held against the result once more."""
+    seen = replace(evidence(TURN, sigma_m=0.05, per_frame=20, offset_s=offset_s), window_rad=0.005)
+    fit = fit_jointly([by_another_calibration(seen, depth, 0.0)], TRUTH)
+    assert fit.time_offsets_s[0] == pytest.approx(offset_s, abs=3 * fit.time_sigmas_s[0])
+    assert fit.optics[0].value == pytest.approx(depth, abs=3 * fit.optics[0].after)
+    assert fit.perhaps_unset is None
+
+
 def test_what_no_matcher_saw_is_not_scaled() -> None:
     assert not fit_jointly([by_another_calibration(evidence(), 0.03, 0.0)], TRUTH).optics
 
