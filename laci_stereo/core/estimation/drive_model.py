@@ -1,17 +1,17 @@
 """The model of one drive: the distances of its points from the outline, and their derivatives by every parameter.
 
 The wall is the part of the outline at heights where the body is upright; only points whose line of sight meets it are
-used. The surface is that of the body. "Face" is the part of the outline that a line of sight meets (`outline.FACES`).
+used. The surface is that of the body.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.columns import Columns
-from laci_stereo.core.estimation import gloss, mixture
+from laci_stereo.core.estimation import gloss
+from laci_stereo.core.estimation.drive_likelihood import DriveLikelihood
 from laci_stereo.core.estimation.drive_poses import Poses, by_time, heading_noise, poses_at
 from laci_stereo.core.estimation.drive_prior import (
     BEGIN,
@@ -27,35 +27,27 @@ from laci_stereo.core.estimation.drive_prior import (
     SHAPE,
     DrivePrior,
 )
+from laci_stereo.core.estimation.drive_rows import BASELINE, BIAS, BY_OPTICS, FIRST_OWN, FOCAL, SWEEP, Chosen, Met, Rows
 from laci_stereo.core.estimation.effective_samples import (
     SAME_BORDER_M,
     SAME_ERROR_M,
-    blocks_of,
     course_of,
     mean_overlap,
     worth_of,
 )
 from laci_stereo.core.estimation.evidence import SAME_VIEW_M, Evidence
+from laci_stereo.core.estimation.position_knots import knots_of
 from laci_stereo.core.frames import FloatArray, IntArray, dot_xy, perpendicular, rotate_xy
 from laci_stereo.core.messages.cam import VehicleTrack
-from laci_stereo.core.messages.receiver import KNOTS_PER_TIME, decay, position_sigma_m
+from laci_stereo.core.messages.receiver import decay, position_sigma_m
 from laci_stereo.core.settings import JointSettings, with_turn
 from laci_stereo.core.vehicle import outline
-
-BIAS, SWEEP, FOCAL, BASELINE = range(3, 7)
-FIRST_OWN = 7
-"""Number of the sensor's parameters: yaw, x, y, range bias (in standard deviations of each point), rotation of a
-scanner, and the relative amounts by which the focal length and the baseline of a stereo camera are given too small.
-They are followed by each drive's own parameters, see `drive_prior`."""
 
 AHEAD = np.array([1.0, 0.0])
 """The sensor's forward axis on the ground plan."""
 
 _NORMAL = slice(1, 3)
 """Columns of the derivatives by x and y, which are the normal in the world frame."""
-
-BY_OPTICS = slice(FOCAL, BASELINE + 1)
-"""Focal length and baseline among the parameters and the columns of the derivatives."""
 
 _CLOCK, _HEADING, _LAG, _LEVER, _BEGIN, _GROWTH, _KNOTS = (
     FIRST_OWN + own for own in (CLOCK, HEADING, LAG, LEVER, BEGIN, GROWTH, KNOTS)
@@ -64,157 +56,9 @@ _SHAPE = slice(FIRST_OWN + SHAPE.start, FIRST_OWN + SHAPE.stop)
 _GLOSS = slice(FIRST_OWN + GLOSS.start, FIRST_OWN + GLOSS.stop)
 _PARTIAL = FIRST_OWN + PARTIAL
 
-GRAZING = 0.3
-"""Least cosine of the angle of incidence in the likelihood of ranges: where a line of sight grazes a corner, not its
-angle but the noise of the outline determines how ranges differ, about sqrt(2 x 0.03 m / 0.5 m)."""
-
-
-@dataclass(frozen=True)
-class Fitness:
-    """How well a drive fits, at one point in the space of the p parameters.
-
-    Attributes
-    ----------
-    jacobian, precision : ndarray, shape (n, p) and (n,)
-        Derivatives of each point's distance, and its precision, from which the information is computed.
-    curvature : ndarray, shape (p, p)
-        Of the negative log-likelihood. It uses velocities at the moment itself, and so takes the messages' noise for a
-        manoeuvre that would determine the clock offset.
-    gradient : ndarray, shape (p,)
-        Of the negative log-likelihood.
-    scores : ndarray, shape (n, p)
-        Contribution of each point to the gradient.
-    block : ndarray of int, shape (n,)
-        Block of time that each point belongs to.
-    log_likelihoods : ndarray, shape (n,)
-        Log-likelihoods of the distances.
-    log_likelihood : float
-        Log-likelihood of all ranges, comparable only with that of the same points.
-    shares : ndarray
-        Fractions of the mixture, see `mixture.Mixture`.
-    weight, squares : float
-        Expected number of points of the surface, and the sum of their squared distances.
-    explained, rows : float
-        Expected number of points that the outline explains, and the number of all points.
-    frames : int
-        Number of frames with points of the surface.
-    """
-
-    jacobian: FloatArray
-    precision: FloatArray
-    curvature: FloatArray
-    gradient: FloatArray
-    scores: FloatArray
-    block: IntArray
-    log_likelihoods: FloatArray
-    log_likelihood: float
-    shares: FloatArray
-    weight: float
-    squares: float
-    explained: float
-    rows: float
-    frames: int
-
-    @property
-    def information(self) -> FloatArray:
-        """The information about the parameters, shape (p, p)."""
-        information: FloatArray = (self.jacobian * self.precision[:, None]).T @ self.jacobian
-        return information
-
-    def by_block(self) -> tuple[FloatArray, FloatArray]:
-        """Return the sum of scores, shape (b, p), and the information, shape (b, p, p), of each of b blocks of time."""
-        block = np.unique(self.block, return_inverse=True)[1].reshape(-1)
-        count, size = int(block.max(initial=-1)) + 1, self.scores.shape[1]
-        scores = np.zeros((count, size))
-        np.add.at(scores, block, self.scores)
-        parts = [np.flatnonzero(block == one) for one in range(count)]
-        told = [(self.jacobian[part] * self.precision[part, None]).T @ self.jacobian[part] for part in parts]
-        return scores, np.array(told).reshape(-1, size, size)
-
-
-@dataclass(frozen=True)
-class Met(Columns):
-    """What the lines of sight of some points meet on the outline, and where the points are.
-
-    Attributes
-    ----------
-    points : ndarray of int, shape (n,)
-        Indices of the drive's points; indices after the last point stand for the borders of each frame.
-    hits : Hits
-    arm : ndarray, shape (n, 2)
-        Position relative to ``centre``, in the axes of the level frame.
-    xy, origin : ndarray, shape (n, 2)
-        Point and sensor in the vehicle frame.
-    yaw : ndarray, shape (n,)
-        Yaw of the body in the world frame.
-    """
-
-    points: IntArray
-    hits: outline.Hits
-    arm: FloatArray
-    xy: FloatArray
-    origin: FloatArray
-    yaw: FloatArray
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """The points that are compared with the outline.
-
-    Attributes
-    ----------
-    points : ndarray of int, shape (n,)
-        Indices of the drive's points.
-    share : ndarray, shape (n,)
-        Weight of each point, below 1 as its noise is correlated with that of others.
-    unsure : ndarray, shape (m,)
-        For each frame, see `Poses`. Like the weights it must stay constant during a descent.
-    """
-
-    points: IntArray
-    share: FloatArray
-    unsure: FloatArray
-
-
-@dataclass(frozen=True)
-class Rows(Columns):
-    """Distances from the outline, those of borders last, with their derivatives by all parameters before the knots.
-
-    Attributes
-    ----------
-    distance, variance : ndarray, shape (n,)
-        Signed distance from the outline, metres, and its variance.
-    cos : ndarray, shape (n,)
-        Cosine of the angle of incidence, the ratio of distance to range; 0 where there is no range.
-    jacobian : ndarray, shape (n, FIRST_OWN + KNOTS)
-        Derivative of the range, multiplied by the cosine: the range is measured, while the line of sight is known.
-    by_time, by_lag : ndarray, shape (n,)
-        The same derivative by the time of the messages and by the lag of their headings, at that moment.
-    late_s : ndarray, shape (n,)
-        Delay with which a scanner that rotates counter-clockwise sees it, relative to the mean.
-    face, frame : ndarray of int, shape (n,)
-        Part of the outline, and index of the frame.
-    share : ndarray, shape (n,)
-        Weight of each point, below 1 as its noise is correlated with that of others.
-    point : ndarray of int, shape (n,)
-        Index of the drive's point; indices after the last point stand for the borders of each frame.
-    """
-
-    distance: FloatArray
-    variance: FloatArray
-    cos: FloatArray
-    jacobian: FloatArray
-    by_time: FloatArray
-    by_lag: FloatArray
-    late_s: FloatArray
-    face: IntArray
-    frame: IntArray
-    share: FloatArray
-    point: IntArray
-
 
 class DriveModel:
-    """One drive, with everything that does not depend on the parameters.
+    """The geometry of one drive, with everything that does not depend on the parameters.
 
     Parameters
     ----------
@@ -231,29 +75,15 @@ class DriveModel:
         self.centre = centre
         self.settings = settings
         self.size = (drive.vehicle.length_m, drive.vehicle.width_m)
-        passed_s = drive.stamps_s - drive.stamps_s[:1]
-        course = drive.way_m / settings.bias_way_m + passed_s / settings.bias_time_s
-        end = max(float(course.max(initial=0.0)), 1e-3)
-        knots = max(2, int(np.ceil(end * KNOTS_PER_TIME)) + 1)
-        at = np.linspace(0.0, end, knots)
-        self.hat = np.maximum(0.0, 1.0 - np.abs(course[:, None] - at) / at[1])
-        # The last frame is extended to the end of the course, so that no two knots have the same time even in a drive
-        # of one frame.
-        stays_s, until = (end - course[-1:]) * settings.bias_time_s, np.append(course, end)
-        self.knots_s, self.knots_m = (
-            np.interp(at, until, np.append(each, each[-1:] + more)) if len(drive) else np.zeros(knots)
-            for each, more in ((drive.stamps_s, stays_s), (drive.way_m, 0.0))
-        )
-        self.block = blocks_of(drive, settings.block_s)
+        self.knots = knots_of(drive, settings)
+        self.likelihood = DriveLikelihood(drive, self.knots.hat, settings)
         self.worth = worth_of(drive, SAME_VIEW_M)
-        self.borders = np.full((len(drive), 2, 3), np.nan) if drive.borders is None else drive.borders
-        self.bordered = bool(np.isfinite(self.borders).any())
         self.error_worth = worth_of(drive, 2.0 * SAME_ERROR_M)  # a triangle with the area of the exponential
         self.border_worth = worth_of(drive, SAME_BORDER_M)
         self.sigma_m = position_sigma_m(drive.vehicle.position_sigma_m, settings)
         self.ends = drive.vehicle.at(drive.stamps_s[[0, -1]])[0] if len(drive) else np.zeros((2, 2))
         clock_sigma_s = with_turn(settings.clock_sigma_s, drive.turn_s) if turns else settings.clock_sigma_s
-        drift = self.sigma_m**2 * decay(self.knots_s, self.knots_m, settings)
+        drift = self.sigma_m**2 * decay(self.knots.at_s, self.knots.at_m, settings)
         self.prior = DrivePrior(drive.vehicle, drift, clock_sigma_s, settings)
         self.frame_s = max(float(np.median(np.diff(drive.stamps_s))), 1e-9) if len(drive) > 1 else np.inf
         self.heading_variance = _heading_variance(drive, self.frame_s, np.radians(settings.heading_sigma_deg))
@@ -273,141 +103,6 @@ class DriveModel:
         xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, reference) - rotate_xy(yaw, reference)
         return replace(vehicle, xy=xy, yaw_rad=yaw)
 
-    def shares(self) -> FloatArray:
-        """Return the initial fractions of the mixture: of each frame's faces, then of the borders over all frames."""
-        of_borders = [mixture.first_shares(outline.BORDERS)] if self.bordered else []
-        return np.concatenate([mixture.first_shares(len(self.drive) * outline.FACES), *of_borders])
-
-    def mixed(self, rows: Rows, distance: FloatArray, sigma: FloatArray, shares: FloatArray) -> mixture.Mixture:
-        """Weigh distances by their possible sources, separately for faces and borders.
-
-        The mixtures are separate, since what occludes a border is not what lies behind a face.
-
-        Parameters
-        ----------
-        rows : Rows
-            The rows that the distances belong to.
-        distance, sigma : ndarray, shape (n,)
-            Distances and their standard deviations.
-        shares : ndarray
-            Fractions, ordered as in the result of `shares`.
-        """
-        parts = [
-            mixture.weigh(distance[part], sigma[part], group, its, rows.share[part])
-            for part, group, its in self._kinds(rows, shares)
-        ]
-        names = ("surface", "behind", "slope", "log_likelihood", "growth")
-        whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
-
-    def _log_likelihoods(self, rows: Rows, distance: FloatArray, shares: FloatArray) -> FloatArray:
-        """Return the log-likelihood of distances of rows, shape (n,), as defined by `mixed`."""
-        sigma = np.sqrt(rows.variance)
-        return np.concatenate(
-            [
-                mixture.log_likelihood(distance[part], sigma[part], group, its)
-                for part, group, its in self._kinds(rows, shares)
-            ]
-        )
-
-    def _kinds(self, rows: Rows, shares: FloatArray) -> tuple[tuple[slice, IntArray, FloatArray], ...]:
-        """Return the rows of faces and those of borders, each with the rows' groups and the groups' fractions."""
-        faces, count = len(self.drive) * outline.FACES, int((rows.face < outline.FACES).sum())
-        of_faces = slice(count), rows.frame[:count] * outline.FACES + rows.face[:count], shares[: faces + 1]
-        of_borders = slice(count, None), rows.face[count:] - outline.FACES, shares[faces + 1 :]
-        return (of_faces, of_borders) if self.bordered else (of_faces,)
-
-    def weigh(self, rows: Rows, softening_m: float, shares: FloatArray) -> Fitness:
-        """Return how well the drive fits, given its distances at some parameters.
-
-        The gradient, of shape (FIRST_OWN + own,), treats the noise and the angles of incidence as constants: if they
-        were free to change, a side would rotate away from the sensor until its points fit, as their distances are
-        shorter than their ranges.
-
-        Parameters
-        ----------
-        rows : Rows
-        softening_m : float
-            Standard deviation that is added to the noise.
-        shares : ndarray
-            Fractions of the mixture, see `mixture.Mixture`.
-        """
-        sigma = np.sqrt(rows.variance + softening_m**2)
-        mixed = self.mixed(rows, rows.distance, sigma, shares)
-        weight = rows.share * mixed.surface / (sigma * mixed.growth) ** 2
-        jacobian = self._by_all(rows)
-        pull = mixed.slope * rows.share
-        now = jacobian.copy()
-        now[:, _CLOCK] = rows.by_time
-        now[:, _LAG] = rows.by_lag
-        now[:, SWEEP] = rows.by_time * rows.late_s
-        scores = now * pull[:, None]
-        of_outline = rows.face < outline.FACES
-        surface, behind = mixed.surface * of_outline, mixed.behind * of_outline
-        held = np.bincount(rows.frame, surface, len(self.drive)) > 1.0
-        return Fitness(
-            jacobian=jacobian,
-            precision=weight,
-            curvature=(now * weight[:, None]).T @ now,
-            gradient=scores.sum(axis=0),
-            scores=scores,
-            block=self.block[rows.frame],
-            log_likelihoods=mixed.log_likelihood,
-            log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),
-            shares=mixed.shares,
-            weight=float(surface.sum()),
-            squares=float((surface * rows.distance**2).sum()),
-            explained=float((surface + behind).sum()),
-            rows=float(of_outline.sum()),
-            frames=int(held.sum()),
-        )
-
-    def lasting(self, rows: Rows, fitness: Fitness) -> FloatArray:
-        """Return the covariance of the gradient, shape (p, p), due to matching errors that persist from frame to frame.
-
-        The error that the points on one side of a frame share decays with the distance travelled. Its correlation
-        within a frame is included in the points' weights.
-        """
-        size = fitness.jacobian.shape[1]
-        total: FloatArray = np.zeros((size, size))
-        if self.drive.window_rad == 0.0 or not len(self.drive.points):
-            return total
-        way = self.drive.way_m
-        alike = np.exp(-np.abs(way[:, None] - way) / SAME_ERROR_M) - np.eye(len(way))
-        pulls = fitness.jacobian * (fitness.precision * fitness.jacobian[:, BIAS])[:, None]
-        for side in range(outline.SIDES):
-            its = rows.face == side
-            by_frame = np.zeros((len(way), size))
-            np.add.at(by_frame, rows.frame[its], pulls[its])
-            total += by_frame.T @ alike @ by_frame
-        return self.settings.shared_variance_share * total
-
-    def gain(self, rows: Rows, before: Rows, here: FloatArray, shares: FloatArray) -> float:
-        """Return the gain in log-likelihood of the ranges over the previous rows.
-
-        Noise and angles of incidence are held at their previous values. The gain is the quantity whose gradient `weigh`
-        returns. It is summed over the points for which the messages determine the vehicle's place both times and which
-        stay on their side: where a point changes sides, the likelihood jumps, which no derivative describes.
-
-        Parameters
-        ----------
-        rows, before : Rows
-            Rows at the new and at the previous parameters.
-        here : ndarray, shape (n,)
-            The `Fitness.log_likelihoods` of the previous rows.
-        shares : ndarray
-            Fractions of the mixture with which these were weighed.
-        """
-        if not np.array_equal(rows.point, before.point):
-            _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
-            rows, before, here = rows[now], before[then], here[then]
-        same = rows.face == before.face
-        rows, before, here = rows[same], before[same], here[same]
-        hit = before.cos > 0.0
-        distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
-        there = self._log_likelihoods(before, distance, shares)
-        return float(before.share @ (there - here))
-
     def rows(self, x: FloatArray, chosen: Chosen | None = None) -> Rows:
         """Return the distances at some parameters, of the chosen points, or of the points on the wall there."""
         poses = self._poses(x)
@@ -420,7 +115,8 @@ class DriveModel:
             known = poses.known[self.drive.frame[chosen.points]]
             met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
         rows = self._outline_rows(x, poses, met, share)
-        if self.bordered and len(rows.frame):  # without points of the outline, borders may be those of anything
+        # Without points of the outline, borders may be those of anything.
+        if self.drive.has_borders and len(rows.frame):
             rows = rows.joined(self._border_rows(x, poses))
         # All points of a frame share the error of its heading. Multiplied by the sum of their weights, its variance
         # gives them together the information of one point with this error.
@@ -477,11 +173,6 @@ class DriveModel:
             overlap *= mean_overlap((-most - least)[group] / drive.window_rad)
         return shared + (1.0 - shared) * overlap
 
-    def _by_all(self, rows: Rows) -> FloatArray:
-        """Append the derivatives by the knots: a bias of the messages' positions shifts the vehicle in the world."""
-        hat = self.hat[rows.frame]
-        return np.hstack([rows.jacobian, rows.jacobian[:, 1:2] * hat, rows.jacobian[:, 2:3] * hat])
-
     def _poses(self, x: FloatArray) -> Poses:
         at = self.drive.stamps_s + x[_CLOCK] + x[SWEEP] * self.drive.frames_late_s
         return poses_at(at, self.drive.vehicle, x[_HEADING], x[_LEVER], x[_BEGIN], x[_LAG])
@@ -499,8 +190,8 @@ class DriveModel:
         yaw : ndarray, shape (n,)
             Yaw of the body in the world frame.
         """
-        count = len(self.knots_s)
-        bias = np.column_stack([self.hat @ x[_KNOTS : _KNOTS + count], self.hat @ x[_KNOTS + count :]])
+        hat, count = self.knots.hat, len(self.knots)
+        bias = np.column_stack([hat @ x[_KNOTS : _KNOTS + count], hat @ x[_KNOTS + count :]])
         yaw = poses.yaw
         shift = x[1:3] + bias - poses.xy
         xy = rotate_xy(-yaw[frame], rotate_xy(x[0], arm) + shift[frame])
@@ -551,8 +242,9 @@ class DriveModel:
 
         Where something occludes a border, the visible part ends inside it, as a point behind the surface lies inside.
         """
-        frame, side = np.nonzero(np.isfinite(self.borders[:, :, 0]) & poses.known[:, None])
-        at = self.borders[frame, side, :2]
+        borders = self.drive.outermost
+        frame, side = np.nonzero(np.isfinite(borders[:, :, 0]) & poses.known[:, None])
+        at = borders[frame, side, :2]
         arm = (at - self.centre) * _scale(x)
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE])

@@ -90,6 +90,16 @@ class Evidence:
         return turned
 
     @cached_property
+    def outermost(self) -> FloatArray:
+        """The borders, shape (m, 2, 3), all NaN where none is known."""
+        return np.full((len(self), 2, 3), np.nan) if self.borders is None else self.borders
+
+    @cached_property
+    def has_borders(self) -> bool:
+        """Whether any border is known."""
+        return bool(np.isfinite(self.outermost).any())
+
+    @cached_property
     def beside_rad(self) -> FloatArray:
         """Azimuth of each point to the left of its frame's middle, shape (n,)."""
         (x, y), (u, v) = self.middles[self.frame].T, self.points[:, :2].T

@@ -15,8 +15,8 @@ from itertools import product
 import numpy as np
 
 from laci_stereo.core.errors import MatchError
-from laci_stereo.core.estimation.drive_model import BIAS, BY_OPTICS
 from laci_stereo.core.estimation.drive_prior import OPTICS, Correction
+from laci_stereo.core.estimation.drive_rows import BIAS, BY_OPTICS
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, likely_mistakes
 from laci_stereo.core.estimation.problem import COMPARED, CONVERGED, Problem, Solved
@@ -262,7 +262,7 @@ def fit_roughly(
     problem = Problem([drive.thinned(ROUGH_ROWS)], _around(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
-    at, prior = slice(own.stop - 2 * len(model.knots_s), own.stop), np.kron(np.eye(2), model.prior.drift)
+    at, prior = slice(own.stop - 2 * len(model.knots), own.stop), np.kron(np.eye(2), model.prior.drift)
     after = np.linalg.inv(solved.covariance[at, at])
     # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
     values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
@@ -270,7 +270,7 @@ def fit_roughly(
     return RoughFit(
         match=_match(solved, centre),
         corrections=model.prior.corrections(solved.x[own], solved.covariance[own, own]),
-        knots_s=model.knots_s,
+        knots_s=model.knots.at_s,
         information=(vectors * np.maximum(values, 0.0)) @ vectors.T,
         pull=told @ (told.T @ (after @ solved.x[at])),
     )
@@ -342,10 +342,10 @@ def _fit(problem: Problem, solved: Solved, centre: FloatArray, expected: Sequenc
     after = np.sqrt(np.diag(solved.covariance))
     return JointFit(
         match=_match(solved, centre),
-        time_offsets_s=tuple(float(solved.x[own.start]) for own in solved.own),
+        time_offsets_s=tuple(float(solved.x[own.start]) for own in problem.own),
         covariance=solved.covariance[:3, :3],
         centre_level=centre,
-        time_sigmas_s=tuple(float(after[own.start]) for own in solved.own),
+        time_sigmas_s=tuple(float(after[own.start]) for own in problem.own),
         corrections=tuple(
             tuple(replace(each, sigma=float(sigma)) for each, sigma in zip(its, sigmas, strict=True))
             for (_, its), sigmas in zip(problem.corrections(solved), expected, strict=True)
@@ -353,5 +353,5 @@ def _fit(problem: Problem, solved: Solved, centre: FloatArray, expected: Sequenc
         residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
         frames=sum(each.frames for each in solved.fitness),
         explained=sum(each.explained for each in solved.fitness) / max(1, sum(each.rows for each in solved.fitness)),
-        bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, solved.own, strict=True)),
+        bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, problem.own, strict=True)),
     )

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from laci_stereo.core.estimation.drive_model import BASELINE, BY_OPTICS, FOCAL
 from laci_stereo.core.estimation.drive_prior import LAG, OPTICS, Correction
+from laci_stereo.core.estimation.drive_rows import BASELINE, BY_OPTICS, FOCAL
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.problem import COMPARED, Problem, Solved
 from laci_stereo.core.frames import FloatArray

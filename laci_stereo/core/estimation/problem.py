@@ -12,8 +12,10 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from laci_stereo.core.estimation.drive_model import FIRST_OWN, Chosen, DriveModel, Fitness, Rows
+from laci_stereo.core.estimation.drive_likelihood import Fitness
+from laci_stereo.core.estimation.drive_model import DriveModel
 from laci_stereo.core.estimation.drive_prior import LASTING, Correction
+from laci_stereo.core.estimation.drive_rows import FIRST_OWN, Chosen, Rows
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.recordings import Recordings
 from laci_stereo.core.estimation.residual_scatter import Blocks, grown
@@ -62,8 +64,6 @@ class Solved:
         Posterior covariance, and the precision of the priors there.
     fitness : tuple of Fitness
         Of each drive.
-    own : tuple of slice
-        Each drive's own parameters among all.
     chosen : tuple of Chosen
         The points of each drive that were compared with the outline.
     """
@@ -72,7 +72,6 @@ class Solved:
     covariance: FloatArray
     precision: FloatArray
     fitness: tuple[Fitness, ...]
-    own: tuple[slice, ...]
     chosen: tuple[Chosen, ...]
 
 
@@ -114,7 +113,7 @@ class Problem:
         self.size = int(ends[-1])
         self.clocks = [own.start for own in self.own]
         # The knots of the position errors are each drive's last parameters: all x first, then all y.
-        lasts = [(own.stop, len(model.knots_s)) for model, own in zip(self.models, self.own, strict=True)]
+        lasts = [(own.stop, len(model.knots)) for model, own in zip(self.models, self.own, strict=True)]
         self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
         self.drifts = self.recordings.drifts(settings)
         self.senders = np.linalg.inv(self.recordings.senders)
@@ -167,7 +166,7 @@ class Problem:
         return found[0].x
 
     def _first_shares(self) -> list[FloatArray]:
-        return [model.shares() for model in self.models]
+        return [model.likelihood.first_shares() for model in self.models]
 
     def _step(self, at: _Descent, softening_m: float) -> _Descent:
         """Take a step at this softening, and return the place reached with its log-posterior."""
@@ -191,14 +190,14 @@ class Problem:
         """Return the log-likelihood of some points of a drive, with the fractions of the mixture that fit them."""
         model, fitness = self.models[drive], solved.fitness[drive]
         for _ in range(SETTLING):
-            fitness = model.weigh(rows, 0.0, fitness.shares)
+            fitness = model.likelihood.weigh(rows, 0.0, fitness.shares)
         return fitness.log_likelihood
 
     def corrections(self, solved: Solved) -> list[tuple[DriveModel, tuple[Correction, ...]]]:
         """Return each drive's model, with the corrections to its messages."""
         return [
             (model, model.prior.corrections(solved.x[own], solved.covariance[own, own]))
-            for model, own in zip(self.models, solved.own, strict=True)
+            for model, own in zip(self.models, self.own, strict=True)
         ]
 
     def solve(self, x: FloatArray, converged: float = CONVERGED) -> Solved:
@@ -217,7 +216,7 @@ class Problem:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         covariance = self._covariance(inverse, precision, fitness, rows)
-        return Solved(x, covariance, precision, tuple(fitness), tuple(self.own), tuple(chosen))
+        return Solved(x, covariance, precision, tuple(fitness), tuple(chosen))
 
     def _climb(
         self,
@@ -255,7 +254,10 @@ class Problem:
     ) -> float:
         """Return the gain in log-likelihood of a place over the one before."""
         drives = zip(self.models, rows, held, fitness, shares, strict=True)
-        return sum(model.gain(its, as_were, fits.log_likelihoods, share) for model, its, as_were, fits, share in drives)
+        return sum(
+            model.likelihood.gain(its, as_were, fits.log_likelihoods, share)
+            for model, its, as_were, fits, share in drives
+        )
 
     def log_prior(self, x: FloatArray, precision: FloatArray) -> float:
         """Return the log prior density of a place, up to a constant."""
@@ -275,7 +277,7 @@ class Problem:
     def _weigh(self, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]) -> list[Fitness]:
         """Return the fitness of each drive."""
         drives = zip(self.models, rows, shares, strict=True)
-        return [model.weigh(its, soft, share) for model, its, share in drives]
+        return [model.likelihood.weigh(its, soft, share) for model, its, share in drives]
 
     def _derivatives(
         self, x: FloatArray, fitness: Sequence[Fitness], precision: FloatArray
@@ -304,6 +306,6 @@ class Problem:
         """
         parts = [Blocks(index, *each.by_block()) for index, each in zip(self._places(), fitness, strict=True)]
         lasting = self._sum_of(
-            model.lasting(its, each) for model, its, each in zip(self.models, rows, fitness, strict=True)
+            model.likelihood.lasting(its, each) for model, its, each in zip(self.models, rows, fitness, strict=True)
         )
         return grown(inverse, precision, parts) + inverse @ lasting @ inverse

@@ -48,7 +48,7 @@ class Recordings:
             begins_s = np.array([(each.epoch_ns - vehicles[0].epoch_ns) / 1e9 for each in vehicles])
         self.stations = range(len(models)) if stations is None else tuple(stations)
         self._models = models
-        self._knots_s = [begin_s + model.knots_s for begin_s, model in zip(begins_s, models, strict=True)]
+        self._knots_s = [begin_s + model.knots.at_s for begin_s, model in zip(begins_s, models, strict=True)]
 
     @property
     def senders(self) -> FloatArray:
@@ -86,7 +86,7 @@ class Recordings:
 
     def _ways(self) -> list[FloatArray]:
         """Return how far along its sender's path each drive's knots are, with a straight line between two drives."""
-        ways: list[FloatArray] = [model.knots_m for model in self._models]
+        ways: list[FloatArray] = [model.knots.at_m for model in self._models]
         last: dict[int, int] = {}
         for i in np.argsort([knots_s[0] for knots_s in self._knots_s]).tolist():
             if (before := last.get(self.stations[i])) is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from laci_stereo.core.estimation.drive_model import SWEEP
+from laci_stereo.core.estimation.drive_rows import SWEEP
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.mistakes import CLEARLY, MISTAKEN, only
 from laci_stereo.core.estimation.problem import Problem, Solved

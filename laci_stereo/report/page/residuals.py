@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.estimation.drive_model import BIAS, FIRST_OWN, DriveModel
+from laci_stereo.core.estimation.drive_model import DriveModel
 from laci_stereo.core.estimation.drive_prior import CLOCK, Correction
+from laci_stereo.core.estimation.drive_rows import BIAS, FIRST_OWN
 from laci_stereo.core.estimation.evidence import evidence_of
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.estimation.problem import SOFTENING_M
@@ -118,13 +119,13 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
         [[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn, 0.0, 0.0], prior.mean]
     )
     x[FIRST_OWN + CLOCK] = passage.time_offset_s
-    shares = model.shares()
+    shares = model.likelihood.first_shares()
     free = np.r_[BIAS, FIRST_OWN : len(x)]  # focal length and baseline, like the points, are the stereo calibration's
     precision = np.zeros((len(free), len(free)))
     precision[0, 0] = model.settings.bias_noise_share**-2
     pace, step = 1.0, np.zeros(len(free))
     for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
-        fitness = model.weigh(model.rows(x), soft, shares)
+        fitness = model.likelihood.weigh(model.rows(x), soft, shares)
         shares = fitness.shares
         precision[1:, 1:] = prior.precision(x[FIRST_OWN:])
         curvature = fitness.curvature[np.ix_(free, free)] + precision
@@ -141,7 +142,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
     rows = model.rows(x)
-    surface = model.mixed(rows, rows.distance, np.sqrt(rows.variance), shares).surface
+    surface = model.likelihood.mixed(rows, rows.distance, np.sqrt(rows.variance), shares).surface
     of_outline = rows.face < outline.FACES
     rows = rows[of_outline]
     return Laid(model.drive.stamps_s[rows.frame], model.wall(x).xy, rows.distance, rows.face, surface[of_outline])

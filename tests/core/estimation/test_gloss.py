@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.estimation import gloss
-from laci_stereo.core.estimation.drive_model import FIRST_OWN, DriveModel
+from laci_stereo.core.estimation.drive_model import DriveModel
 from laci_stereo.core.estimation.drive_prior import GLOSS
+from laci_stereo.core.estimation.drive_rows import FIRST_OWN
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.joint import fit_jointly
 from laci_stereo.core.frames import FloatArray

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.errors import MatchError
-from laci_stereo.core.estimation.drive_model import BASELINE, BIAS, FIRST_OWN, FOCAL, SWEEP, DriveModel
+from laci_stereo.core.estimation.drive_model import DriveModel
 from laci_stereo.core.estimation.drive_prior import (
     BEGIN,
     CLOCK,
@@ -21,6 +21,7 @@ from laci_stereo.core.estimation.drive_prior import (
     SHAPE,
     Correction,
 )
+from laci_stereo.core.estimation.drive_rows import BASELINE, BIAS, FIRST_OWN, FOCAL, SWEEP
 from laci_stereo.core.estimation.evidence import FRAMES_PER_PLACE, Evidence
 from laci_stereo.core.estimation.joint import JointFit, fit_jointly
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -341,8 +342,8 @@ def test_a_long_stop_makes_the_problem_hardly_larger() -> None:
     seen = [evidence(stopping(TURN, stop_s), per_frame=4, last_s=11.0 + stop_s) for stop_s in (0.0, 900.0)]
     moving, stopped = (DriveModel(one.thinned(10_000), np.zeros(2), JointSettings()) for one in seen)
     assert len(stopped.drive) < len(moving.drive) + 2 * FRAMES_PER_PLACE
-    assert len(np.unique(stopped.block)) < len(np.unique(moving.block)) + 3
-    assert len(stopped.knots_s) <= len(moving.knots_s) + KNOTS_PER_TIME * 900.0 / JointSettings().bias_time_s
+    assert len(np.unique(stopped.likelihood.block)) < len(np.unique(moving.likelihood.block)) + 3
+    assert len(stopped.knots) <= len(moving.knots) + KNOTS_PER_TIME * 900.0 / JointSettings().bias_time_s
     fit = fit_jointly([seen[1]], TRUTH, close=True)
     assert fit.frames + fit.standing == len(seen[1])
 
@@ -384,7 +385,8 @@ def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     touched, its, theirs = (each[each.face >= FACES] for each in (rows, more, less))
     slope = (its.distance - theirs.distance) / (2.0 * size)
     by_moment = {FIRST_OWN + CLOCK: touched.by_time, FIRST_OWN + LAG: touched.by_lag}
-    off = np.abs(slope - by_moment.get(index, model.weigh(touched, 0.0, model.shares()).jacobian[:, index]))
+    jacobian = model.likelihood.weigh(touched, 0.0, model.likelihood.first_shares()).jacobian
+    off = np.abs(slope - by_moment.get(index, jacobian[:, index]))
     assert len(off) == 2 * len(drive)
     # But where another corner is touched from there on, or a bend of the way begins.
     assert np.quantile(off, 0.9) < 2e-3 * max(1.0, float(np.abs(slope).max()))
@@ -442,9 +444,9 @@ def test_where_the_vehicle_is_known_so_is_by_how_much_each_border_has_grown(grow
     model, x = at_the_truth(with_borders(evidence(), growth=growth))
     free = slice(FIRST_OWN + GROWTH, FIRST_OWN + KNOTS)
     precision = model.prior.precision()[GROWTH:KNOTS, GROWTH:KNOTS]
-    shares = model.shares()
+    shares = model.likelihood.first_shares()
     for _ in range(5):
-        fitness = model.weigh(model.rows(x), 0.0, shares)
+        fitness = model.likelihood.weigh(model.rows(x), 0.0, shares)
         shares = fitness.shares
         gradient = fitness.gradient[free] + precision @ x[free]
         x[free] -= np.linalg.solve(fitness.curvature[free, free] + precision, gradient)
@@ -539,13 +541,14 @@ def test_what_is_climbed_rises_as_its_gradient_says(drive: Drive, indices: tuple
     seen = evidence(drive, sigma_m=0.3, behind=0.2)
     model, x = at_the_truth(with_borders(seen, drive, sigma=0.3) if camera else seen)
     x[:3] += 0.01, 0.1, -0.1
-    rows, shares = model.rows(x), model.shares()
+    rows, shares = model.rows(x), model.likelihood.first_shares()
     chosen = model.choose(x)
-    fitness = model.weigh(rows, 0.0, shares)
+    fitness = model.likelihood.weigh(rows, 0.0, shares)
     for index in indices:
         step = 1e-6 * np.eye(len(x))[index]
         here = fitness.log_likelihoods
-        more, less = (model.gain(model.rows(each, chosen), rows, here, shares) for each in (x + step, x - step))
+        near = (model.rows(each, chosen) for each in (x + step, x - step))
+        more, less = (model.likelihood.gain(its, rows, here, shares) for its in near)
         scale = math.sqrt(fitness.information[index, index])
         assert (more - less) / 2e-6 / scale == pytest.approx(-fitness.gradient[index] / scale, abs=0.1)
 
@@ -557,14 +560,14 @@ def test_the_curvature_is_by_how_much_the_gradient_changes(index: int) -> None:
     rng = np.random.default_rng(0)
     jitter = drive.vehicle.xy + rng.normal(0.0, 0.03, drive.vehicle.xy.shape)
     model, x = at_the_truth(replace(drive, vehicle=replace(drive.vehicle, xy=jitter)))
-    shares = model.shares()
+    shares = model.likelihood.first_shares()
     for _ in range(3):
-        shares = model.weigh(model.rows(x), 0.0, shares).shares
+        shares = model.likelihood.weigh(model.rows(x), 0.0, shares).shares
     chosen = model.choose(x)
     step = 0.02 * np.eye(len(x))[index] * (0.1 if index in (0, ITS_CLOCK) else 1.0)
-    more, less = (model.weigh(model.rows(each, chosen), 0.0, shares) for each in (x + step, x - step))
+    more, less = (model.likelihood.weigh(model.rows(each, chosen), 0.0, shares) for each in (x + step, x - step))
     changes = (more.gradient - less.gradient)[index] / (2.0 * step[index])
-    at = model.weigh(model.rows(x, chosen), 0.0, shares)
+    at = model.likelihood.weigh(model.rows(x, chosen), 0.0, shares)
     assert changes == pytest.approx(at.curvature[index, index], rel=0.25)
     place_and_clock = np.ix_([0, 1, 2, ITS_CLOCK], [0, 1, 2, ITS_CLOCK])
     known, bent = (1.0 / np.linalg.inv(each[place_and_clock])[3, 3] for each in (at.information, at.curvature))
@@ -637,14 +640,14 @@ def sigmas_apart(one: JointFit, other: JointFit, place: FloatArray) -> float:
 
 def test_points_that_change_sides_do_not_judge_a_step() -> None:
     model, x = at_the_truth(evidence(TURN, sigma_m=0.3))
-    chosen, shares = model.choose(x), model.shares()
+    chosen, shares = model.choose(x), model.likelihood.first_shares()
     before = model.rows(x, chosen)
     after = model.rows(x + 0.1 * np.eye(len(x))[1], chosen)
     stay = np.flatnonzero(before.face == after.face)
     assert 0 < len(stay) < len(before.face)
-    here = model.weigh(before, 0.0, shares).log_likelihoods
-    judged = model.gain(after[stay], before[stay], here[stay], shares)
-    assert model.gain(after, before, here, shares) == pytest.approx(judged)
+    here = model.likelihood.weigh(before, 0.0, shares).log_likelihoods
+    judged = model.likelihood.gain(after[stay], before[stay], here[stay], shares)
+    assert model.likelihood.gain(after, before, here, shares) == pytest.approx(judged)
 
 
 @pytest.mark.parametrize(

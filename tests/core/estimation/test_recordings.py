@@ -59,9 +59,9 @@ def test_of_one_sender_the_clocks_are_as_far_apart_a_moment_later_and_on_another
 def test_receivers_err_alike_in_part_at_one_time_and_by_themselves_on_other_days() -> None:
     models = [model(0.0, 0.01), model(20.0, 0.3), model(FAR_S, 0.02)]
     covariance = drifts([1, 2, 3], models)
-    own = np.repeat(range(3), [len(each.knots_s) for each in models])
+    own = np.repeat(range(3), [len(each.knots) for each in models])
     assert np.sqrt(np.diag(covariance)) == pytest.approx(np.array([0.01, 0.3, 0.02])[own])
-    passed_s = np.abs(20.0 + models[1].knots_s - models[0].knots_s[:, None])
+    passed_s = np.abs(20.0 + models[1].knots.at_s - models[0].knots.at_s[:, None])
     between = ALIKE * 0.01 * 0.3 * np.exp(-passed_s / SETTINGS.bias_time_s)
     assert covariance[np.ix_(own == 0, own == 1)] == pytest.approx(between)
     assert covariance[np.ix_(own == 2, own != 2)] == pytest.approx(0.0)
@@ -72,9 +72,9 @@ def test_a_receiver_errs_alike_in_all_drives_of_one_day() -> None:
     halves = [replace(STRAIGHT, start_s=0.0), replace(STRAIGHT, start_s=-30.0)]  # 210 m farther on
     one, other = model(0.0, 0.3, halves[0]), model(30.0, 0.3, halves[1])
     covariance = drifts([ONE, ONE], [one, other]) / 0.3**2
-    from_end_to_begin = covariance[len(one.knots_s) - 1, len(one.knots_s)]
+    from_end_to_begin = covariance[len(one.knots) - 1, len(one.knots)]
     way_m = float(np.linalg.norm(other.ends[0] - one.ends[1]))
-    passed_s = 30.0 + other.knots_s[0] - one.knots_s[-1]
+    passed_s = 30.0 + other.knots.at_s[0] - one.knots.at_s[-1]
     decayed = ALIKE + (1.0 - ALIKE) * np.exp(-way_m / SETTINGS.bias_way_m)
     assert from_end_to_begin == pytest.approx(decayed * np.exp(-passed_s / SETTINGS.bias_time_s))
     assert drifts([ONE, OTHER], [one, other])[0, -1] < 0.3**2 * covariance[0, -1]
@@ -85,5 +85,5 @@ def test_drives_of_which_nothing_is_known_have_nothing_in_common() -> None:
     recordings = Recordings(models)
     assert recordings.senders == pytest.approx(np.eye(2))
     assert recordings.clocks(np.array([4.0, 9.0])) == pytest.approx(np.diag([4.0, 9.0]))
-    count = len(models[0].knots_s)
+    count = len(models[0].knots)
     assert recordings.drifts(SETTINGS)[:count, count:] == pytest.approx(0.0)
