@@ -163,7 +163,8 @@ def _named(run: str, kept: Kept) -> Iterator[Passage]:
 
 
 def _config(combined: Combined, options: CombineOptions) -> dict[str, object]:
-    """Return every effective setting; the prior uncertainty of the clock offset is that of the drives."""
+    """Return every effective setting; the prior uncertainties of times are those of the drives."""
     config: dict[str, object] = asdict(options.core)
-    joint = {**asdict(options.core.joint), "clock_sigma_s": combined.calibration.drive.clock_sigma_s}
-    return {**config, "method": "joint", "joint": joint}
+    drive = combined.calibration.drive
+    times = {"clock_sigma_s": drive.clock_sigma_s, "apart_sigma_s": drive.apart_sigma_s}
+    return {**config, "method": "joint", "joint": {**asdict(options.core.joint), **times}}

@@ -114,7 +114,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
         told = options.camera.turn_deg
         images = already_rectified(rig) if options.camera.rectified else rig
         turn = find_turn(images, pairs.pairs) if told is None else RightTurn(told)
-    asked, options = options, _knowing(options, turn)
+    asked, options = options, _knowing(options, turn, pairs)
     recording = _recording(left, pairs, rig, options)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
@@ -148,11 +148,12 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
     )
 
 
-def _knowing(options: Options, turn: RightTurn) -> Options:
-    """Return options with the right camera's rotation: its yaw, unknown so far, may be as large as the other angles.
+def _knowing(options: Options, turn: RightTurn, pairs: Pairs) -> Options:
+    """Return options with the right camera's rotation, and how far apart left and right images may be.
 
-    The resulting shift of all disparities is an error that all points share, on the vehicle and, as far as the vehicle
-    has left it undetermined, on the road.
+    The yaw, unknown so far, may be as large as the other angles. The resulting shift of all disparities is an error
+    that all points share, on the vehicle and, as far as the vehicle has left it undetermined, on the road. Times of
+    left and right images that differ may be those of the exposures, or of the images' arrival.
     """
     camera, core = replace(options.camera, turn_deg=turn.turn_deg), options.core
     bias, shared = (
@@ -162,7 +163,8 @@ def _knowing(options: Options, turn: RightTurn) -> Options:
             (core.ground.shared_noise_share, turn.left_px),
         )
     )
-    joint = replace(core.joint, bias_noise_share=bias)
+    apart_s = float(np.sqrt(np.mean((pairs.apart_ns / 1e9) ** 2)))
+    joint = replace(core.joint, bias_noise_share=bias, apart_sigma_s=max(core.joint.apart_sigma_s, apart_s))
     ground = replace(core.ground, shared_noise_share=shared)
     return replace(options, camera=camera, core=replace(core, joint=joint, ground=ground))
 

@@ -140,6 +140,7 @@ def _passages(
             time_offset_s=choice.time_offset_s + each.late_s,
             method="paper",
             clock_sigma_s=settings.joint.clock_sigma_s,
+            apart_sigma_s=settings.joint.apart_sigma_s,
             name=f"station {each.station}",
         )
         for each in (Other(choice.station, choice.track), *choice.others)

@@ -15,6 +15,26 @@ MAX_BAD_SHARE = 0.2
 
 
 @dataclass(frozen=True)
+class Cameras:
+    """The two cameras whose images were matched.
+
+    Attributes
+    ----------
+    baseline_m : ndarray, shape (3,)
+        Vector from the left to the right camera, metres.
+    ahead : ndarray, shape (3,)
+        Unit vector along the optical axis of the rectified images.
+    """
+
+    baseline_m: FloatArray
+    ahead: FloatArray
+
+    def turned(self, R: FloatArray) -> Cameras:
+        """Return the same cameras in a frame into which ``R``, shape (3, 3), rotates vectors."""
+        return Cameras(R @ self.baseline_m, R @ self.ahead)
+
+
+@dataclass(frozen=True)
 class PointCloud:
     """One frame of a sensor.
 
@@ -42,6 +62,8 @@ class PointCloud:
     window_rad : float
         Side of a camera's square matching window, as an angle: points in one window share their noise. 0 if the noise
         of each point is independent.
+    cameras : Cameras or None
+        In the sensor frame; None for all other sensors.
     others : PointCloud or None
         Further points that move but do not belong to a vehicle according to a mask.
     """
@@ -55,6 +77,7 @@ class PointCloud:
     turn_s: float = 0.0
     turned_rad: FloatArray | None = None
     window_rad: float = 0.0
+    cameras: Cameras | None = None
     others: PointCloud | None = None
 
     def __post_init__(self) -> None:
@@ -78,6 +101,7 @@ class PointCloud:
             self.turn_s,
             None if self.turned_rad is None else self.turned_rad[keep],
             self.window_rad,
+            self.cameras,
         )
 
 

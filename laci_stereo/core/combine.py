@@ -74,7 +74,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     passages : sequence of Passage
         At least one; of one sensor, in one UTM zone.
     settings : Settings
-        Its prior of the clock offset is replaced by the widest of the drives.
+        Its priors of the times, of clocks and between images, are replaced by the widest of the drives.
 
     Raises
     ------
@@ -102,8 +102,12 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
 
 
 def _as_loose(settings: Settings, passages: Sequence[Passage]) -> Settings:
-    loosest_s = max(passage.clock_sigma_s for passage in passages)
-    return replace(settings, method="joint", joint=replace(settings.joint, clock_sigma_s=loosest_s))
+    joint = replace(
+        settings.joint,
+        clock_sigma_s=max(passage.clock_sigma_s for passage in passages),
+        apart_sigma_s=max(passage.apart_sigma_s for passage in passages),
+    )
+    return replace(settings, method="joint", joint=joint)
 
 
 def _check_alike(passages: Sequence[Passage]) -> None:

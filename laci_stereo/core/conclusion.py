@@ -35,7 +35,12 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
         replace(each, match=match, method=method, turn=turn, body=body)
         for each, body in zip(passages, bodies, strict=True)
     )
-    own = replace(own, time_offset_s=placement.time_offset_s, clock_sigma_s=settings.joint.clock_sigma_s)
+    own = replace(
+        own,
+        time_offset_s=placement.time_offset_s,
+        clock_sigma_s=settings.joint.clock_sigma_s,
+        apart_sigma_s=settings.joint.apart_sigma_s,
+    )
     T_level_sensor = own.ground.T_level_sensor(own.axes)
     ground_covariance = own.ground.covariance_level(own.axes)
     frames_seen = sum(len(each.track.sightings) for each in passages)

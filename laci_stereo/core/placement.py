@@ -244,6 +244,7 @@ def place(
     bare = max(0, known - fit.standing - fit.frames)
     left_out = {"unknown": sightings - known, "standing": fit.standing, "bare": bare}
     contradicted = _contradicted(fit, drives, names, missing)
+    apart, unexpected = _apart_in_words(fit), fit.settings.apart_sigma_s > settings.joint.apart_sigma_s
     return Placement(
         match=fit.match,
         middle_level=fit.centre_level,
@@ -257,12 +258,14 @@ def place(
         nearer=fit.nearer,
         remarks=(
             *([_turning(fit, turn_s)] if (turn_s := max(drive.turn_s for drive in drives)) else []),
+            *(apart if not unexpected else []),
             *_assumed_accuracies(drives, names, settings.joint),
         ),
         advice=_advice(fit, doubt, drives[0], _all_lack_m(missing)),
         contradictions=(
             *(f"{name}: {words}" if name else words for name, words in contradicted),
             *([_optics_in_words(fit)] if fit.optics else []),
+            *(f"{words}; trigger both cameras at once" for words in apart if unexpected),
             *([_perhaps_unset(fit.perhaps_unset, fit)] if fit.perhaps_unset else []),
         ),
         bodies=fit.bodies,
@@ -409,6 +412,20 @@ def _optics_in_words(fit: JointFit) -> str:
         f"alone) or baseline (both) is wrong, and the camera's position is off by about {off_m:.1f} m; correct it and "
         "calibrate again; left and right images of different moments look alike"
     )
+
+
+def _apart_in_words(fit: JointFit) -> list[str]:
+    """Return in words how much later than the left images the right ones were taken; none if it was not estimated."""
+    if (apart := fit.apart) is None:
+        return []
+    words = (
+        f"by the drive, the right images are {1e3 * abs(apart.value):.1f} +- {1e3 * apart.after:.1f} ms "
+        f"{'later' if apart.value > 0.0 else 'earlier'} than the left ones: the result includes it, but whatever moves "
+        "is measured at wrong distances"
+    )
+    if fit.perhaps_optics:
+        words += ", or else the stereo calibration's focal length or baseline is wrong"
+    return [words]
 
 
 def _perhaps_unset(clock: Correction, fit: JointFit) -> str:

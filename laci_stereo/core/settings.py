@@ -322,6 +322,9 @@ class JointSettings:
         unless the points contradict them. The error that a calibration with boards leaves, 0.1 to 0.2 %, moves objects
         10 m from the middle of a drive by 2 cm; as a free parameter it resembles an offset of all disparities and is
         known no better than that offset.
+    apart_sigma_s : float
+        Standard deviation of the time between a stereo camera's left and right images: one trigger exposes both, unless
+        the points contradict that.
     block_s : float
         Frames within this time count as one independent sample when the dispersion of the residuals is estimated.
     """
@@ -337,6 +340,7 @@ class JointSettings:
     shared_variance_share: float = 0.25
     bias_noise_share: float = GroundSettings.shared_noise_share
     optics_sigma: float = 1e-5
+    apart_sigma_s: float = 1e-6
     block_s: float = 1.0
 
 

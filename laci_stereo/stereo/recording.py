@@ -347,6 +347,7 @@ class StereoRecording:
             sigma_across_m=depth * (POINTING_SIGMA_PX / plane.focal_px),
             at_edge=~inner,
             window_rad=self.settings.refine_window_px / plane.focal_px,
+            cameras=plane.cameras,
         )
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster, rigid
 from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
 
@@ -82,6 +83,12 @@ class Rectification:
     rays: FloatArray
     T_sensor_rectified: FloatArray
     mirrored: bool
+
+    @property
+    def cameras(self) -> Cameras:
+        """The two cameras, sensor frame."""
+        right, _, ahead = self.T_sensor_rectified[:3, :3].T
+        return Cameras((-self.baseline_m if self.mirrored else self.baseline_m) * right, ahead)
 
 
 def rectify(rig: StereoRig) -> Rectification:

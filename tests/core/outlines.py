@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
@@ -22,6 +23,9 @@ TRUTH = PlanarMatch(0.7, np.array([-30.0, 12.0]))
 TURN = Drive((-20.0, 30.0), -60.0, ((22.0, 0.0), (12.0, 80.0)), ((0.0, 8.0), (4.0, 5.0), (8.0, 9.0)))
 CIRCLE, ROUNDABOUT = (Drive((-16.0, 50.0), -60.0, ((200.0, turn_deg),), start_s=-4.0) for turn_deg in (300.0, 600.0))
 """Even turns of 38 and 19 m, on which the clocks' offset is told by nothing but its prior."""
+
+CAMERAS = Cameras(np.array([0.0, -0.5, 0.0]), np.array([0.96, 0.0, -0.28]))
+"""A stereo camera that looks down by 16 deg."""
 
 STRAIGHT = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 7.0),))
 BRAKING = Drive((-20.0, 30.0), -60.0, speeds=((0.0, 9.0), (5.0, 5.0)))
@@ -119,6 +123,25 @@ def with_borders(
     far = np.linalg.norm(seen.middles, axis=1)[:, None]
     borders = np.stack([far * np.cos(bearing), far * np.sin(bearing), np.full(bearing.shape, 0.5)], axis=2)
     return replace(seen, window_rad=window_rad, borders=borders)
+
+
+def untriggered(seen: Evidence, apart_s: float, drive: Drive = TURN) -> Evidence:
+    """Return what `CAMERAS` measure by disparity if the right images are that much later than the left ones."""
+    eye, right, ahead = np.array([0.0, 0.0, HEIGHT_M]), CAMERAS.baseline_m / 0.5, CAMERAS.ahead
+    points = []
+    for frame, (now, later) in enumerate(zip(*(_poses(seen, drive, s) for s in (0.0, apart_s)), strict=True)):
+        left = seen.points[seen.frame == frame] - eye
+        body = rotate_xy(-now[2], left[:, :2] - now[:2])
+        moved = np.column_stack([rotate_xy(later[2], body) + later[:2], left[:, 2]]) - CAMERAS.baseline_m
+        shift = left @ right / (left @ ahead) - moved @ right / (moved @ ahead)
+        points.append(eye + left * (0.5 / shift / (left @ ahead))[:, None])
+    return replace(seen, points=np.concatenate(points), cameras=CAMERAS)
+
+
+def _poses(seen: Evidence, drive: Drive, after_s: float) -> FloatArray:
+    """Return the vehicle's pose x, y, yaw in the level frame some time after each frame, shape (m, 3)."""
+    xy, yaw = drive.at(seen.stamps_s + after_s)
+    return np.column_stack([rotate_xy(-TRUTH.yaw_rad, xy - TRUTH.shift), yaw - TRUTH.yaw_rad])
 
 
 def told(

@@ -63,6 +63,14 @@ def test_the_rectified_frame_is_the_sensor_turned(name: str) -> None:
 
 
 @every_rig
+def test_the_baseline_leads_to_the_right_camera(name: str) -> None:
+    rig, plane = RIGS[name], rectification(name)
+    np.testing.assert_allclose(plane.cameras.baseline_m, -rig.R_right_left.T @ rig.t_right_left_m, atol=1e-6)
+    depth = plane.rays.reshape(-1, 3) @ plane.cameras.ahead
+    np.testing.assert_allclose(depth, 1.0, atol=1e-9)
+
+
+@every_rig
 def test_valid_is_what_the_raw_image_holds(name: str) -> None:
     plane = rectification(name)
     v, u = (a.ravel().astype(float) for a in np.mgrid[: plane.size[1], : plane.size[0] - 1])

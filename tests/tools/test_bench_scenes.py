@@ -183,6 +183,18 @@ def test_a_stereo_calibration_that_is_wrong_is_a_warning(error: dict[str, float]
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("apart_s", [0.0015, -0.003])
+def test_images_of_different_moments_are_a_warning_and_undone(apart_s: float) -> None:
+    scene = draw_scene(300019, "stereo_10", apart_s=apart_s)
+    found = see(scene, "simulated").locate(Settings())
+    words = r"by the drive, the right images are (\d\.\d) \+- (\d\.\d) ms (later|earlier) than the left ones"
+    (told,) = (one for reason in found.quality.reasons if (one := re.match(words, reason)))
+    assert abs(float(told[1]) - 1e3 * abs(apart_s)) < 3.0 * float(told[2]) + 0.05
+    assert told[3] == ("later" if apart_s > 0.0 else "earlier")
+    assert errors_of(found, scene).sigma_ratio < 3.0
+
+
+@pytest.mark.slow
 def test_a_black_glossy_car_is_no_wrong_calibration() -> None:
     scene = draw_scene(300016, "stereo_02")
     found = see(scene, "simulated").locate(Settings())

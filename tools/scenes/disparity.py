@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from scipy.special import ndtri
 
-from laci_stereo.core.cloud import PointCloud
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.core.cloud import Cameras, PointCloud
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, invert, transform
 from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
 from laci_stereo.stereo.recording import POINTING_SIGMA_PX
 from laci_stereo.stereo.scene import BLEED_PX
@@ -116,6 +116,8 @@ class StereoCamera:
         Relative errors of focal length and baseline in its calibration; positive if it overestimates them.
     turned_deg : tuple of float
         Rotation of its right camera since it was calibrated, see `StereoSettings.turn_deg`.
+    apart_s : float
+        Time from its left to its right images.
     """
 
     name: StereoName
@@ -127,6 +129,7 @@ class StereoCamera:
     focal_error: float = 0.0
     baseline_error: float = 0.0
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    apart_s: float = 0.0
 
     @property
     def turned_px(self) -> float:
@@ -143,6 +146,7 @@ class StereoCamera:
             focal_error=0.0,
             baseline_error=0.0,
             turned_deg=(0.0, 0.0, 0.0),
+            apart_s=0.0,
         )
 
     def at_rate(self, frame_rate_hz: float) -> StereoCamera:
@@ -298,6 +302,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     faces = mounted.caster.faces(hits)
     open_, sigma, gross, shiny = (values.reshape(shape) for values in _surfaces(mounted.caster, faces))
     true = (camera.focal_px * camera.baseline_m * camera.ray_lengths / hits.distance_m).reshape(shape)
+    true = true - _moved_px(mounted, hits, time_s).reshape(shape)
     texture = _texture(mounted.caster, hits.body, faces, seed[0]).reshape(shape) + _smooth(shape, 4, rng)
     texture /= np.sqrt(3.0)
     matched = _bled(true, flaws.bleed_px / camera.stride, rng)
@@ -321,6 +326,25 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     reach = 2 * (BLEED_PX // camera.stride) + 1
     moving = cv2.dilate(mounted.moving[body].astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
     return Matched(np.where(known, values, np.nan), np.where(known, told, np.nan), moving, body)
+
+
+def _moved_px(mounted: Mounted, hits: Hits, time_s: float) -> FloatArray:
+    """Return by how many columns each ray's point moves in the right image since the left image's time, shape (n,)."""
+    camera, moved = mounted.camera, np.zeros(len(hits.body))
+    if camera.apart_s == 0.0:
+        return moved
+    T_sensor_world = invert(mounted.T_world_sensor)
+    for index in np.flatnonzero(mounted.moving[:-1]).tolist():
+        rays = np.flatnonzero(hits.body == index)
+        points = mounted.T_world_sensor[:3, 3] + hits.distance_m[rays, None] * mounted.directions[rays]
+        pose = mounted.caster.bodies[index].pose
+        T_later = pose(time_s + camera.apart_s) @ invert(pose(time_s))
+        columns = [
+            camera.focal_px * (seen[:, 0] - camera.baseline_m) / seen[:, 2]
+            for seen in (transform(T_sensor_world, points), transform(T_sensor_world @ T_later, points))
+        ]
+        moved[rays] = columns[1] - columns[0]
+    return moved
 
 
 def reproject(camera: StereoCamera, stamp_ns: int, matched: Matched, where: BoolArray) -> PointCloud:
@@ -349,6 +373,7 @@ def reproject(camera: StereoCamera, stamp_ns: int, matched: Matched, where: Bool
         sigma_across_m=depth * (POINTING_SIGMA_PX / camera.focal_px),
         at_edge=edge,
         window_rad=StereoSettings().refine_window_px / camera.focal_px,
+        cameras=Cameras(np.array([camera.baseline_m, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])),
     )
 
 

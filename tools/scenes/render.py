@@ -327,6 +327,7 @@ def stereo_pairs(
     times_s: FloatArray,
     look: Look,
     seed: int,
+    apart_s: float = 0.0,
 ) -> Iterator[tuple[Raster, Raster]]:
     """Render left and right images, one pair at a time; the same seed gives the same images."""
     left, right = (Renderer(bodies, eye, look.light) for eye in eyes(rig, T_world_left))
@@ -334,7 +335,7 @@ def stereo_pairs(
     for index, time_s in enumerate(times_s):
         images = [
             develop(
-                camera.radiance(float(time_s)),
+                camera.radiance(float(time_s) + side * apart_s),
                 camera.eye.lens,
                 look.sensor,
                 scale * gain,
@@ -355,6 +356,7 @@ def write_stereo(
     look: Look,
     seed: int,
     told: StereoRig | None = None,
+    apart_s: float = 0.0,
 ) -> None:
     """Write ``left/``, ``right/`` (PNG, named by their stamps) and ``stereo.yaml``, frame by frame.
 
@@ -374,12 +376,14 @@ def write_stereo(
         Seed of the sensors' noise.
     told : StereoRig or None
         The rig that the calibration file describes; None writes the true one.
+    apart_s : float
+        Time from the left to the right images; the stamps are those of the left ones.
     """
     sides = [folder / "left", folder / "right"]
     for side in sides:
         side.mkdir(parents=True, exist_ok=True)
     write_calibration(folder / "stereo.yaml", told or rig)
-    pairs = stereo_pairs(bodies, rig, T_world_left, times_s, look, seed)
+    pairs = stereo_pairs(bodies, rig, T_world_left, times_s, look, seed, apart_s)
     for stamp, pair in zip(stamps_ns, pairs, strict=True):
         for side, image in zip(sides, pair, strict=True):
             cv2.imwrite(str(side / f"{stamp}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])

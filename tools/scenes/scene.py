@@ -154,6 +154,8 @@ class Factors:
         Relative errors of focal length and baseline in the stereo calibration; positive if it overestimates them.
     turned_deg : tuple of float
         Pitch, yaw and roll of the right camera since the stereo calibration.
+    apart_s : float
+        Time from a stereo camera's left to its right images.
     """
 
     layout: LayoutKind | None = None
@@ -209,6 +211,7 @@ class Factors:
     focal_error: float = 0.0
     baseline_error: float = 0.0
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    apart_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -554,6 +557,7 @@ def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCam
                 focal_error=factors.focal_error,
                 baseline_error=factors.baseline_error,
                 turned_deg=factors.turned_deg,
+                apart_s=factors.apart_s,
             )
     scanner = lidar(next(name for name in LIDARS if name == kind))
     if factors.begin_deg != 180.0:

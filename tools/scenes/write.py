@@ -53,7 +53,7 @@ def write_images(scene: Scene, out: Path, step: int = RENDERED_STEP) -> None:
     rig = raw_rig(np.random.default_rng([scene.seed, 8]), camera.size_px, camera.focal_px, camera.baseline_m)
     told = mistold(rig, camera.focal_error, camera.baseline_error, camera.turned_deg)
     stamps, times_s = scene.stamps_ns[::step].tolist(), scene.times_s[::step]
-    write_stereo(scene.bodies, rig, scene.T_world_sensor, times_s, stamps, out, look, scene.seed, told)
+    write_stereo(scene.bodies, rig, scene.T_world_sensor, times_s, stamps, out, look, scene.seed, told, camera.apart_s)
 
 
 def write_scans(scene: Scene, folder: Path) -> None:

@@ -27,7 +27,18 @@ from laci_stereo.core.estimation.drive_prior import (
     SHAPE,
     DrivePrior,
 )
-from laci_stereo.core.estimation.drive_rows import BASELINE, BIAS, BY_OPTICS, FIRST_OWN, FOCAL, SWEEP, Chosen, Met, Rows
+from laci_stereo.core.estimation.drive_rows import (
+    APART,
+    BASELINE,
+    BIAS,
+    BY_OPTICS,
+    FIRST_OWN,
+    FOCAL,
+    SWEEP,
+    Chosen,
+    Met,
+    Rows,
+)
 from laci_stereo.core.estimation.effective_samples import (
     SAME_BORDER_M,
     SAME_ERROR_M,
@@ -141,12 +152,12 @@ class DriveModel:
 
     def _wall(self, x: FloatArray, poses: Poses) -> Met:
         met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
-        z, sigma_z = self.drive.points[met.points, 2], self.drive.sigma_z_m[met.points]
+        sigma_z = self.drive.sigma_z_m[met.points]
         blur_m = self.drive.blur_m[met.points]
         ahead_m = outline.about_middle(x[_SHAPE])[0][0]
         matched, behind_m = self.drive.window_rad > 0.0, self.size[0] / 2 + ahead_m - met.xy[:, 0]
         highest_m = outline.highest_of(self.size[1], met.hits.face, behind_m, matched=matched)
-        return met[outline.on_the_wall(self.drive.height_m, z, met.hits, sigma_z, blur_m, highest_m)]
+        return met[outline.on_the_wall(self.drive.height_m, met.z, met.hits, sigma_z, blur_m, highest_m)]
 
     def _shares(self, met: Met) -> FloatArray:
         drive, points, face = self.drive, met.points, met.hits.face
@@ -205,10 +216,22 @@ class DriveModel:
         late_s = x[SWEEP] * self.drive.points_late_s[points]
         moved = late_s[:, None] * rotate_xy(-x[0], poses.rates.velocity)[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm - moved)
-        across = self.drive.sigma_across_m[points]
         z = self.drive.points[points, 2]
+        if self.drive.cameras is not None:
+            nearer = x[APART] * self._farther_per_s(x, poses, frame, self.drive.farther_per_m[points], xy, yaw)
+            arm = arm - nearer[:, None] * self.drive.points[points, :2]
+            xy = xy - nearer[:, None] * (xy - origin)
+            z = z - nearer * (z - self.drive.height_m)
+        across = self.drive.sigma_across_m[points]
         hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE], z)
-        return Met(points, hits, arm, xy, origin, yaw)
+        return Met(points, hits, arm, xy, z, origin, yaw)
+
+    def _farther_per_s(
+        self, x: FloatArray, poses: Poses, frame: IntArray, farther_per_m: FloatArray, xy: FloatArray, yaw: FloatArray
+    ) -> FloatArray:
+        """Return by which fraction points are measured too far per second between left and right images, (n,)."""
+        turning = rotate_xy(yaw, poses.rates.yaw[frame, None] * perpendicular(xy))
+        return dot_xy(farther_per_m, rotate_xy(-x[0], poses.rates.velocity[frame] + turning))
 
     def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:
         drive, points, frame = self.drive, met.points, self.drive.frame[met.points]
@@ -221,6 +244,9 @@ class DriveModel:
         longer = np.column_stack([sight[:, 0] * ahead_m, dot_xy(sight, drive.points[points, :2])])
         rows.jacobian[:, BY_OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
+        if drive.cameras is not None:
+            farther = self._farther_per_s(x, poses, frame, drive.farther_per_m[points], met.xy, met.yaw)
+            rows.jacobian[:, APART] = -farther * np.hypot(*drive.points[points, :2].T) * towards
         # A point that is seen within half a window of a border may be the border's. This adds to its variance fully
         # beside the outline, and also on a side that looks narrower than half a window, as it is grazed.
         window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
@@ -244,12 +270,12 @@ class DriveModel:
         """
         borders = self.drive.outermost
         frame, side = np.nonzero(np.isfinite(borders[:, :, 0]) & poses.known[:, None])
-        at = borders[frame, side, :2]
+        at, z = borders[frame, side, :2], borders[frame, side, 2]
         arm = (at - self.centre) * _scale(x)
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE])
         window_m = self._window_m(hits.reach * np.hypot(*at.T))
-        met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, origin, yaw)
+        met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, z, origin, yaw)
         rows = self._rows_of(x, poses, met, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
         rows.jacobian[np.arange(len(frame)), _GROWTH + side] = -window_m
         return replace(

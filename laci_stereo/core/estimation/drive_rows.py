@@ -11,11 +11,11 @@ from laci_stereo.core.columns import Columns
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.vehicle import outline
 
-BIAS, SWEEP, FOCAL, BASELINE = range(3, 7)
-FIRST_OWN = 7
+BIAS, SWEEP, FOCAL, BASELINE, APART = range(3, 8)
+FIRST_OWN = 8
 """Number of the sensor's parameters: yaw, x, y, range bias (in standard deviations of each point), rotation of a
-scanner, and the relative amounts by which the focal length and the baseline of a stereo camera are given too small.
-They are followed by each drive's own parameters, see `drive_prior`."""
+scanner, the relative amounts by which the focal length and the baseline of a stereo camera are given too small, and the
+time from its left to its right images, s. They are followed by each drive's own parameters, see `drive_prior`."""
 
 BY_OPTICS = slice(FOCAL, BASELINE + 1)
 """Focal length and baseline among the parameters and the columns of the derivatives."""
@@ -32,8 +32,12 @@ class Met(Columns):
     hits : Hits
     arm : ndarray, shape (n, 2)
         Position relative to ``centre``, in the axes of the level frame.
-    xy, origin : ndarray, shape (n, 2)
-        Point and sensor in the vehicle frame.
+    xy : ndarray, shape (n, 2)
+        Point in the vehicle frame.
+    z : ndarray, shape (n,)
+        Its height above the ground.
+    origin : ndarray, shape (n, 2)
+        Sensor in the vehicle frame.
     yaw : ndarray, shape (n,)
         Yaw of the body in the world frame.
     """
@@ -42,6 +46,7 @@ class Met(Columns):
     hits: outline.Hits
     arm: FloatArray
     xy: FloatArray
+    z: FloatArray
     origin: FloatArray
     yaw: FloatArray
 

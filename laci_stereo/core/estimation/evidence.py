@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.tracking.sighting import sigma_z
@@ -51,6 +52,8 @@ class Evidence:
         The vehicle's outermost points in each frame, level frame, right and left; NaN where unknown, None if all are.
     begins_rad : ndarray, shape (m,), or None
         See `Sighting`; None: the scans begin behind the sensor.
+    cameras : Cameras or None
+        Level frame; None for other sensors than stereo cameras.
     """
 
     stamps_s: FloatArray
@@ -67,6 +70,7 @@ class Evidence:
     window_rad: float = 0.0
     borders: FloatArray | None = None
     begins_rad: FloatArray | None = None
+    cameras: Cameras | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -111,6 +115,24 @@ class Evidence:
         """Elevation of each point above the sensor's horizon, shape (n,)."""
         above_rad: FloatArray = np.arctan2(self.points[:, 2] - self.height_m, np.hypot(*self.points[:, :2].T))
         return above_rad
+
+    @cached_property
+    def farther_per_m(self) -> FloatArray:
+        """Fraction by which a point is measured too far per metre that it moves between the exposures, shape (n, 2).
+
+        The motion is that from the left to the right image, level frame. A point at depth Z that moves across its line
+        of sight by w has the disparity f (B - w) / Z, so that w / B of the measured depth is too much; across the
+        optical axis w = m . r - (x / Z) m . f, for a motion m, the directions r of the baseline and f of the axis, and
+        the point's coordinate x along r.
+        """
+        if self.cameras is None:
+            return np.zeros((len(self.points), 2))
+        sight = self.points - np.array([0.0, 0.0, self.height_m])
+        baseline_m = float(np.linalg.norm(self.cameras.baseline_m))
+        right, ahead = self.cameras.baseline_m / baseline_m, self.cameras.ahead
+        beside = (sight @ right) / (sight @ ahead)
+        per_m: FloatArray = (right[:2] - beside[:, None] * ahead[:2]) / baseline_m
+        return per_m
 
     @cached_property
     def blur_m(self) -> FloatArray:
@@ -221,4 +243,5 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         window_rad=track.window_rad,
         borders=np.array([sighting.borders for sighting in seen]).reshape(-1, 2, 3),
         begins_rad=np.array([sighting.begin_rad for sighting in seen]),
+        cameras=track.cameras,
     )

@@ -16,9 +16,9 @@ import numpy as np
 
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.estimation.drive_prior import OPTICS, Correction
-from laci_stereo.core.estimation.drive_rows import BIAS, BY_OPTICS
+from laci_stereo.core.estimation.drive_rows import APART, BIAS, BY_OPTICS
 from laci_stereo.core.estimation.evidence import Evidence
-from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, likely_mistakes
+from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, Rival, likely_mistakes
 from laci_stereo.core.estimation.problem import COMPARED, CONVERGED, Problem, Solved
 from laci_stereo.core.estimation.scanner_turn import FIXED, Turn, turn_of
 from laci_stereo.core.estimation.turn_hypotheses import among, clock_sigmas_s, turns_of
@@ -86,12 +86,17 @@ class JointFit:
         are known.
     turn_probability : float
         Posterior probability of that rotation.
+    apart : Correction or None
+        Time from the left to the right images of a stereo camera, s; None where these are of one moment.
     settings : JointSettings
         The priors that were used: wider than those given where a mistake was found in the messages or the calibration.
     perhaps_unset : Correction or None
         The clock offset of a drive, if clocks that were never set are more likely than the priors that were used but
         the estimate is not significant, or if they are an alternative to wrong `optics`, which look alike. The
         covariance includes what the position would be with it.
+    perhaps_optics : bool
+        Wrong optics would explain the points about as well as the time between left and right images, and the
+        covariance includes what the position would be with them.
     nearer : Correction or None
         Correction to be added to all inverse distances of a matcher, 1/m: the error that all disparities share.
     """
@@ -110,8 +115,10 @@ class JointFit:
     turn_probability: float = 1.0
     standing: int = 0
     optics: tuple[Correction, ...] = ()
+    apart: Correction | None = None
     settings: JointSettings = field(default_factory=JointSettings)
     perhaps_unset: Correction | None = None
+    perhaps_optics: bool = False
     nearer: Correction | None = None
 
     def covariance_about(self, place: FloatArray) -> FloatArray:
@@ -191,9 +198,10 @@ def fit_jointly(
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    told, perhaps_unset = settings, None
+    told = settings
+    rivals: tuple[Rival, ...] = ()
     if mistakes:
-        best, settings, perhaps_unset = likely_mistakes(thinned, best)
+        best, settings, rivals = likely_mistakes(thinned, best)
     problem = Problem(fine, begin, centre, settings, turn, stations)
     solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
@@ -207,17 +215,20 @@ def fit_jointly(
     standing = sum(map(len, drives)) - sum(map(len, fine))
     fit = _fit(problem, solved, centre, expected)
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
-    as_told = settings.clock_sigma_s == told.clock_sigma_s  # else the clock's offset is in the estimate
-    rival = perhaps_unset if as_told and (settings is told or optics) else None
+    # A rival that was accepted in the end is in the estimate.
+    unset = settings.clock_sigma_s == told.clock_sigma_s and (settings is told or optics)
+    rivals = tuple(each for each in rivals if (unset if each.clock else not optics))
     return replace(
         fit,
         optics=optics,
+        apart=_apart(solved, settings) if settings.apart_sigma_s > JointSettings.apart_sigma_s else None,
         turn=its_turn,
         turn_probability=probability,
         standing=standing,
         settings=settings,
-        covariance=fit.covariance if rival is None else _with_rival(fit.covariance, solved.x, rival.x),
-        perhaps_unset=None if rival is None else rival.clock,
+        covariance=_with_rivals(fit.covariance, solved.x, rivals),
+        perhaps_unset=next((each.clock for each in rivals if each.clock), None),
+        perhaps_optics=any(each.clock is None for each in rivals),
         nearer=_nearer(solved, drives, settings),
     )
 
@@ -296,15 +307,17 @@ def _match(solved: Solved, centre: FloatArray) -> PlanarMatch:
     return PlanarMatch(yaw, solved.x[1:3] - rotate_xy(yaw, centre))
 
 
-def _with_rival(covariance: FloatArray, x: FloatArray, rival: FloatArray) -> FloatArray:
+def _with_rivals(covariance: FloatArray, x: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
     """Return the covariance of yaw and position, shape (3, 3), where another estimate is as likely.
 
     Errors of points are correlated in ways that no model knows all of, so that likelihoods do not tell two hypotheses
     apart which both explain the points clearly better than none: each has a probability of one half.
     """
-    off = rival[:3] - x[:3]
-    off[0] = wrap(off[0])
-    widened: FloatArray = covariance + np.outer(off, off) / 2.0
+    widened: FloatArray = covariance.copy()
+    for rival in rivals:
+        off = rival.x[:3] - x[:3]
+        off[0] = wrap(off[0])
+        widened += np.outer(off, off) / 2.0
     return widened
 
 
@@ -316,6 +329,12 @@ def _optics(solved: Solved) -> tuple[Correction, ...]:
         Correction(what, float(value), WRONG_OPTICS, float(left))
         for what, value, left in zip(OPTICS, values, after, strict=True)
     )
+
+
+def _apart(solved: Solved, settings: JointSettings) -> Correction:
+    """Return the time from the left to the right images."""
+    after = float(np.sqrt(solved.covariance[APART, APART]))
+    return Correction("apart", float(solved.x[APART]), settings.apart_sigma_s, after)
 
 
 def _nearer(solved: Solved, drives: Sequence[Evidence], settings: JointSettings) -> Correction | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from laci_stereo.core.estimation.drive_prior import LAG, OPTICS, Correction
-from laci_stereo.core.estimation.drive_rows import BASELINE, BY_OPTICS, FOCAL
+from laci_stereo.core.estimation.drive_rows import APART, BASELINE, FOCAL
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.problem import COMPARED, Problem, Solved
 from laci_stereo.core.frames import FloatArray
@@ -18,6 +18,11 @@ WRONG_OPTICS = 0.03
 """A priori relative standard deviation of a wrong focal length or baseline: this is the error of a focal length that
 was read from another matrix, such as the raw image's, or of a baseline that was measured on the outside of the
 camera."""
+
+UNTRIGGERED_S = 0.005
+"""Standard deviation of the time between left and right images that no common trigger exposes. Cameras that run freely
+are apart by up to half a frame period, tens of milliseconds, of which no vehicle remains in one place; software that
+starts both exposures leaves some milliseconds."""
 
 MISTAKEN, WRONG_HEADING_DEG = 0.02, 10.0
 """A priori probability of a mistake in a sender's set-up, one in fifty, and the standard deviation of its headings
@@ -50,6 +55,13 @@ LAGGING_S = 0.2
 positions, or of a direction of motion that waits for the next epoch, which in some receivers is 0.2 s later."""
 
 
+OPTICS_OFF, APART_OFF = frozenset(OPTICS), frozenset({"apart"})
+"""The mistakes of a stereo camera, by the corrections in which they show."""
+
+OF_SENSOR = dict(zip((*OPTICS, "apart"), (FOCAL, BASELINE, APART), strict=True))
+"""The sensor's parameters by the mistakes in which they show."""
+
+
 @dataclass(frozen=True)
 class Mistake:
     """A hypothesis that something is wrong by far more than the settings allow.
@@ -77,39 +89,42 @@ class Mistake:
 
 
 @dataclass(frozen=True)
-class Unset:
-    """A possible clock offset: the estimate with clocks that were never set.
+class Rival:
+    """Another estimate that explains the points: with clocks that were never set, or with other optics.
 
     Attributes
     ----------
-    clock : Correction
-        The offset of one drive.
     x : ndarray, shape (p,)
         All parameters.
+    clock : Correction or None
+        The clock offset of one drive; None: it is one with other optics.
     """
 
-    clock: Correction
     x: FloatArray
+    clock: Correction | None = None
 
 
-def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Unset | None]:
-    """Return the start, the priors, and a possible clock offset under the mistakes that are more likely than none.
+def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, tuple[Rival, ...]]:
+    """Return the start, the priors, and the rivals of the mistakes that are more likely than none.
 
     The most likely mistake is accepted first, and the others are then looked for beside it. Start and priors are those
-    given where there is none. The clock offset is that of clocks which were perhaps never set, beside none of the other
-    mistakes: with log odds above `CLEARLY`, whether it is significant or not; else None.
+    given where there is none. Clocks that were perhaps never set, beside none of the other mistakes, are a rival with
+    log odds above `CLEARLY`, whether their offset is significant or not. Of wrong optics and images of different
+    moments, which look alike, the latter are accepted unless the former are clearly more likely, as they take one
+    number to explain the same; the former are their rival then, unless they are clearly less likely.
     """
-    x, settings, perhaps_unset = _likeliest_mistake(problem, x)
+    x, settings, rivals = _likeliest_mistake(problem, x)
     while settings is not problem.settings:
         problem = problem.expecting(settings)
         x, settings, _ = _likeliest_mistake(problem, x)
-    return x, settings, perhaps_unset
+    return x, settings, tuple(rivals)
 
 
-def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, Unset | None]:
+def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, list[Rival]]:
     """Return the same as `likely_mistakes` for at most one mistake."""
     here = problem.solve(x, COMPARED)
-    settings, most_likelier, perhaps_unset = problem.settings, 0.0, None
+    likely: list[tuple[float, Mistake, FloatArray]] = []
+    rivals = []
     for mistake in _mistakes(problem, here):
         if mistake.settings == problem.settings:
             continue
@@ -123,10 +138,17 @@ def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, Joi
         room = _log_room_of(wider, there) - _log_room_of(problem, here) - mistake.log_wider
         likelier = float(np.log(MISTAKEN)) + room + _likelier_by(problem, here, wider, there)
         if unset and likelier > CLEARLY:
-            perhaps_unset = Unset(unset, there.x)
-        if likelier > max(least, most_likelier):
-            most_likelier, x, settings = likelier, there.x, mistake.settings
-    return x, settings, perhaps_unset
+            rivals.append(Rival(there.x, unset))
+        if likelier > max(least, 0.0):
+            likely.append((likelier, mistake, there.x))
+    if not likely:
+        return x, problem.settings, rivals
+    taken = best = max(likely, key=lambda each: each[0])
+    alike = {each[1].what: each for each in likely if each[0] > best[0] - CLEARLY}
+    if best[1].what in (OPTICS_OFF, APART_OFF) and alike.keys() >= {OPTICS_OFF, APART_OFF}:
+        taken = alike[APART_OFF]
+        rivals.append(Rival(alike[OPTICS_OFF][2]))
+    return taken[2], taken[1].settings, rivals
 
 
 def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
@@ -161,7 +183,10 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
     # baseline would only seem to be found.
     if any(drive.window_rad for drive in drives) and settings.bias_noise_share <= JointSettings.bias_noise_share:
         optics = replace(settings, optics_sigma=WRONG_OPTICS)
-        likely.append(Mistake(frozenset(OPTICS), optics))
+        likely.append(Mistake(OPTICS_OFF, optics))
+    if any(drive.cameras for drive in drives) and settings.apart_sigma_s < UNTRIGGERED_S:
+        apart = replace(settings, apart_sigma_s=UNTRIGGERED_S)
+        likely.append(Mistake(APART_OFF, apart, least_log_odds=CLEARLY))
     if not problem.turn.possible and (boxes or _seem_apart(problem, solved)):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         wider = unset.clock_sigma_s / settings.clock_sigma_s
@@ -187,11 +212,11 @@ def _likelier_by(one: Problem, solved: Solved, other: Problem, its: Solved) -> f
 def _log_room_of(problem: Problem, solved: Solved) -> float:
     """Return the log prior density of the solution, plus a log ratio of posterior to prior volume.
 
-    The volume is that of focal length, baseline and the lags of headings, which are exact unless a hypothesis says
+    The volume is that of the sensor's parameters and of the lags of headings, which are exact unless a hypothesis says
     otherwise. The prior volume of other mistakes is in `Mistake.log_wider`: their posterior volumes are far
     smaller than the prior ones.
     """
-    exact = np.array([FOCAL, BASELINE, *(own.start + LAG for own in problem.own)])
+    exact = np.array([*OF_SENSOR.values(), *(own.start + LAG for own in problem.own)])
     before, after = np.linalg.inv(solved.precision), solved.covariance
     volumes = [np.linalg.slogdet(each[np.ix_(exact, exact)])[1] / 2 for each in (after, before)]
     return problem.log_prior(solved.x, solved.precision) + float(volumes[0] - volumes[1])
@@ -201,8 +226,8 @@ def _tells(problem: Problem, solved: Solved, mistake: Mistake) -> bool:
     """Tell whether a correction of this mistake is significant."""
     if mistake.alone and not only(problem, solved, mistake.what):
         return False
-    if mistake.what.issuperset(OPTICS):  # both together: a wrong baseline affects both
-        found, covariance = solved.x[BY_OPTICS], solved.covariance[BY_OPTICS, BY_OPTICS]
+    if its := [at for what, at in OF_SENSOR.items() if what in mistake.what]:  # together: a baseline affects both
+        found, covariance = solved.x[its], solved.covariance[np.ix_(its, its)]
         return float(found @ np.linalg.solve(covariance, found)) > SURELY**2
     return any(
         each.what in mistake.what and abs(each.value) > SURELY * each.after

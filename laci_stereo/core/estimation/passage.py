@@ -8,7 +8,7 @@ from laci_stereo.core.frames import Axes
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.messages.cam import VehicleTrack
-from laci_stereo.core.settings import Method
+from laci_stereo.core.settings import JointSettings, Method
 from laci_stereo.core.tracking.background import Background
 from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
@@ -39,6 +39,8 @@ class Passage:
         Method by which match and clock offset were estimated.
     clock_sigma_s : float
         Prior standard deviation of the clock offset.
+    apart_sigma_s : float
+        Prior standard deviation of the time between left and right images, see `JointSettings`.
     turn : float
         Rotation of its scanner, see `JointFit`.
     name : str
@@ -58,6 +60,7 @@ class Passage:
     time_offset_s: float
     method: Method
     clock_sigma_s: float
+    apart_sigma_s: float = JointSettings.apart_sigma_s
     turn: float = 0.0
     name: str = ""
     body: VehicleTrack | None = None

@@ -92,7 +92,7 @@ class _Descent:
 class Problem:
     """The models of all drives over one parameter vector: the sensor's parameters, followed by each drive's own.
 
-    The sensor's are yaw, x, y, range bias, rotation of a scanner, focal length and baseline, see `drive_model`.
+    The sensor's are those of `drive_rows`.
     """
 
     def __init__(
@@ -120,9 +120,9 @@ class Problem:
         # Yaw and position are practically free; the range bias is the error that the noise of all points shares.
         self._sensors = np.zeros((self.size, self.size))
         first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
-        first += [settings.optics_sigma**-2] * 2
+        first += [settings.optics_sigma**-2, settings.optics_sigma**-2, settings.apart_sigma_s**-2]
         self._sensors[range(FIRST_OWN), range(FIRST_OWN)] = first
-        self.mean = np.concatenate([begin, [turn.mean, 0.0, 0.0], *(model.prior.mean for model in self.models)])
+        self.mean = np.concatenate([begin, [turn.mean, 0.0, 0.0, 0.0], *(model.prior.mean for model in self.models)])
         self._precision = self.precision_at(None)
 
     def expecting(self, settings: JointSettings) -> Problem:

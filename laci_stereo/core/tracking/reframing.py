@@ -28,6 +28,7 @@ def transformed_track(T_a_b: FloatArray, track: Track) -> Track:
                 points=transform(T_a_b, sighting.points),
                 low=replace(sighting.low, points=transform(T_a_b, sighting.low.points)),
                 borders=transform(T_a_b, sighting.borders),
+                cameras=None if sighting.cameras is None else sighting.cameras.turned(T_a_b[:3, :3]),
                 middle=transformed_xy(T_a_b, sighting.middle[None])[0],
                 box=_laid_box(T_a_b, sighting.box),
             )
@@ -46,6 +47,7 @@ def mirrored_track(track: Track) -> Track:
                 points=sighting.points * over,
                 low=replace(sighting.low, points=sighting.low.points * over),
                 borders=sighting.borders[::-1] * over,
+                cameras=None if sighting.cameras is None else sighting.cameras.turned(np.diag(over)),
                 middle=sighting.middle * over[:2],
                 begin_rad=-sighting.begin_rad,
                 box=replace(sighting.box, centre=sighting.box.centre * over[:2], yaw_rad=-sighting.box.yaw_rad),

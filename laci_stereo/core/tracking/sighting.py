@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.cloud import Cameras, PointCloud
 from laci_stereo.core.columns import Columns
 from laci_stereo.core.errors import BoxError
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, dot_xy, perpendicular, transform
@@ -88,6 +88,8 @@ class Sighting:
         See `PointCloud`.
     begin_rad : float
         Azimuth in the level frame at which the scans of a turning scanner begin, at the elevation of the sighting.
+    cameras : Cameras or None
+        The cameras by which it was seen, level frame; None for other sensors.
     low : Low
         Points below or around it, the same fraction of which is kept as of its points.
     borders : ndarray, shape (2, 3)
@@ -111,6 +113,7 @@ class Sighting:
     turn_s: float = 0.0
     begin_rad: float = np.pi
     window_rad: float = 0.0
+    cameras: Cameras | None = None
     low: Low = NOTHING_LOW
     borders: FloatArray = field(default_factory=lambda: NO_BORDERS)
 
@@ -171,7 +174,8 @@ def find_vehicles(
         sighting = _sighting(points[members], cloud[members], its_low, frame_s, settings)
         if sighting is not None:
             borders = _borders(points[members], cloud[members], points[covered, :2], settings)
-            found.append(replace(sighting, borders=borders))
+            cameras = None if cloud.cameras is None else cloud.cameras.turned(T_level_sensor[:3, :3])
+            found.append(replace(sighting, borders=borders, cameras=cameras))
     return found
 
 

@@ -17,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.frames import BoolArray, FloatArray
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.tracking.sighting import Sighting
@@ -84,6 +85,11 @@ class Track:
     def window_rad(self) -> float:
         """Side of the window within which points share their noise, 0 if the noise of each is independent."""
         return max((sighting.window_rad for sighting in self.sightings), default=0.0)
+
+    @property
+    def cameras(self) -> Cameras | None:
+        """The cameras by which it was seen, level frame; None for other sensors."""
+        return next((sighting.cameras for sighting in self.sightings if sighting.cameras), None)
 
     def flaws(self) -> Counter[str]:
         """Count the sightings that are left out, by reason."""

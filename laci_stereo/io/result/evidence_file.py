@@ -20,6 +20,7 @@ import numpy.typing as npt
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.errors import EvidenceError
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.estimation.scanner_turn import TURNS
@@ -37,7 +38,7 @@ from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-FORMAT = "laci-evidence/6"
+FORMAT = "laci-evidence/7"
 KINDS = ("stereo", "lidar", "detections")
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
@@ -64,8 +65,9 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "slope": ("f", (7,)),  # gradient, covariance xx, xy, yy, pivot; all 0 if unknown
     "turn": ("f", (2,)),  # a scanner's period (0: not needed) and estimated sense of rotation (1, -1, 0: none)
     "window": ("f", ()),  # side of the matching window, within which points share their noise, rad; 0: none
+    "cameras": ("f", (2, 3)),  # baseline and optical axis in the level frame; all 0: no stereo camera
     "method": ("U", ()),  # that estimated the drive's own match and clock offset
-    "own": ("f", (5,)),  # yaw, x, y and clock offset from this drive alone; a priori clock sigma
+    "own": ("f", (6,)),  # yaw, x, y and clock offset from this drive alone; a priori sigmas: clock, between images
     "stamps_s": ("f", ("frames", 2)),  # of the points, of their frame
     "begins": ("f", ("frames",)),  # azimuth at which a rotating scanner's scans begin
     "middles": ("f", ("frames", 2)),
@@ -232,6 +234,7 @@ def _to_arrays(passage: Passage) -> Arrays:
     counts = [(each.count, len(each.points), FLAWS.index(each.flaw), len(each.low.points)) for each in sightings]
     sigmas = [np.column_stack([each.sigma_along_m, each.sigma_across_m]) for each in sightings]
     low = [np.column_stack([each.low.points, each.low.sigma_along_m, each.low.sigma_across_m]) for each in sightings]
+    priors = passage.clock_sigma_s, passage.apart_sigma_s
     size = (vehicle.length_m, vehicle.width_m, *vehicle.reference, *vehicle.guessed_m, vehicle.position_sigma_m)
     return {
         "name": np.array(passage.name),
@@ -252,8 +255,9 @@ def _to_arrays(passage: Passage) -> Arrays:
         "slope": _of_slope(vehicle),
         "turn": np.array([passage.track.turn_s, passage.turn]),
         "window": np.array(passage.track.window_rad),
+        "cameras": _of_cameras(passage.track.cameras),
         "method": np.array(passage.method),
-        "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, passage.clock_sigma_s]),
+        "own": np.array([passage.match.yaw_rad, *passage.match.shift, passage.time_offset_s, *priors]),
         "stamps_s": np.array([(each.stamp_s, each.frame_s) for each in sightings]).reshape(-1, 2),
         "begins": np.array([each.begin_rad for each in sightings]),
         "middles": np.array([each.middle for each in sightings]).reshape(-1, 2),
@@ -269,6 +273,14 @@ def _to_arrays(passage: Passage) -> Arrays:
 
 def _of_altitudes(vehicle: VehicleTrack) -> FloatArray:
     return np.full((len(vehicle.stamps_s), 1), np.nan) if vehicle.altitude_m is None else vehicle.altitude_m[:, None]
+
+
+def _of_cameras(cameras: Cameras | None) -> FloatArray:
+    return np.zeros((2, 3)) if cameras is None else np.stack([cameras.baseline_m, cameras.ahead])
+
+
+def _cameras(rows: FloatArray) -> Cameras | None:
+    return Cameras(rows[0], rows[1]) if rows.any() else None
 
 
 def _of_slope(vehicle: VehicleTrack) -> FloatArray:
@@ -298,7 +310,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
     *origin, scale = found["world"].tolist()
     forward, up = (tuple(axis) for axis in found["axes"].tolist())
     length_m, width_m, x, y, *guessed, sigma_m = found["vehicle"].tolist()
-    yaw, match_x, match_y, offset_s, clock_sigma_s = found["own"].tolist()
+    yaw, match_x, match_y, offset_s, clock_sigma_s, apart_sigma_s = found["own"].tolist()
     altitude_m = found["message_altitudes_m"][:, 0].astype(np.float64)
     return Passage(
         world=World(str(found["crs"]), (origin[0], origin[1]), scale),
@@ -324,6 +336,7 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
         time_offset_s=offset_s,
         method=METHODS[METHODS.index(str(found["method"]))],
         clock_sigma_s=clock_sigma_s,
+        apart_sigma_s=apart_sigma_s,
         turn=float(found["turn"][1]),
         name=str(found["name"]),
     )
@@ -354,8 +367,14 @@ def _check(path: Path, found: Arrays) -> None:
         "vehicle's size, above 0": (found["vehicle"][:2] > 0.0).all() and (found["vehicle"][4:6] >= 0.0).all(),
         "turn, of at least 0 s, by -1, 0 or 1": found["turn"][0] >= 0.0 and found["turn"][1] in TURNS,
         "window, not negative": found["window"] >= 0.0,
+        "cameras, a baseline across an optical axis of length 1": not found["cameras"].any()
+        or (
+            np.linalg.norm(found["cameras"][0]) > 0.0
+            and abs(np.linalg.norm(found["cameras"][1]) - 1.0) < 1e-6
+            and abs(found["cameras"][0] @ found["cameras"][1]) < 1e-6 * np.linalg.norm(found["cameras"][0])
+        ),
         f"method, one of {', '.join(METHODS)}": str(found["method"]) in METHODS,
-        "clock sigma, above 0": found["own"][4] > 0.0,
+        "sigmas of times, above 0": (found["own"][4:] > 0.0).all(),
         "messages' stamps, at least 2 and ascending": len(found["message_stamps_s"]) > 1
         and (np.diff(found["message_stamps_s"]) > 0.0).all(),
         "frames' stamps, at least 1 and ascending": len(found["stamps_s"]) > 0
@@ -410,6 +429,7 @@ def _track(found: Arrays) -> Track:
     borders = found["borders"].astype(np.float64).reshape(-1, 2, 3)
     borders[~borders[:, :, :2].any(axis=2)] = np.nan
     turn_s, window_rad = float(found["turn"][0]), float(found["window"])
+    cameras = _cameras(found["cameras"].astype(np.float64))
     stamps, noise, counts = (found[name].tolist() for name in ("stamps_s", "noise", "counts"))
     return Track(
         tuple(
@@ -428,6 +448,7 @@ def _track(found: Arrays) -> Track:
                 turn_s=turn_s,
                 begin_rad=float(found["begins"][i]),
                 window_rad=window_rad,
+                cameras=cameras,
                 low=Low(*(column[slice(*lows)] for column in low)),
                 borders=borders[i],
             )

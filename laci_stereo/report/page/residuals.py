@@ -116,7 +116,7 @@ def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[Flo
     """
     prior = model.prior
     x = np.concatenate(
-        [[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn, 0.0, 0.0], prior.mean]
+        [[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn, 0.0, 0.0, 0.0], prior.mean]
     )
     x[FIRST_OWN + CLOCK] = passage.time_offset_s
     shares = model.likelihood.first_shares()

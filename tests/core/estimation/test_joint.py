@@ -21,7 +21,7 @@ from laci_stereo.core.estimation.drive_prior import (
     SHAPE,
     Correction,
 )
-from laci_stereo.core.estimation.drive_rows import BASELINE, BIAS, FIRST_OWN, FOCAL, SWEEP
+from laci_stereo.core.estimation.drive_rows import APART, BASELINE, BIAS, FIRST_OWN, FOCAL, SWEEP
 from laci_stereo.core.estimation.evidence import FRAMES_PER_PLACE, Evidence
 from laci_stereo.core.estimation.joint import JointFit, fit_jointly
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -32,6 +32,7 @@ from laci_stereo.core.vehicle import outline
 from laci_stereo.core.vehicle.outline import FACES, SIDES
 from tests.core.outlines import (
     BRAKING,
+    CAMERAS,
     CIRCLE,
     STRAIGHT,
     TRUTH,
@@ -42,6 +43,7 @@ from tests.core.outlines import (
     lasting,
     stopping,
     told,
+    untriggered,
     with_borders,
 )
 from tests.simulated import Drive
@@ -352,11 +354,11 @@ def test_a_long_stop_makes_the_problem_hardly_larger() -> None:
 def test_the_derivatives_are_those_of_the_ranges(index: int) -> None:
     way = CIRCLE if index == FIRST_OWN + BEGIN else TURN  # messages begin in a bend, or on a straight
     drive = evidence(way, sigma_m=0.05, offset_s=0.01)
-    drive = replace(drive, vehicle=told(way, 6.0, reference=(2.3, 0.1)), turn_s=0.1)
+    drive = replace(drive, vehicle=told(way, 6.0, reference=(2.3, 0.1)), turn_s=0.1, cameras=CAMERAS)
     model = DriveModel(drive, drive.middles.mean(axis=0), JointSettings(), turns=True)
     x = np.zeros(FIRST_OWN + len(model.prior.mean))
     x[0], x[1:3] = TRUTH.yaw_rad + 0.005, TRUTH(drive.middles.mean(axis=0)[None])[0] + 0.05
-    x[[BIAS, SWEEP, FOCAL, BASELINE]] = 0.01, 0.7, 0.02, -0.01
+    x[[BIAS, SWEEP, FOCAL, BASELINE, APART]] = 0.01, 0.7, 0.02, -0.01, 0.002
     radii = FIRST_OWN + SHAPE.start + outline.SHAPE.index("front_radius")
     x[FIRST_OWN : radii + 2] = np.random.default_rng(2).normal(0.0, 0.01, radii + 2 - FIRST_OWN)
     x[[FIRST_OWN + LEVER, FIRST_OWN + BEGIN]] += 2.0, 0.3
@@ -378,7 +380,7 @@ def test_the_derivatives_of_borders_are_theirs(index: int) -> None:
     drive = with_borders(evidence(sigma_m=0.05, per_frame=10), sigma=0.1)
     drive = replace(drive, vehicle=told(TURN, 6.0, reference=(2.3, 0.1)))
     model, x = at_the_truth(drive)
-    x += np.random.default_rng(2).normal(0.0, 0.01, len(x))
+    x += np.insert(np.random.default_rng(2).normal(0.0, 0.01, len(x) - 1), APART, 0.0)  # borders are bearings
     size = 1e-2 if index == FIRST_OWN + LAG else 1e-6  # the body's yaw is interpolated linearly over 0.02 s
     step = size * np.eye(len(x))[index]
     rows, more, less = (model.rows(place) for place in (x, x + step, x - step))
@@ -614,6 +616,53 @@ def test_a_clock_that_is_in_the_estimate_beside_wrong_optics_is_no_doubt(offset_
     assert fit.time_offsets_s[0] == pytest.approx(offset_s, abs=3 * fit.time_sigmas_s[0])
     assert fit.optics[0].value == pytest.approx(depth, abs=3 * fit.optics[0].after)
     assert fit.perhaps_unset is None
+
+
+@pytest.mark.parametrize(
+    ("drive", "apart_s"),
+    [
+        (TURN, 0.0015),
+        (BRAKING, -0.0015),
+        pytest.param(TURN, -0.0015, marks=pytest.mark.slow),
+        pytest.param(TURN, 0.004, marks=pytest.mark.slow),
+        pytest.param(BRAKING, 0.004, marks=pytest.mark.slow),
+    ],
+)
+def test_images_of_different_moments_are_told_and_undone(drive: Drive, apart_s: float) -> None:
+    seen = replace(evidence(drive, sigma_m=0.1, per_frame=20), window_rad=0.005)
+    fit = fit_jointly([untriggered(seen, apart_s, drive)], TRUTH)
+    assert fit.apart is not None
+    assert abs(fit.apart.value - apart_s) < 3.0 * fit.apart.after < 0.0015
+    assert not fit.optics
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 11.3  # 99 % of three dimensions
+
+
+def test_taken_as_of_one_moment_such_images_put_the_sensor_elsewhere() -> None:
+    late = untriggered(replace(evidence(BRAKING, sigma_m=0.1, per_frame=20), window_rad=0.005), -0.0015, BRAKING)
+    told, untold = (fit_jointly([each], TRUTH) for each in (late, replace(late, cameras=None)))
+    assert np.hypot(*error(untold)[1:]) > 5.0 * np.hypot(*error(told)[1:])
+
+
+@pytest.mark.parametrize("drive", [TURN, BRAKING, STRAIGHT])
+def test_images_of_one_moment_are_not_told_apart(drive: Drive) -> None:
+    seen = replace(evidence(drive, sigma_m=0.1, per_frame=20), window_rad=0.005, cameras=CAMERAS)
+    assert fit_jointly([seen], TRUTH).apart is None
+
+
+def test_who_passes_evenly_cannot_tell_when_images_were_taken_and_its_doubt_says_so() -> None:
+    """At 7 m/s and 21 m away 1 ms is as much as 0.3 m of range, by a baseline of 0.5 m."""
+    begin = TRUTH(np.array([[21.0, -7.0]]))[0]
+    past = Drive((begin[0], begin[1]), float(np.degrees(TRUTH.yaw_rad)) + 90.0, speeds=((0.0, 7.0),))
+    seen = replace(evidence(past, sigma_m=0.1, per_frame=20, last_s=2.0), window_rad=0.005, cameras=CAMERAS)
+    exact, loose = (
+        fit_jointly([seen], TRUTH, settings=JointSettings(apart_sigma_s=sigma_s)) for sigma_s in (1e-6, 1e-3)
+    )
+    assert exact.apart is None
+    assert loose.apart is not None
+    assert loose.apart.after > 0.5e-3
+    wider = np.sqrt(np.trace((loose.covariance - exact.covariance)[1:, 1:]))
+    assert wider == pytest.approx(7.0 / 0.5 * 21.0 * loose.apart.after, rel=0.2)
 
 
 def test_what_no_matcher_saw_is_not_scaled() -> None:

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.cloud import PointCloud, empty_cloud
+from laci_stereo.core.cloud import Cameras, PointCloud, empty_cloud
 from laci_stereo.core.frames import FloatArray, invert, planar, rotate_xy, transform
 from laci_stereo.core.settings import Settings, VehicleSettings
 from laci_stereo.core.tracking.background import Background, BackgroundBox, learn_background
 from laci_stereo.core.tracking.box import Box
 from laci_stereo.core.tracking.sighting import KEPT_LOW, KEPT_POINTS, Sighting, dense, find_vehicles, together
+from laci_stereo.core.tracking.tracks import Track
 from tests.simulated import (
     EPOCH_NS,
     LEFT_TURN,
@@ -204,6 +205,19 @@ def test_where_the_field_of_view_ends_no_border_is_known() -> None:
     seen = [found(alone(standing(18.0, y, 90.0), CAMERA)) for y in (6.0, 9.0, 11.0, 13.0)]
     known = [tuple(np.isfinite(sighting.borders[:, 0])) for (sighting, *_) in filter(None, seen)]
     assert list(dict.fromkeys(known)) == [(True, True), (True, False)]
+
+
+def test_the_cameras_are_turned_into_the_level_frame() -> None:
+    recording = alone(standing(17.0, 1.0), stereo()).recording
+    cloud, T = recording.frame(0), T_level_sensor(recording)
+    (bare,) = find_vehicles(cloud, 0.5, T, NOTHING, Settings())
+    cameras = Cameras(np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))  # OpenCV's axes
+    (seen,) = find_vehicles(replace(cloud, cameras=cameras), 0.5, T, NOTHING, Settings())
+    assert bare.cameras is None
+    assert seen.cameras is not None
+    np.testing.assert_allclose(seen.cameras.baseline_m, 0.5 * T[:3, 0], atol=1e-12)
+    np.testing.assert_allclose(seen.cameras.ahead, T[:3, 2], atol=1e-12)
+    assert Track((seen,)).cameras is seen.cameras
 
 
 def test_of_two_pieces_the_outer_borders_are_those_of_both() -> None:

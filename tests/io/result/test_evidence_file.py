@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.errors import EvidenceError, InputError
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.messages.slope import Slope
@@ -57,8 +58,12 @@ def passage() -> Passage:
         slope=SLOPE,
         altitude_m=np.where(made.vehicle.stamps_s < 1.0, np.nan, 560.0 + made.vehicle.stamps_s),
     )
-    track = Track(tuple(replace(each, turn_s=0.1, begin_rad=2.5, window_rad=0.011) for each in sightings))
-    return replace(made, track=track, vehicle=vehicle, time_offset_s=-0.012, turn=-1.0, name="monday")
+    cameras = Cameras(np.array([0.0, -0.5, 0.0]), np.array([0.96, 0.0, -0.28]))
+    track = Track(
+        tuple(replace(each, turn_s=0.1, begin_rad=2.5, window_rad=0.011, cameras=cameras) for each in sightings)
+    )
+    made = replace(made, time_offset_s=-0.012, apart_sigma_s=0.002, turn=-1.0, name="monday")
+    return replace(made, track=track, vehicle=vehicle)
 
 
 def kept() -> Kept:
@@ -156,7 +161,7 @@ def test_detections_without_points(tmp_path: Path) -> None:
 def test_other_versions_are_named(tmp_path: Path) -> None:
     path = tmp_path / "evidence.npz"
     np.savez(path, **{**arrays(), "format": np.array("laci-evidence/2")})
-    refused(path, "laci-evidence/2", "needed is laci-evidence/6")
+    refused(path, "laci-evidence/2", "needed is laci-evidence/7")
 
 
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:
@@ -212,7 +217,11 @@ def test_every_array_is_needed_in_its_kind_and_shape(tmp_path: Path, name: str) 
         ("ground_covariance", (3, 3), -1.0, "covariance"),
         ("ground_covariance", ..., 0.0, "above 0 of normal and height"),
         ("vehicle", 0, 0.0, "size"),
-        ("own", 4, 0.0, "clock sigma"),
+        ("own", 4, 0.0, "sigmas of times"),
+        ("own", 5, 0.0, "sigmas of times"),
+        ("cameras", (0, 0), 0.3, "baseline across an optical axis"),
+        ("cameras", 0, 0.0, "baseline across an optical axis"),
+        ("cameras", (1, 2), 2.0, "baseline across an optical axis"),
         ("message_stamps_s", 1, -1e9, "messages' stamps"),
         ("stamps_s", (1, 0), -1e9, "frames' stamps"),
         ("counts", (0, 1), 7, "counts of points"),
