@@ -113,7 +113,9 @@ def test_folders_that_are_no_stereo_recording_are_refused(site: Site, damage: Da
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("later_ms", "told", "doubt"), [(0.9, False, None), (4, True, "by chance"), (30, True, "apart")])
+@pytest.mark.parametrize(
+    ("later_ms", "told", "doubt"), [(0.9, False, None), (4, True, "by chance"), (30, True, "apart")]
+)
 def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bool, doubt: str | None) -> None:
     """By their times; the images are of one moment, which the drive tells.
 

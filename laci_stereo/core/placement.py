@@ -6,6 +6,7 @@ to them exceeds its prior by far (`CONTRADICTED`).
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -26,6 +27,7 @@ from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.quality import Doubt, Placement, doubt_of
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.core.settings import JointSettings, MatchSettings, Settings
 from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.vehicle import outline
@@ -155,7 +157,7 @@ def _registered(
             remarks.append(f"{_unused(other)}: {error}")
             continue
         if wrong := _contradicted(alone, [its_drive], [""], missing := _missing(alone, [its_drive])):
-            alone = _with_doubt_along(alone, [its_drive], missing)
+            alone = _with_doubt_along(alone, [its_drive], _all_lack_m(missing))
             contradicted.append((other, alone, "; ".join(words for _, words in wrong)))
         else:
             registered.append((other, its_drive, alone))
@@ -232,8 +234,9 @@ def place(
             f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are {most_m:.2f} m: "
             f"{_advice(fit, doubt, drives[0])}"
         )
-    missing = _missing(fit, drives)
-    fit = _with_doubt_along(fit, drives, missing)
+    missing, longer = _missing(fit, drives), [_longer_m(drive) for drive in drives]
+    fit = _with_doubt_along(fit, drives, _all_lack_m(missing))
+    fit = _with_doubt_along(fit, drives, min(map(_shift_m, drives, longer)))
     covariance = fit.covariance.copy()
     covariance[1:, 1:] += fit.covariance_by_optics(middles)
     doubt = Doubt(covariance, doubt.arms)
@@ -264,6 +267,11 @@ def place(
         advice=_advice(fit, doubt, drives[0], _all_lack_m(missing)),
         contradictions=(
             *(f"{name}: {words}" if name else words for name, words in contradicted),
+            *(
+                f"{name}: {words}" if name else words
+                for name, drive, longer_m in zip(names, drives, longer, strict=True)
+                for words in _too_long(drive, longer_m)
+            ),
             *([_optics_in_words(fit)] if fit.optics else []),
             *(f"{words}; trigger both cameras at once" for words in apart if unexpected),
             *([_perhaps_unset(fit.perhaps_unset, fit)] if fit.perhaps_unset else []),
@@ -341,17 +349,48 @@ def _lacks(missing_m: Mapping[str, float], vehicle: VehicleTrack) -> str:
     return f"{ends} of the vehicle's {vehicle.length_m:.1f} m were never seen, although its side was"
 
 
-def _with_doubt_along(fit: JointFit, drives: Sequence[Evidence], missing: Sequence[Mapping[str, float]]) -> JointFit:
-    """Return a fit with the uncertainty along its vehicles that results from the parts which were never seen.
+def _longer_m(drive: Evidence) -> float:
+    """Return by how much a detector's boxes are longer than the vehicle by its messages; 0 where that is no surprise.
 
-    With a probability of one half, what was seen is another part of the vehicle, and the position is off by the length
-    that was never seen.
+    One box's error of length counts as the error that all share, in addition to that of what the messages report.
+    """
+    if len(drive.points) or not len(drive):
+        return 0.0
+    longer_m = -drive.lacking_m[:, 0]
+    median_m = float(np.median(longer_m))
+    scatter_m = NORMAL * float(np.median(np.abs(longer_m - median_m)))
+    sigma_m = math.hypot(scatter_m, JointSettings.size_sigma_m, drive.vehicle.guessed_m[0])
+    return median_m if median_m > CONTRADICTED * sigma_m else 0.0
+
+
+def _shift_m(drive: Evidence, longer_m: float) -> float:
+    """Return by how much a vehicle's middle shifts, relative to its reported position, if it is longer by so much."""
+    return abs(drive.vehicle.reference[0]) / drive.vehicle.length_m * longer_m
+
+
+def _too_long(drive: Evidence, longer_m: float) -> list[str]:
+    """Return in words that a detector's boxes are longer than the vehicle by its messages, if they are."""
+    if longer_m == 0.0:
+        return []
+    length_m = drive.vehicle.length_m
+    told = "was assumed" if drive.vehicle.guessed_m[0] else "its messages report"
+    words = (
+        f"the vehicle's boxes are {length_m + longer_m:.1f} m long in the median, and {told} {length_m:.1f} m: if the "
+        f"boxes are right, the position is off by {_shift_m(drive, longer_m):.2f} m along the drive"
+    )
+    return [words]
+
+
+def _with_doubt_along(fit: JointFit, drives: Sequence[Evidence], off_m: float) -> JointFit:
+    """Return a fit with the uncertainty along its vehicles of being off by ``off_m`` with a probability of one half.
+
+    So it is where what was seen is perhaps another part of the vehicle, by the length that was never seen.
     """
     poses = [drive.vehicle.at(drive.stamps_s + s) for drive, s in zip(drives, fit.time_offsets_s, strict=True)]
     yaw = np.concatenate([yaw[known] for _, yaw, known in poses])
     along = np.stack([np.cos(yaw), np.sin(yaw)])
     covariance = fit.covariance.copy()
-    covariance[1:, 1:] += _all_lack_m(missing) ** 2 / 2.0 * (along @ along.T) / max(len(yaw), 1)
+    covariance[1:, 1:] += off_m**2 / 2.0 * (along @ along.T) / max(len(yaw), 1)
     return replace(fit, covariance=covariance)
 
 

@@ -317,6 +317,9 @@ class JointSettings:
     bias_noise_share : float
         Fraction of each point's standard deviation that is one error shared over the whole drive: the rectification's
         or the scanner's, which is the same on the road.
+    boxes_range_m : float
+        Standard deviation of the range error that all boxes of a detector share: one that completes what it sees to the
+        usual size of a car is off by half of what this car differs, 0.05 m for widths and 0.2 m for lengths.
     optics_sigma : float
         Relative standard deviation of a stereo camera's focal length and of its baseline: both are taken as exact
         unless the points contradict them. The error that a calibration with boards leaves, 0.1 to 0.2 %, moves objects
@@ -339,6 +342,7 @@ class JointSettings:
     bias_way_m: float = 100.0
     shared_variance_share: float = 0.25
     bias_noise_share: float = GroundSettings.shared_noise_share
+    boxes_range_m: float = 0.1
     optics_sigma: float = 1e-5
     apart_sigma_s: float = 1e-6
     block_s: float = 1.0

@@ -191,9 +191,9 @@ def completed(
 ) -> tuple[FloatArray, FloatArray]:
     """Extend boxes away from the sensor to the vehicle's size; return their centres, shape (..., n, 2), and sigma.
 
-    The missing part of a box is on the side away from the sensor, so its centre is off by half of that. Where another
-    object hides the vehicle, it may also be on the near side: two standard deviations reach back to the original
-    centre.
+    The missing part of a box is on the side away from the sensor, so its centre is off by half of that, or for a
+    detector's box as likely not at all (`Knots`). Where another object hides the vehicle, it may also be on the near
+    side: two standard deviations reach back to the original centre.
     """
     yaw_level = poses.yaw_rad - yaw_rad
     turned = knots.yaw_rad - yaw_level
@@ -206,7 +206,7 @@ def completed(
         axis=-1,
     ).clip(0.0)
     sight = rotate_xy(-yaw_level, knots.xy / np.maximum(np.linalg.norm(knots.xy, axis=1, keepdims=True), 1e-9))
-    grown = knots.xy + rotate_xy(yaw_level, (sight / GRAZING).clip(-1.0, 1.0) * lacking / 2)
+    grown = knots.xy + rotate_xy(yaw_level, (sight / GRAZING).clip(-1.0, 1.0) * knots.partial[..., None] * lacking / 2)
     variance = settings.position_sigma_m**2 + knots.sigma_m**2 + (lacking**2).sum(axis=-1) / 16
     # The middle was computed from the reference point at the vehicle's front along the heading instead of the body's
     # yaw.

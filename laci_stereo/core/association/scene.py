@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from laci_stereo.core.columns import Columns
+from laci_stereo.core.estimation.drive_prior import PARTIAL_MEAN
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.settings import MatchSettings
@@ -34,7 +35,11 @@ VIEW_CELL_M = 5.0
 
 @dataclass(frozen=True)
 class Knots(Columns):
-    """Averages over a track's successive sightings; each attribute has shape (n,), and ``xy`` (n, 2)."""
+    """Averages over a track's successive sightings; each attribute has shape (n,), and ``xy`` (n, 2).
+
+    ``partial`` is the expected fraction of what a box lacks that lies behind it as seen from the sensor: all behind a
+    cluster of points, half behind a detector's box, which may also be centred on the vehicle.
+    """
 
     track: IntArray
     stamp_s: FloatArray
@@ -42,6 +47,7 @@ class Knots(Columns):
     length_m: FloatArray
     width_m: FloatArray
     yaw_rad: FloatArray
+    partial: FloatArray
     sigma_m: FloatArray
     radial_mps: FloatArray
     frames: FloatArray
@@ -160,12 +166,13 @@ def _knots(tracks: Sequence[Track]) -> Knots:
                 one.box.length_m,
                 one.box.width_m,
                 one.box.yaw_rad,
+                PARTIAL_MEAN if one.detected else 1.0,
                 one.sigma_m,
                 np.nan if one.radial_mps is None else one.radial_mps,
             )
             for _, one in sightings
         ]
-    ).reshape(-1, 5)
+    ).reshape(-1, 6)
     key = np.column_stack([index, usable, np.floor(stamps_s / KNOT_S)])
     order = np.lexsort((stamps_s, key[:, 2], key[:, 1], key[:, 0]))
     new = np.append(True, (np.diff(key[order], axis=0) != 0).any(axis=1))[: len(order)]
@@ -177,9 +184,19 @@ def _knots(tracks: Sequence[Track]) -> Knots:
         total: FloatArray = np.add.reduceat(values[order], starts, axis=0) if len(starts) else values
         return total / (count[:, None] if values.ndim == 2 else count)
 
-    length, width, yaw, sigma, radial = others[middle].T
+    length, width, yaw, partial, sigma, radial = others[middle].T
     return Knots(
-        index[middle], mean(stamps_s), mean(xy), length, width, yaw, sigma, radial, count.astype(float), usable[middle]
+        track=index[middle],
+        stamp_s=mean(stamps_s),
+        xy=mean(xy),
+        length_m=length,
+        width_m=width,
+        yaw_rad=yaw,
+        partial=partial,
+        sigma_m=sigma,
+        radial_mps=radial,
+        frames=count.astype(float),
+        usable=usable[middle],
     )
 
 

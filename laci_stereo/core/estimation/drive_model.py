@@ -314,15 +314,18 @@ class DriveModel:
         """Return how far a detector's box centres are from the vehicle's, along and across the vehicle.
 
         A part of their errors persists while the vehicle is seen from one side, so that many weigh no more than a few
-        (Kish's design effect, as in `choose`); this fraction is estimated from the boxes.
+        (Kish's design effect, as in `choose`); this fraction is estimated from the boxes. All share an error along the
+        line of sight, which is the range bias.
         """
         frame = np.flatnonzero(poses.known)
         arm = (self.drive.middles[frame] - self.centre) * _scale(x)
         late_s = self.drive.frames_late_s[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         middle, _ = outline.about_middle(x[_SHAPE])
-        nearer = np.sign(origin - middle) * self.drive.lacking_m[frame] / 2
-        distances = (xy - middle - x[_PARTIAL] * nearer).T
+        nearer = np.sign(origin - middle) * np.maximum(self.drive.lacking_m[frame], 0.0) / 2
+        sight = (xy - origin) / np.maximum(np.linalg.norm(xy - origin, axis=1, keepdims=True), 1e-9)
+        farther = self.settings.boxes_range_m / self.settings.bias_noise_share * sight
+        distances = (xy - middle - x[_PARTIAL] * nearer + x[BIAS] * farther).T
         worth = self.error_worth[frame]
         variances, lasting = course_of(distances, self.drive.way_m[frame], worth)
         variances = np.maximum(variances, outline.OUTLINE_SIGMA_M**2)
@@ -334,6 +337,7 @@ class DriveModel:
             jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, normal)
             jacobian[:, _SHAPE] = -moved
             jacobian[:, _PARTIAL] = -nearer[:, axis]
+            jacobian[:, BIAS] = farther[:, axis]
             parts.append(
                 Rows(
                     distance=distances[axis],

@@ -13,9 +13,11 @@ from laci_stereo.core.vehicle import outline
 
 BIAS, SWEEP, FOCAL, BASELINE, APART = range(3, 8)
 FIRST_OWN = 8
-"""Number of the sensor's parameters: yaw, x, y, range bias (in standard deviations of each point), rotation of a
-scanner, the relative amounts by which the focal length and the baseline of a stereo camera are given too small, and the
-time from its left to its right images, s. They are followed by each drive's own parameters, see `drive_prior`."""
+"""Number of the sensor's parameters: yaw, x, y, range bias, rotation of a scanner, the relative amounts by which the
+focal length and the baseline of a stereo camera are given too small, and the time from its left to its right images, s.
+The range bias is in standard deviations of each point; for boxes, in those of what all share
+(`JointSettings.boxes_range_m`) over that of the prior (`JointSettings.bias_noise_share`). They are followed by each
+drive's own parameters, see `drive_prior`."""
 
 BY_OPTICS = slice(FOCAL, BASELINE + 1)
 """Focal length and baseline among the parameters and the columns of the derivatives."""

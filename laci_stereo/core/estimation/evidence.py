@@ -34,7 +34,8 @@ class Evidence:
     middles : ndarray, shape (m, 2)
         The vehicle in each frame, level frame: its median point, or the centre of the box that a detector gave.
     lacking_m : ndarray, shape (m, 2)
-        By how much a detector's box is shorter and narrower than the vehicle: by the whole size where it gave none.
+        By how much a detector's box is shorter and narrower than the vehicle: by the whole size where it gave none;
+        negative where it is longer or wider.
     points : ndarray, shape (n, 3)
         Level frame, metres; none where a detector gave the boxes.
     frame : ndarray of int, shape (n,)
@@ -231,7 +232,7 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
     return Evidence(
         stamps_s=stamps[known],
         middles=np.array([sighting.middle for sighting in seen]).reshape(-1, 2),
-        lacking_m=(np.array([vehicle.length_m, vehicle.width_m]) - sizes).clip(0.0),
+        lacking_m=np.array([vehicle.length_m, vehicle.width_m]) - sizes,
         points=points,
         frame=np.repeat(np.arange(len(parts)) // 2, [len(part.points) for part in parts]),
         sigma_along_m=np.hypot(level * along, down * across),

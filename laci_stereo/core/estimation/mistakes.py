@@ -154,21 +154,26 @@ def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, Joi
 def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
     """Return the hypotheses of mistakes that the drives could reveal.
 
-    These are: headings that are not those of the drive; headings that are older than the positions beside them, or a
-    reference point at another place on the vehicle than was reported, both of which only a turn determines; another
-    focal length or baseline of a stereo camera; and a clock that was never set, if some clocks seem to be apart or
-    could not seem so. Small errors of many other parameters are a more likely explanation the smaller a mistake is;
-    from such a solution the path to the mistake leads downhill, so that a descent from there finds it.
+    These are: headings that are not those of the drive, which a detector's boxes reveal only in a turn; headings that
+    are older than the positions beside them, or a reference point at another place on the vehicle than was reported,
+    both of which only a turn determines; another focal length or baseline of a stereo camera, or left and right images
+    of different moments; and a clock that was never set, if some clocks seem to be apart or could not seem so. Small
+    errors of many other parameters are a more likely explanation the smaller a mistake is; from such a solution the
+    path to the mistake leads downhill, so that a descent from there finds it.
     """
     settings, drives = problem.settings, [model.drive for model in problem.models]
     senders = len(set(problem.recordings.stations))
     # The variance of a detector's boxes is estimated from their dispersion: an estimate with wrong clocks, which add to
     # it, never seems to contradict it, and likelihoods only compare as if errors of successive boxes were independent.
     boxes = not any(len(drive.points) for drive in drives)
-    heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
-    wider = heading.heading_sigma_deg / settings.heading_sigma_deg
-    likely = [Mistake(frozenset({"heading"}), heading, senders * np.log(wider))]
-    if any(_turned_rad(drive) > TURNED_RAD for drive in drives):
+    turned = any(_turned_rad(drive) > TURNED_RAD for drive in drives)
+    likely = []
+    # On a straight drive boxes show a wrong heading only as a shift to the side, as their own errors do.
+    if turned or not boxes:
+        heading = replace(settings, heading_sigma_deg=WRONG_HEADING_DEG)
+        wider = heading.heading_sigma_deg / settings.heading_sigma_deg
+        likely.append(Mistake(frozenset({"heading"}), heading, senders * np.log(wider)))
+    if turned:
         place = replace(settings, lever_sigma_m=max(drive.vehicle.length_m for drive in drives) / 2)
         wider = place.lever_sigma_m / settings.lever_sigma_m
         likely.append(Mistake(frozenset({"ahead", "left"}), place, 2 * senders * np.log(wider)))

@@ -71,7 +71,7 @@ class Sighting:
     sigma_along_m, sigma_across_m : ndarray, shape (n,)
         Standard deviations of these points along and across the line of sight.
     count : int
-        Number of all its points.
+        Number of all its points; 1 where a detector gave the box.
     middle : ndarray, shape (2,)
         Median of all its points on the ground plan: biased towards the sensor, but less noisy than the box.
     box : Box
@@ -116,6 +116,11 @@ class Sighting:
     cameras: Cameras | None = None
     low: Low = NOTHING_LOW
     borders: FloatArray = field(default_factory=lambda: NO_BORDERS)
+
+    @property
+    def detected(self) -> bool:
+        """Whether it is a detector's box, without points."""
+        return self.count == 1
 
     def without_points(self) -> Sighting:
         """Return the sighting with its box but without points."""

@@ -315,6 +315,36 @@ def test_boxes_of_a_detector_are_used_by_their_centres() -> None:
     assert fit.residual_rms_m == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.parametrize("near_m", [0.2, -0.2])
+@pytest.mark.parametrize("drive", [TURN, BRAKING, CIRCLE])
+def test_boxes_that_are_all_too_near_are_off_by_no_more_than_is_claimed(drive: Drive, near_m: float) -> None:
+    seen = evidence(drive)
+    xy, rng = drive.at(seen.stamps_s)[0], np.random.default_rng(5)
+    centres = rotate_xy(-TRUTH.yaw_rad, xy - TRUTH.shift) + rng.normal(0.0, 0.1, xy.shape)
+    centres *= 1.0 - near_m / np.linalg.norm(centres, axis=1, keepdims=True)
+    fit = fit_jointly([boxed(seen, centres)], TRUTH)
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 11.3  # 99 % of three dimensions
+
+
+@pytest.mark.parametrize("seed", [15, 25, 28])
+def test_on_a_straight_drive_noisy_bearings_of_boxes_are_no_wrong_heading(seed: int) -> None:
+    """A radar's boxes, by 0.2 m and 1 deg: a heading of 20 deg would shift the vehicle's middle to the side."""
+    seen, rng = evidence(BRAKING, last_s=7.0), np.random.default_rng([seed, 1])
+    true = rotate_xy(-TRUTH.yaw_rad, BRAKING.at(seen.stamps_s)[0] - TRUTH.shift)
+    bearing = np.arctan2(true[:, 1], true[:, 0]) + np.radians(1.0) * rng.normal(size=len(true))
+    range_m = np.linalg.norm(true, axis=1) + 0.2 * rng.normal(size=len(true))
+    boxes = boxed(seen, range_m[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)]))
+    told = seen.vehicle
+    noise = np.radians(0.3) * np.random.default_rng([seed, 2]).normal(size=len(told.yaw_rad))
+    fit = fit_jointly(
+        [replace(boxes, vehicle=replace(told, reference=(2.3, 0.0), yaw_rad=told.yaw_rad + noise))], TRUTH
+    )
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 11.3  # 99 % of three dimensions
+    assert abs(fit.corrections[0][1].value) < np.radians(1.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("stop_s", [0.0, 30.0])
 @pytest.mark.parametrize(("own_m", "lasting_m"), [(0.02, 0.15), (0.08, 0.08), (0.1, 0.0)])
@@ -324,7 +354,8 @@ def test_errors_of_boxes_that_last_are_in_the_covariance(own_m: float, lasting_m
         seen = evidence(drive, per_frame=1, last_s=11.0 + stop_s)
         xy, rng = drive.at(seen.stamps_s)[0], np.random.default_rng([seed, 7])
         off_m = lasting_m * lasting(xy, 10.0, rng, 2) + own_m * rng.normal(size=xy.shape)
-        fit = fit_jointly([boxed(seen, rotate_xy(-TRUTH.yaw_rad, xy + off_m - TRUTH.shift))], TRUTH, close=True)
+        boxes = boxed(seen, rotate_xy(-TRUTH.yaw_rad, xy + off_m - TRUTH.shift))
+        fit = fit_jointly([boxes], TRUTH, settings=JointSettings(boxes_range_m=1e-3), close=True)
         squared.append(error(fit) @ np.linalg.solve(fit.covariance, error(fit)))
         claimed.append(np.sqrt(np.trace(fit.covariance[1:, 1:])))
     # Chi-square of three degrees of freedom, ten times.
