@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from laci_stereo.core.box_motion import contradictions
 from laci_stereo.core.calibrate import locate, vehicles_of, world_around
 from laci_stereo.core.detections import DetectionLog, observe_detections
-from laci_stereo.core.errors import DetectionError
-from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes
-from laci_stereo.core.ground.box_ground import HEIGHT_SIGMA_M, LEVEL_SIGMA_DEG, SLOPE_SIGMA, Below, ground_below
+from laci_stereo.core.errors import CalibrationError, DetectionError
+from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, FloatArray
+from laci_stereo.core.ground.box_ground import (
+    HEIGHT_SIGMA_M,
+    LEVEL_SIGMA_DEG,
+    LEVEL_SIGMA_RAD,
+    SLOPE_SIGMA,
+    Below,
+    ground_below,
+)
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import above_zero
@@ -21,8 +30,10 @@ from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import DriveOptions, Result, Task, Watch, read_drive, sha256
 
+log = logging.getLogger(__name__)
+
 STEEP = 2.0
-"""Number of standard deviations beyond which a slope is mentioned."""
+"""Number of standard deviations beyond which a slope is mentioned, or, with that of roads' own slopes, doubted."""
 
 BoxOrigin = Literal["centre", "bottom"]
 
@@ -62,11 +73,17 @@ class MatchTask(Task):
         Axes of the sensor's frame.
     level_m : float or None
         See `MatchOptions`.
+    tilt_sigma_rad : float
+        Standard deviation of the up axis about each horizontal one where it is stated to be vertical.
+    otherwise_m : ndarray, shape (n,)
+        See `observe_detections`.
     """
 
     detections: DetectionLog
     axes: Axes
     level_m: float | None
+    tilt_sigma_rad: float
+    otherwise_m: FloatArray
 
     def calibrate(self, watch: Watch) -> Calibration:  # noqa: ARG002, there are no frames to watch
         """Project the detections onto the ground, and match the vehicles' tracks."""
@@ -75,8 +92,25 @@ class MatchTask(Task):
         messages = self.drive.messages.between(first_ns, last_ns, options.core.match.clock_sigma_s)
         world = world_around(messages, options.crs)
         vehicles = vehicles_of(messages, world, first_ns, options.point)
-        seen = observe_detections(self.detections, self.axes, options.core, self.level_m)
-        return _with_assumption(locate(seen, vehicles, world, options.core))
+        seen = observe_detections(
+            self.detections,
+            self.axes,
+            options.core,
+            self.level_m,
+            tilt_sigma_rad=self.tilt_sigma_rad,
+            otherwise_m=self.otherwise_m,
+        )
+        remarks = contradictions(seen.tracks, options.core.match)
+        try:
+            found = locate(seen, vehicles, world, options.core)
+        except CalibrationError as error:
+            if not (*remarks, *seen.objections):
+                raise
+            raise type(error)("; ".join((str(error), *remarks, *seen.objections))) from error
+        for remark in remarks:
+            log.warning("%s", remark)
+        found = replace(found, found=(*found.found, *remarks), quality=found.quality.doubted(*seen.objections))
+        return _with_assumption(found)
 
 
 def match(detections: Path | str, cam: Path | str, options: MatchOptions | None = None) -> Result:
@@ -109,11 +143,12 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
     """
     options = options or MatchOptions()
     recorded = read_detections(detections)
-    log = recorded.log
-    if options.box_origin == "bottom":
-        log = replace(log, above_ground_m=np.zeros(len(log)))
-    below = _check_ground(detections, log, options)
-    drive = read_drive(cam, options.lane_map or find_lane_map(detections), log.span_ns, options)
+    centre_m, bottom_m = recorded.log.above_ground_m, np.zeros(len(recorded.log))
+    above_m, otherwise_m = (centre_m, bottom_m) if options.box_origin == "centre" else (bottom_m, centre_m)
+    boxes = replace(recorded.log, above_ground_m=above_m)
+    below = _check_ground(detections, recorded.no_height, boxes, options)
+    tilt_sigma_rad, not_level = _tilt(below)
+    drive = read_drive(cam, options.lane_map or find_lane_map(detections), boxes.span_ns, options)
     return MatchTask(
         drive=drive,
         options=options,
@@ -123,12 +158,15 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
             frame=f"as in the detections: {_in_words(options.axes)}",
             inputs={str(detections): sha256(detections), **drive.files},
             config=options.config(),
-            notes=(*recorded.notes, _ground_note(log, options, below), *drive.notes),
+            notes=(*recorded.notes, _ground_note(boxes, options, below), *drive.notes),
         ),
-        inputs=f"{len(log)} detections at {len(np.unique(log.stamps_ns))} times, {len(drive.messages)} CAMs",
-        detections=log,
+        inputs=f"{len(boxes)} detections at {len(np.unique(boxes.stamps_ns))} times, {len(drive.messages)} CAMs",
+        doubts=not_level,
+        detections=boxes,
         axes=options.axes,
         level_m=options.level_m,
+        tilt_sigma_rad=tilt_sigma_rad,
+        otherwise_m=otherwise_m,
     )
 
 
@@ -145,22 +183,25 @@ def _with_assumption(calibration: Calibration) -> Calibration:
     return replace(calibration, quality=quality.doubted(reason))
 
 
-def _check_ground(path: Path, log: DetectionLog, options: MatchOptions) -> Below | None:
-    """Raise if nothing determines the ground; return the ground by the boxes, if it is specified as level."""
-    no_z = bool(np.isnan(log.points_sensor[:, 2]).all())
+def _check_ground(path: Path, no_height: str, boxes: DetectionLog, options: MatchOptions) -> Below | None:
+    """Raise if nothing determines the ground; return the ground by the boxes, if it is specified as level.
+
+    ``no_height`` says why no box has a height, if none has.
+    """
+    no_z = bool(np.isnan(boxes.points_sensor[:, 2]).all())
     if options.level_m is not None:
         above_zero("--level", options.level_m, "m")
         if no_z and options.axes.up[2] == 0.0:
             raise DetectionError(f"{path} lacks z, but {_in_words(options.axes)}; needed is z, or other --axes")
-        below = _below(log, options.axes)
+        below = _below(boxes, options.axes)
         if below is not None:
             _check_level(path, below, options.level_m)
         return below
     if no_z:
         raise DetectionError(f"{path} lacks z; needed is z to find the ground below the boxes, or --level HEIGHT")
-    if np.isnan(log.above_ground_m).all():
+    if np.isnan(boxes.above_ground_m).all():
         raise DetectionError(
-            f"{path} lacks height; needed is height to find the ground below the boxes' centres, --box-origin bottom, "
+            f"{path} {no_height}; needed is height to find the ground below the boxes' centres, --box-origin bottom, "
             "or --level HEIGHT"
         )
     return None
@@ -182,19 +223,36 @@ def _check_level(path: Path, below: Below, level_m: float) -> None:
         )
 
 
-def _below(log: DetectionLog, axes: Axes) -> Below | None:
+def _tilt(below: Below | None) -> tuple[float, tuple[str, ...]]:
+    """Return the standard deviation of a stated vertical axis, and an objection if the boxes contradict it.
+
+    Either the road is as steep as the ground below the boxes or the sensor is tilted by as much, which is not known:
+    the axis is off by nothing or by the whole slope.
+    """
+    if below is None or below.slope < STEEP * np.hypot(below.slope_sigma, SLOPE_SIGMA):
+        return LEVEL_SIGMA_RAD, ()
+    tilt_rad = np.arctan(below.slope)
+    words = (
+        f"the ground below the boxes falls or rises by {below.slope:.1%}, {np.degrees(tilt_rad):.1f} deg, by their z "
+        f"and height, and most roads by less than {STEEP * SLOPE_SIGMA:.0%}: unless this one does, the sensor is not "
+        "level as --level says; without --level the ground is fitted below the boxes"
+    )
+    return float(np.hypot(LEVEL_SIGMA_RAD, tilt_rad / np.sqrt(2.0))), (words,)
+
+
+def _below(boxes: DetectionLog, axes: Axes) -> Below | None:
     """Return the ground according to the boxes' own heights; None where they have none."""
-    known = np.isfinite(log.points_sensor).all(axis=1) & np.isfinite(log.above_ground_m)
-    return ground_below(log.points_sensor[known], log.above_ground_m[known], axes) if known.any() else None
+    known = np.isfinite(boxes.points_sensor).all(axis=1) & np.isfinite(boxes.above_ground_m)
+    return ground_below(boxes.points_sensor[known], boxes.above_ground_m[known], axes) if known.any() else None
 
 
-def _ground_note(log: DetectionLog, options: MatchOptions, below: Below | None) -> str:
+def _ground_note(boxes: DetectionLog, options: MatchOptions, below: Below | None) -> str:
     if options.level_m is None:
         return f"x, y and z taken for the {options.box_origin} of the boxes (see --box-origin)"
-    if np.isnan(log.points_sensor[:, 2]).all():
+    if np.isnan(boxes.points_sensor[:, 2]).all():
         return f"no z; x and y taken for distances along the ground, {options.level_m:g} m below the sensor"
     note = f"the sensor's axis is taken for vertical, and the ground for {options.level_m:g} m below it"
-    if below is None or below.slope < STEEP * np.hypot(below.slope_sigma, np.radians(LEVEL_SIGMA_DEG)):
+    if below is None or below.slope < STEEP * np.hypot(below.slope_sigma, LEVEL_SIGMA_RAD):
         return note
     slope = f"by the boxes' z it falls or rises by {below.slope:.1%}"
     return f"{note}; {slope}: a road that steep, or a sensor that is not level"

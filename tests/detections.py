@@ -153,6 +153,22 @@ def traffic(
     )
 
 
+def cars_and_vans(count: int = 12) -> list[Passing]:
+    """Return vehicles of two heights on three lanes, the first of which brakes and turns in view."""
+    lanes = [Drive((x, -30.0), 90.0, speeds=((0.0, 8.0),)) for x in (20.0, 28.0, 36.0)]
+    sizes = ((4.4, 1.8, 1.5), (6.0, 2.0, 2.6))
+    others = [Passing(lanes[i % 3], 10.0 + 8.0 * i, sizes[i % 2]) for i in range(1, count)]
+    speeds = ((-5.0, 9.0), (1.0, 9.0), (4.0, 5.0), (7.0, 9.0))
+    return [Passing(Drive((28.0, -30.0), 90.0, ((25.0, 0.0), (11.0, 90.0)), speeds), 18.0, sizes[0]), *others]
+
+
+def by_bottom(made: Traffic) -> Traffic:
+    """Return the same boxes by the middle of their bottom."""
+    log, up = made.detections, made.T_world_sensor[2, :3]
+    points = log.points_sensor - made.heights_m[:, None] / 2 * up
+    return replace(made, detections=replace(log, points_sensor=points))
+
+
 def _seen(
     one: Passing, number: int, T_here_sensor: FloatArray, noise: Noise, rng: np.random.Generator
 ) -> tuple[FloatArray, ...]:

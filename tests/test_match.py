@@ -21,7 +21,20 @@ from laci_stereo.io.result.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match
 from tests.cli_support import refusal, run, run_installed, snapshot
-from tests.detections import EXACT, Noise, Passing, Rows, Traffic, cam_rows, detection_rows, errors, is_senders, traffic
+from tests.detections import (
+    EXACT,
+    Noise,
+    Passing,
+    Rows,
+    Traffic,
+    by_bottom,
+    cam_rows,
+    cars_and_vans,
+    detection_rows,
+    errors,
+    is_senders,
+    traffic,
+)
 from tests.io.cam_writers import write_gpx, write_nmea
 from tests.simulated import Drive
 
@@ -226,6 +239,21 @@ def test_level_that_the_boxes_contradict_is_refused(tmp_path: Path, position_m: 
     assert match(site.detections, site.cam, MatchOptions(level_m=4.0)).calibration.height_m == 4.0
 
 
+def test_level_that_the_boxes_doubt_is_known_worse(tmp_path: Path) -> None:
+    """By 7 %, as few roads rise: the tilt is off by nothing, or by all of it."""
+    made = levelled(traffic(6, 10), 6.0)
+    points = made.detections.points_sensor.copy()
+    points[:, 2] += 0.07 * points[:, 0]
+    tilted = replace(made, detections=replace(made.detections, points_sensor=points))
+    level = MatchOptions(level_m=6.0)
+    right, doubted = (matched(tmp_path, one, level).calibration.quality for one in (made, tilted))
+    assert right.tilt_sigma_deg == pytest.approx(0.25)
+    assert not any("--level" in reason for reason in right.reasons)
+    assert doubted.verdict == "warn"
+    assert any("falls or rises by 7." in one and "not level as --level says" in one for one in doubted.reasons)
+    assert doubted.tilt_sigma_deg == pytest.approx(4.0 / np.sqrt(2.0), abs=0.2)
+
+
 def test_a_sensor_that_is_tilted_by_more_than_roads_is_not_level(tmp_path: Path) -> None:
     """By 9 deg, and so high above the middle of the boxes as is told."""
     made = levelled(traffic(6, 10), 6.0)
@@ -252,6 +280,77 @@ def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
     assert wrong.height_m - by_bottom.height_m == pytest.approx(log.above_ground_m.mean(), abs=0.1)
 
 
+def test_the_wrong_point_of_the_boxes_is_a_doubt(tmp_path: Path) -> None:
+    made = traffic(3, vehicles=cars_and_vans())
+    bottom = MatchOptions(box_origin="bottom")
+    unknown = Settings().with_clock(1.0)
+    for right, wrong, options in ((made, by_bottom(made), MatchOptions()), (by_bottom(made), made, bottom)):
+        options = replace(options, core=unknown)
+        reasons = [matched(tmp_path, one, options).calibration.quality.reasons for one in (right, wrong)]
+        other = "bottom" if options.box_origin == "centre" else "centre"
+        assert not any("--box-origin" in reason for reason in reasons[0])
+        assert any(f"needed is --box-origin {other}" in reason for reason in reasons[1])
+
+
+def test_a_refusal_names_the_wrong_point_of_the_boxes(tmp_path: Path) -> None:
+    site = lay(tmp_path, by_bottom(traffic(3, vehicles=cars_and_vans())))
+    words = ("not calibrated: ", "objects of different heights are ", "needed is --box-origin bottom")
+    core = Settings()
+    strict = replace(core, ground=replace(core.ground, max_tilt_sigma_deg=0.001))
+    with pytest.raises(GroundError, match=f".*{words[1]}.*{words[2]}"):
+        match(site.detections, site.cam, MatchOptions(core=strict))
+    # And where a ground is found, but no vehicle.
+    cam_rows(traffic(4).messages).write(site.cam)
+    site.refused(NOT_CALIBRATED, *words, options=("-q",))
+
+
+def test_a_z_that_points_down_is_told(tmp_path: Path) -> None:
+    made = traffic(SEEDS[0])
+    log = made.detections
+    down = replace(
+        made, detections=replace(log, points_sensor=log.points_sensor * [1.0, -1.0, -1.0], yaw_rad=-log.yaw_rad)
+    )
+    site = lay(tmp_path, down)
+    site.refused(NOT_CALIBRATED, "plane below the boxes", "there is a ground with --axes 'z down'", options=("-q",))
+    assert run(site.arguments("--axes", "z down"), site.root).code == 0
+
+
+def across(made: Traffic) -> Traffic:
+    """Return the boxes with yaws that count from y."""
+    return replace(made, detections=replace(made.detections, yaw_rad=made.detections.yaw_rad - np.pi / 2))
+
+
+def test_yaws_across_the_motion_are_named_where_nothing_fits(tmp_path: Path) -> None:
+    site = lay(tmp_path, across(traffic(5, 8)))
+    site.refused(NOT_CALIBRATED, "the boxes' longer sides are ", "off the direction of their motion", options=("-q",))
+
+
+def test_yaws_across_the_motion_are_named_where_the_centres_fit(tmp_path: Path) -> None:
+    made = traffic(SEEDS[0])
+    found = matched(tmp_path, across(made)).calibration
+    assert errors(made, found).track_xy_m < 3.0 * found.quality.track_xy_sigma_m
+    assert any("the boxes' longer sides are " in remark for remark in found.found)
+
+
+def test_radial_speeds_of_the_other_sign_are_noted_where_the_result_is_right(tmp_path: Path) -> None:
+    """From the boxes' own motion, and at so few of them that they do not decide."""
+    made = traffic(TURNS)
+    site = lay(tmp_path, made)
+    rows, log = detection_rows(made), made.detections
+    level_xy = (log.points_sensor @ made.T_world_sensor[:3, :3].T)[:, :2]
+    towards = np.full(len(log), np.nan)
+    for number in set(made.of_vehicle.tolist()) - {0}:
+        its = np.flatnonzero(made.of_vehicle == number)
+        if len(its) > 1:
+            towards[its] = -np.gradient(np.linalg.norm(level_xy[its], axis=1), log.stamps_ns[its] / 1e9)
+    rows.column("radial_speed", ["" if np.isnan(speed) else f"{speed:.2f}" for speed in towards])
+    rows.write(site.detections)
+    ran = run(site.arguments(), site.root)
+    assert ran.code == 0, ran
+    assert "needed is a speed that is positive away from the sensor" in ran.err
+    assert any("positive away from the sensor" in note for note in site.document()["notes"])
+
+
 def test_a_radar_with_neither_size_nor_height(tmp_path: Path) -> None:
     """Level, 5 m high, and what it detects is the vehicle's middle; that this cannot be known is said."""
     radar = levelled(traffic(6, 10, Noise(position_m=0.3)), 5.0)
@@ -267,6 +366,20 @@ def test_a_radar_with_neither_size_nor_height(tmp_path: Path) -> None:
     assert any("taken for the vehicle's centre" in reason and "off by up to 2." in reason for reason in quality.reasons)
     assert result.calibration.height_m == 5.0
     assert any("taken for points at the vehicle's centre" in note for note in result.job.provenance.notes)
+
+
+@pytest.mark.parametrize("seed", [6, pytest.param(8, marks=pytest.mark.slow)])
+def test_a_vehicle_that_is_longer_than_its_messages_report_is_a_doubt(tmp_path: Path, seed: int) -> None:
+    """Its middle is farther behind its front, by half of that."""
+    made = traffic(seed, 10)
+    short = replace(made, messages=replace(made.messages, length_m=made.messages.length_m - 1.0))
+    right, wrong = (matched(tmp_path, each) for each in (made, short))
+    words = "m long in the median, and its messages report"
+    assert not any(words in reason for reason in right.calibration.quality.reasons)
+    quality = wrong.calibration.quality
+    assert quality.verdict == "warn"
+    assert any(words in reason for reason in quality.reasons)
+    assert errors(made, wrong.calibration).track_xy_m < 3.0 * quality.track_xy_sigma_m
 
 
 # ------------------------------------------------------------------------------------- the installed command
@@ -332,6 +445,7 @@ def test_what_makes_no_sense_for_detections_is_no_option(site: Site) -> None:
     offered = run(["match", "--help"], site.root).out
     for option in ("--box-origin", "--level", "--axes", "--station", "--cam-reference", "--crs", "--out", "--map"):
         assert option in offered
+    assert "radial_speed (m/s, positive away from the sensor)" in " ".join(offered.split())
     for option in ("--workers", "--background", "--stereo", "--disparities"):
         assert option not in offered
     assert "--workers" in run(["calibrate", "--help"], site.root).out
@@ -365,6 +479,12 @@ def lacks_z(site: Site) -> None:
 
 def lacks_height(site: Site) -> None:
     detection_rows(site.made).without("height").write(site.detections)
+
+
+def has_centimetres(site: Site) -> None:
+    rows = detection_rows(site.made)
+    rows.column("height", (100.0 * site.made.heights_m).round().tolist())
+    rows.write(site.detections)
 
 
 def is_empty(site: Site) -> None:
@@ -401,6 +521,7 @@ def tells_two_places(site: Site) -> None:
         (lacks_y, ("detections.csv lacks the column y", "needed are timestamp, x, y")),
         (lacks_z, ("detections.csv lacks z", "--level HEIGHT")),
         (lacks_height, ("detections.csv lacks height", "--box-origin bottom", "--level HEIGHT")),
+        (has_centimetres, ("detections.csv holds no possible height: height is 1", " m in row 2, possible is")),
         (is_empty, ("detections.csv is empty (0 bytes)",)),
         (has_words, ("detections.csv, row 2: x is 'far away'; needed is a number", "rows are bad")),
         (is_on_the_map, ("row 2: x is 569805.5 m; needed is -1000 to 1000 m from the sensor",)),

@@ -142,10 +142,11 @@ def match(
     """Calibrate a sensor from the boxes that your own detector finds with a radar, a camera or a LiDAR.
 
     DETECTIONS is a CSV file with the columns timestamp, x, y, z, yaw, length, width and height, optionally track_id
-    and radial_speed, in the sensor's frame, in metres and radians; with --level, timestamp, x and y suffice. CAM is a
-    log of Cooperative Awareness Messages: CSV with the columns timestamp, station_id, latitude, longitude, heading,
-    speed, vehicle_length and vehicle_width, or any other that `laci-stereo cam` reads: a packet capture, a ROS or MCAP
-    bag, hexadecimal lines, V2AIX's JSON, or positions of a receiver in NMEA or GPX, which need --cam-reference.
+    and radial_speed (m/s, positive away from the sensor), in the sensor's frame, in metres and radians, yaw from x
+    towards y; with --level, timestamp, x and y suffice. CAM is a log of Cooperative Awareness Messages: CSV with the
+    columns timestamp, station_id, latitude, longitude, heading, speed, vehicle_length and vehicle_width, or any other
+    that `laci-stereo cam` reads: a packet capture, a ROS or MCAP bag, hexadecimal lines, V2AIX's JSON, or positions of
+    a receiver in NMEA or GPX, which need --cam-reference.
     """
     options = MatchOptions(**vars(asked.drive(None)), axes=parse_axes(axes), box_origin=box_origin, level_m=level)
     return prepare_match(detections, cam, options)

@@ -9,8 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from laci_stereo.core.columns import Columns
+from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform, wrap
-from laci_stereo.core.ground.box_ground import level_ground, plane_below
+from laci_stereo.core.ground.box_ground import (
+    LEVEL_SIGMA_RAD,
+    Unlike,
+    axes_with_ground,
+    first_plane,
+    level_ground,
+    plane_below,
+    unlike_origin,
+)
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.observe import Observation
 from laci_stereo.core.settings import Settings, TrackSettings
@@ -72,9 +81,28 @@ class DetectionLog(Columns):
         return known
 
 
+@dataclass(frozen=True)
+class BoxObservation(Observation):
+    """The scene according to the boxes of a detector.
+
+    Attributes
+    ----------
+    objections : tuple of str
+        What the boxes contradict in what was stated about them.
+    """
+
+    objections: tuple[str, ...] = ()
+
+
 def observe_detections(
-    detections: DetectionLog, axes: Axes, settings: Settings | None = None, level_m: float | None = None
-) -> Observation:
+    detections: DetectionLog,
+    axes: Axes,
+    settings: Settings | None = None,
+    level_m: float | None = None,
+    *,
+    tilt_sigma_rad: float = LEVEL_SIGMA_RAD,
+    otherwise_m: FloatArray | None = None,
+) -> BoxObservation:
     """Find the ground below the boxes of a detector, and link the boxes to tracks on it.
 
     Parameters
@@ -85,6 +113,10 @@ def observe_detections(
     settings : Settings
     level_m : float or None
         Height of the sensor above the ground, if its up axis is vertical; with None the ground is fitted to the boxes.
+    tilt_sigma_rad : float
+        Standard deviation of that axis about each horizontal one.
+    otherwise_m : ndarray, shape (n,), or None
+        Height above the road of the boxes' other point that positions may be of, see `DetectionLog.above_ground_m`.
 
     Raises
     ------
@@ -92,28 +124,57 @@ def observe_detections(
         If the boxes do not determine the ground.
     """
     settings = settings or Settings()
+    objections: tuple[str, ...] = ()
     if level_m is not None:
-        ground = level_ground(level_m, axes)
+        ground = level_ground(level_m, axes, tilt_sigma_rad)
         tracks = _tracks(detections, ground, axes, settings.track)
     else:
-        ground, tracks = _ground_and_tracks(detections, axes, settings)
+        ground, tracks, objections = _ground_and_tracks(detections, axes, settings, otherwise_m)
     log.info("ground: %.3f m below the sensor; %d tracks", ground.height_m, len(tracks))
     nothing = Background((), 0, settings.background.margin_m)
     made = (Track(tuple(_sightings(detections[rows], detections, ground, axes))) for rows in tracks)
-    return Observation(axes, ground, nothing, tuple(made))
+    return BoxObservation(axes, ground, nothing, tuple(made), objections=objections)
 
 
-def _ground_and_tracks(detections: DetectionLog, axes: Axes, settings: Settings) -> tuple[GroundPlane, list[IntArray]]:
-    """Return the ground and the tracks on it; the ground is fitted again with each object weighted by its path."""
+def _ground_and_tracks(
+    detections: DetectionLog, axes: Axes, settings: Settings, otherwise_m: FloatArray | None
+) -> tuple[GroundPlane, list[IntArray], tuple[str, ...]]:
+    """Return the ground, the tracks on it, and objections; the ground is fitted with each object weighted by its path.
+
+    Raises
+    ------
+    GroundError
+        If there is none; with the objections, and other axes with which there is one.
+    """
     known = np.flatnonzero(np.isfinite(detections.points_sensor).all(axis=1) & np.isfinite(detections.above_ground_m))
-    points, above = detections.points_sensor[known], detections.above_ground_m[known]
-    alone = [np.array([row]) for row in range(len(known))]
-    start = plane_below(points, above, alone, axes, settings.ground)
+    points, above_m = detections.points_sensor[known], detections.above_ground_m[known]
+    start = first_plane(points, above_m, axes, settings.ground)
     tracks = _tracks(detections, start, axes, settings.track)
     place = np.full(len(detections), -1)
     place[known] = np.arange(len(known))
     objects = [found for rows in tracks if len(found := place[rows][place[rows] >= 0])]
-    return plane_below(points, above, objects, axes, settings.ground), tracks
+    objections: tuple[str, ...] = ()
+    if otherwise_m is not None:
+        unlike = unlike_origin(points, (above_m, otherwise_m[known]), objects, axes, settings.ground)
+        objections = _other_origin(unlike, above_m)
+    try:
+        return plane_below(points, above_m, objects, axes, settings.ground), tracks, objections
+    except GroundError as error:
+        other = axes_with_ground(points, above_m, objects, axes, settings.ground)
+        elsewhere = () if other is None else (f"there is a ground with --axes '{other}'",)
+        raise GroundError("; ".join((str(error), *objections, *elsewhere))) from error
+
+
+def _other_origin(unlike: Unlike | None, above_m: FloatArray) -> tuple[str, ...]:
+    """Return an objection if the boxes' other point clearly fits the ground better."""
+    if unlike is None:
+        return ()
+    given, other = ("centre", "bottom") if np.median(above_m) > 0.0 else ("bottom", "centre")
+    words = (
+        f"objects of different heights are {unlike.given_m:.2f} m off one ground if their positions are of the boxes' "
+        f"{given}, and {unlike.other_m:.2f} m if of the {other}: needed is --box-origin {other}, or correct heights"
+    )
+    return (words,)
 
 
 def _tracks(detections: DetectionLog, ground: GroundPlane, axes: Axes, settings: TrackSettings) -> list[IntArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,15 @@ class Measure(Column):
     unit: str
     above: float
     highest: float
+
+    @property
+    def possible(self) -> str:
+        """The range in words."""
+        return f"more than {self.above:g} and at most {self.highest:g} {self.unit}"
+
+    def told(self, value: float) -> str:
+        """Return a value in words."""
+        return f"{self.name} is {value:.10g} {self.unit}"
 
 
 _FAR_M = 1000.0
@@ -83,10 +92,13 @@ class DetectionRecording:
         Its ``above_ground_m`` is the height of the boxes' centres.
     notes : tuple of str
         One line for each interpretation, and for each kind of row or value that was left out or corrected.
+    no_height : str
+        Why no box has a height; empty if one has.
     """
 
     log: DetectionLog
     notes: tuple[str, ...]
+    no_height: str = ""
 
 
 def read_detections(path: Path) -> DetectionRecording:
@@ -121,9 +133,10 @@ def read_detections(path: Path) -> DetectionRecording:
         track_id=_track_ids(table),
         radial_mps=values[RADIAL_SPEED],
     )[good]
+    found, number_notes = _without_row_numbers(found)
     log, order_notes = _in_order(path, found)
-    notes = (*_column_notes(table), *stamps.notes, *yaw_notes, *skip_notes, *range_notes, *order_notes)
-    return DetectionRecording(log, (*notes, *_content_notes(log)))
+    notes = (*_column_notes(table), *stamps.notes, *yaw_notes, *skip_notes, *range_notes, *number_notes, *order_notes)
+    return DetectionRecording(log, (*notes, *_content_notes(log)), _no_height(table, log, numbers[HEIGHT].values))
 
 
 def _column_notes(table: Table) -> list[str]:
@@ -161,23 +174,39 @@ def _possible(table: Table, values: Mapping[Measure, FloatArray]) -> tuple[dict[
         found = values[measure]
         impossible = np.flatnonzero((found <= measure.above) | (found > measure.highest))
         if len(impossible):
-            what = f"{measure.name} is {found[impossible[0]]:.10g} {measure.unit}"
-            needed = f"needed is more than {measure.above:g} and at most {measure.highest:g} {measure.unit}"
-            row = table.line_numbers[impossible[0]]
-            notes.append(f"{len(impossible)} values taken as missing: {what} in row {row}; {needed}")
+            what = f"{measure.told(found[impossible[0]])} in row {table.line_numbers[impossible[0]]}"
+            notes.append(f"{len(impossible)} values taken as missing: {what}; needed is {measure.possible}")
             kept[measure] = np.where((found > measure.above) & (found <= measure.highest), found, np.nan)
     return kept, notes
 
 
+def _no_height(table: Table, log: DetectionLog, told_m: FloatArray) -> str:
+    """Return why no detection has a height, empty if one has."""
+    if np.isfinite(log.above_ground_m).any():
+        return ""
+    told = np.flatnonzero(np.isfinite(told_m))
+    if not len(told):
+        return "lacks height"
+    row = table.line_numbers[told[0]]
+    return f"holds no possible height: {HEIGHT.told(told_m[told[0]])} in row {row}, possible is {HEIGHT.possible}"
+
+
 def _in_radians(table: Table, yaw: FloatArray) -> tuple[FloatArray, list[str]]:
-    """Convert yaw from degrees if the column's title says so, or a value exceeds a full turn in radians."""
+    """Convert yaw from degrees if the column's title says so, or too many values exceed two turns in radians.
+
+    Of headings in degrees all but those within 12.6 deg of x do. Radians exceed one turn by rounding, and two nowhere:
+    a tracker that does not begin anew at a full turn adds one to a vehicle that turns.
+    """
     place = YAW.find(table.header)
-    if place is None or np.isnan(yaw).all():
+    known = np.abs(yaw[np.isfinite(yaw)])
+    if place is None or not len(known):
         return yaw, []
-    largest = float(np.nanmax(np.abs(yaw)))
-    if largest <= 2 * math.pi and not plain_name(table.header[place]).endswith(("deg", "degrees")):
-        return yaw, []
-    return np.radians(yaw), [f"yaw: degrees (up to {largest:.4g})"]
+    titled = plain_name(table.header[place]).endswith(("deg", "degrees"))
+    if titled or np.mean(known > 4 * math.pi) > BAD_SHARE:
+        return np.radians(yaw), [f"yaw: degrees (up to {known.max():.4g})"]
+    beyond = int((known > 2 * math.pi).sum())
+    some = f"yaw: radians, although {beyond} of {len(known)} values exceed a full turn (up to {known.max():.4g})"
+    return yaw, [f"{some}; degrees need the title yaw_deg"] if beyond else []
 
 
 def _track_ids(table: Table) -> IntArray:
@@ -185,6 +214,17 @@ def _track_ids(table: Table) -> IntArray:
     texts = [text.lower() for text in table.texts(TRACK_ID) or [""] * len(table.rows)]
     _, numbers = np.unique(np.array(texts), return_inverse=True)
     return np.where([is_missing(text) for text in texts], -1, numbers.reshape(-1)).astype(np.int64)
+
+
+def _without_row_numbers(log: DetectionLog) -> tuple[DetectionLog, list[str]]:
+    """Ignore track numbers of which none is there at a second time: they number rows instead of objects."""
+    known = log.track_id >= 0
+    times = np.unique(np.column_stack([log.track_id, log.stamps_ns])[known], axis=0)
+    count = len(np.unique(log.track_id[known]))
+    if count < 2 or len(times) > count:
+        return log, []
+    note = f"track_id: not used, as none of its {count} values is there at a second time, as those of objects are"
+    return replace(log, track_id=np.full(len(log), -1, dtype=np.int64)), [note]
 
 
 def _in_order(path: Path, log: DetectionLog) -> tuple[DetectionLog, list[str]]:

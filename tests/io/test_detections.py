@@ -115,9 +115,48 @@ def test_yaw_in_degrees_is_told_by_its_range_or_its_title(tmp_path: Path, title:
     made = rows()
     made.column("yaw", yaws)
     recorded = read_detections(made.renamed({"yaw": title}).write(tmp_path / "d.csv"))
-    degrees = title == "yaw_deg" or max(map(abs, yaws)) > 2 * math.pi
+    degrees = title == "yaw_deg" or sum(abs(yaw) > 4 * math.pi for yaw in yaws) > 4
     assert any(note.startswith("yaw: degrees (up to ") for note in recorded.notes) == degrees
     assert recorded.log.yaw_rad == pytest.approx(np.radians(yaws) if degrees else np.array(yaws))
+    some = any(abs(yaw) > 2 * math.pi for yaw in yaws)
+    assert any(note.startswith("yaw: radians, although ") for note in recorded.notes) == (some and not degrees)
+
+
+def test_a_turn_too_many_leaves_radians_radians(tmp_path: Path) -> None:
+    """One that was rounded up, and a tracker's that does not begin anew at a full turn."""
+    yaws = np.linspace(0.0, 3 * math.pi, 20).round(2)
+    made = rows()
+    made.column("yaw", yaws.tolist())
+    recorded = read_detections(made.write(tmp_path / "d.csv"))
+    assert recorded.log.yaw_rad == pytest.approx(yaws)
+    assert any("7 of 20 values exceed a full turn (up to 9.42); degrees need" in note for note in recorded.notes)
+
+
+def test_numbers_of_rows_are_no_objects(tmp_path: Path) -> None:
+    made = rows()
+    made.column("track_id", range(20))
+    recorded = read_detections(made.write(tmp_path / "d.csv"))
+    assert (recorded.log.track_id == -1).all()
+    assert any(note.startswith("track_id: not used, as none of its 20 values is there") for note in recorded.notes)
+    made.column("track_id", [*range(19), 0])
+    assert (read_detections(made.write(tmp_path / "d.csv")).log.track_id >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("made", "why"),
+    [
+        (rows(), ""),
+        (rows().without("height"), "lacks height"),
+        (changed("height", "", 20), "lacks height"),
+        (
+            changed("height", "150", 20),
+            "holds no possible height: height is 150 m in row 2, possible is more than 0 and at most 6 m",
+        ),
+    ],
+    ids=["height", "no column", "no value", "cm"],
+)
+def test_why_there_is_no_height(tmp_path: Path, made: Rows, why: str) -> None:
+    assert read_detections(made.write(tmp_path / "d.csv")).no_height == why
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from laci_stereo.core.association.case import Alternative, Case, log_odds_between
 from laci_stereo.core.association.choice import Choice
+from laci_stereo.core.association.words import two_digits
 from laci_stereo.core.tracking.reframing import mirrored_track
 
 MOST_ODDS = 1e6
@@ -33,7 +34,8 @@ def mirrored(case: Case, choice: Choice | None) -> Alternative | None:
     other = replace(case, tracks=[mirrored_track(track) for track in case.tracks]).chosen()
     if other is None or other.doubt or log_odds_between(other, choice) < case.settings.clear_log_odds:
         return None
-    odds = f"by odds of {min(math.exp(log_odds_between(other, choice)), MOST_ODDS):.0f} to 1 " if choice else ""
+    size = math.exp(min(log_odds_between(other, choice), math.log(MOST_ODDS)))
+    odds = f"by odds of {two_digits(size)} to 1 " if choice else ""
     return Alternative(
         other,
         f"what was seen fits the messages of station {other.station} {odds}with left and right exchanged: the "

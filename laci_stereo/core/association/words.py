@@ -27,6 +27,27 @@ EVEN_ODDS = 2.0
 """Up to these odds people call two things equally likely."""
 
 
+MOST_LOG_ODDS = 9.0
+"""Larger log odds are told as these: they say more of the model than of the scene."""
+
+
+def two_digits(number: float) -> str:
+    """Return a number of at least 1 to two significant digits, such as "2.5" or "8100"."""
+    return f"{number:.1f}" if number < 9.95 else f"{float(f'{number:.2g}'):.0f}"
+
+
+def odds(log_odds: float) -> str:
+    """Return odds in words, such as "2.5 to 1" or "1 to 8100"."""
+    size = two_digits(math.exp(min(abs(log_odds), MOST_LOG_ODDS)))
+    return f"{size} to 1" if log_odds >= 0.0 else f"1 to {size}"
+
+
+def shares(found: float, needed: float) -> tuple[str, str]:
+    """Return two shares in per cent, with as many digits, up to two, as are needed to tell them apart."""
+    told = [(f"{found:.{digits}%}", f"{needed:.{digits}%}") for digits in range(3)]
+    return next((both for both in told if both[0] != both[1]), told[-1])
+
+
 def named(scene: Scene, best: Account, second: Account) -> str:
     """Return the name of the second-best hypothesis."""
     if second.station != best.station:
@@ -43,8 +64,9 @@ def tie(scene: Scene, best: Account, second: Account, margin: float) -> str:
         else f"two moving objects, seen in {frames[0]} and {frames[1]} frames,"
     )
     # Where one may drive in line with the other, the best hypothesis need not be the likelier of the two.
-    odds = math.exp(max(margin, 0.0))
-    well = f"{what} fit {'equally' if odds < EVEN_ODDS else 'nearly equally'} well (odds of {odds:.1f} to 1)"
+    margin = max(margin, 0.0)
+    nearly = "" if math.exp(margin) < EVEN_ODDS else "nearly "
+    well = f"{what} fit {nearly}equally well (odds of {odds(margin)})"
     if second.station != best.station and not set(best.tracks) & set(second.tracks):
         return (
             f"{well}, each with another vehicle, but no single pose of the sensor fits both: a clock may be off, and "
@@ -59,10 +81,9 @@ def by_chance(scene: Scene, best: Account, objects: int, log_odds: float) -> str
     track = joined(scene, best)
     poses = scene.senders[best.station].at(np.array([sighting.stamp_s for sighting in track.usable]))
     turns = np.ptp(poses.yaw_rad[poses.known]) > TURNED_RAD if poses.known.any() else False
-    odds = f"{math.exp(log_odds):.1f} to 1" if log_odds >= 0.0 else f"1 to {math.exp(min(-log_odds, 9.0)):.1f}"
     return (
         f"station {best.station} fits one of {objects} moving objects, seen in {len(track.usable)} frames, but that "
-        f"may be by chance (odds of {odds} that it is its vehicle): record a longer drive"
+        f"may be by chance (odds of {odds(log_odds)} that it is its vehicle): record a longer drive"
         f"{', or one with less traffic' if turns else ', or one with a turn'}"
     )
 
@@ -73,9 +94,10 @@ def no_fit(scene: Scene, seeds: Sequence[Seed]) -> str:
     stations = ", ".join(str(station) for station in sorted(scene.senders))
     off = hold_against(scene, scene.senders[best.station], best.motion).typical
     within = f", {off:.1f} sigma off on average" if np.isfinite(off) else ""
+    share, needed = shares(best.share, least)
     return (
-        f"no moving object fits the CAMs: {best.share:.0%} of the frames of the best of {len(seeds)} explained"
-        f"{within}; needed are {least:.0%}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
+        f"no moving object fits the CAMs: {share} of the frames of the best of {len(seeds)} explained"
+        f"{within}; needed are {needed}, within {MAX_GOOD_SIGMA:.0f} sigma; not seen: station {stations}"
     )
 
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import f as fisher
 
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform
+from laci_stereo.core.ground.axes import UPS
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.ground.rays import GATE
 from laci_stereo.core.ground.start import can_be_ground, where_it_can_be
@@ -28,6 +30,8 @@ LEVEL_SIGMA_DEG = 0.25
 """Standard deviation of a vertical axis about each horizontal axis: half a graduation of a circular bubble, 30 minutes
 of arc for 2 mm."""
 
+LEVEL_SIGMA_RAD = float(np.radians(LEVEL_SIGMA_DEG))
+
 HEIGHT_SIGMA_M = 0.05
 """Standard deviation of a sensor's height as given by the user: measured from its middle, by tape, to the decimetre."""
 
@@ -38,6 +42,15 @@ BENT_PER_M = 1.0 / 2100.0
 """Standard deviation of a road's vertical curvature along its course: the tightest crest for 50 km/h has a radius of
 700 m, which is taken as three standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m
 for each percent of slope)."""
+
+BOX_HEIGHT_SIGMA_M = 0.15
+"""Standard deviation of the error of an object's height that persists in all of its boxes: a tenth of a car's."""
+
+FEWEST_BOXES = 10
+"""With fewer boxes, the median height of an object has more than two fifths of the noise of one box."""
+
+CLEARLY = 100.0
+"""Odds, to 1, beyond which a result is not given without a warning, as in `MatchSettings`."""
 
 _CELL_M = 1.0
 """Side of the cells in which all boxes of one object count once, so that a waiting vehicle does not outweigh the
@@ -55,7 +68,7 @@ _STEPS = 20
 precision."""
 
 
-def level_ground(height_m: float, axes: Axes) -> GroundPlane:
+def level_ground(height_m: float, axes: Axes, tilt_sigma_rad: float = LEVEL_SIGMA_RAD) -> GroundPlane:
     """Return the ground below a sensor whose up axis is vertical.
 
     Parameters
@@ -63,9 +76,11 @@ def level_ground(height_m: float, axes: Axes) -> GroundPlane:
     height_m : float
         Height of the sensor above the ground.
     axes : Axes
+    tilt_sigma_rad : float
+        Standard deviation of the up axis about each horizontal axis.
     """
     up = np.asarray(axes.up, dtype=np.float64)
-    tilt = np.radians(LEVEL_SIGMA_DEG) ** 2
+    tilt = tilt_sigma_rad**2
     ground = GroundPlane(up / np.linalg.norm(up), height_m, np.zeros((4, 4)), 0.0, 0, 0.0, 0.0, 0.0)
     return replace(ground, covariance_sensor=_in_sensor(np.diag([tilt, tilt, HEIGHT_SIGMA_M**2]), ground, axes))
 
@@ -149,16 +164,8 @@ def plane_below(
     GroundError
         If there are too few boxes, or if they do not span a plane, or one that cannot be the ground.
     """
-    if len(points) < settings.min_points:
-        raise GroundError(
-            f"boxes with z and height: {len(points)} found, at least {settings.min_points} needed to find the ground; "
-            "or say --level HEIGHT"
-        )
-    ground = _start(points, above_ground_m, axes)
-    boxes = _counted(points, above_ground_m, objects, ground, axes)
-    for _ in range(_STEPS):
-        ground = _turned(ground, _heights(boxes, ground, axes).correction(), axes)
-    heights = _heights(boxes, ground, axes)
+    _check_count(points, settings)
+    ground, heights = _fitted(points, above_ground_m, objects, axes)
     _check(heights, ground, axes, settings)
     covariance = heights.covariance(settings.shared_noise_share)
     tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
@@ -177,6 +184,115 @@ def plane_below(
         support_area_m2=12 * float(np.prod(heights.spread_m())),  # of a rectangle with this spread
         unevenness_m=heights.sigma_m(),
     )
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """How far objects are off the plane below their boxes, by two points of the boxes that positions may be of.
+
+    Attributes
+    ----------
+    given_m, other_m : float
+        Standard deviations of the objects' heights above the plane, by the given and by the other point.
+    """
+
+    given_m: float
+    other_m: float
+
+
+def unlike_origin(
+    points: FloatArray,
+    above_m: tuple[FloatArray, FloatArray],
+    objects: Sequence[IntArray],
+    axes: Axes,
+    settings: GroundSettings,
+) -> Unlike | None:
+    """Return how well objects stand on one plane if the other point clearly fits better than the given one, else None.
+
+    By the wrong point an object is off by half of its height, which those of different heights are not by one plane.
+    Each object counts once, by its median height above the plane, as its errors persist, and the worst one by either
+    point does not count, so that no single object decides. Both variances over the objects are of the same boxes, and
+    share the errors of positions and road, so their ratio disperses less than that of independent ones (Fisher's F),
+    whose quantile at odds of `CLEARLY` to 1 it has to exceed. Where only the given point brings in the error of the
+    boxes' heights (`BOX_HEIGHT_SIGMA_M`), the other one gets it, too: among vehicles of one height this error would
+    always speak for the other.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Reference point of each box, sensor frame, metres.
+    above_m : tuple of ndarray, shape (n,)
+        Height of that point above the ground: as given, and if it is the boxes' other point, NaN where unknown.
+    objects : sequence of ndarray of int64
+        Indices of the boxes of each object; those with fewer than `FEWEST_BOXES` do not count.
+    axes : Axes
+    settings : GroundSettings
+    """
+    both = np.isfinite(above_m[1])
+    objects = [kept for rows in objects if len(kept := rows[both[rows]]) >= FEWEST_BOXES]
+    freedom = len(objects) - 3  # a plane has three unknowns
+    if freedom < 1:
+        return None
+    rows = np.concatenate(objects)
+    points, above_m = points[rows], (above_m[0][rows], above_m[1][rows])
+    objects = np.split(np.arange(len(rows)), np.cumsum([len(one) for one in objects])[:-1])
+    (_, given_m), (ground, other_m) = (_scatter_m(points, above, objects, axes) for above in above_m)
+    brought_m = BOX_HEIGHT_SIGMA_M / 2 if np.median(above_m[0]) > 0.0 else 0.0
+    needed = float(fisher.ppf(1.0 - 1.0 / CLEARLY, freedom, freedom))
+    clearly = given_m**2 > needed * (other_m**2 + brought_m**2 + _EXACT_M**2)
+    return Unlike(given_m, other_m) if clearly and _can_be_ground(ground, axes, settings) else None
+
+
+def _scatter_m(
+    points: FloatArray, above_m: FloatArray, objects: Sequence[IntArray], axes: Axes
+) -> tuple[GroundPlane, float]:
+    """Return the plane below the boxes, and the standard deviation of the objects' heights above it but the worst's."""
+    ground, _ = _fitted(points, above_m, objects, axes)
+    level_m = transform(ground.T_level_sensor(axes), points)[:, 2] - above_m
+    off_m = np.sort([abs(np.median(level_m[rows])) for rows in objects])[:-1]
+    return ground, float(np.sqrt((off_m**2).sum() / (len(objects) - 3)))
+
+
+def first_plane(points: FloatArray, above_ground_m: FloatArray, axes: Axes, settings: GroundSettings) -> GroundPlane:
+    """Fit the plane below boxes that are not linked to objects yet, whatever it is like; see `plane_below`.
+
+    Raises
+    ------
+    GroundError
+        If there are too few boxes.
+    """
+    _check_count(points, settings)
+    alone = [np.array([row]) for row in range(len(points))]
+    return _fitted(points, above_ground_m, alone, axes)[0]
+
+
+def axes_with_ground(
+    points: FloatArray, above_ground_m: FloatArray, objects: Sequence[IntArray], axes: Axes, settings: GroundSettings
+) -> str | None:
+    """Return the other axes, as `--axes` takes them, with which there is a ground, the largest one; None without any.
+
+    The parameters are those of `plane_below`.
+    """
+    areas_m2 = {}
+    for name, up in UPS.items():
+        if up != tuple(axes.up):
+            turned = Axes((0.0, 1.0, 0.0) if up[0] else (1.0, 0.0, 0.0), up)
+            try:
+                areas_m2[name] = plane_below(points, above_ground_m, objects, turned, settings).support_area_m2
+            except GroundError:
+                continue
+    return max(areas_m2, key=lambda name: areas_m2[name], default=None)
+
+
+def _fitted(
+    points: FloatArray, above_m: FloatArray, objects: Sequence[IntArray], axes: Axes
+) -> tuple[GroundPlane, _Heights]:
+    """Return the plane below the boxes, whatever it is like, and the boxes' heights above it."""
+    ground = _start(points, above_m, axes)
+    boxes = _counted(points, above_m, objects, ground, axes)
+    for _ in range(_STEPS):
+        ground = _turned(ground, _heights(boxes, ground, axes).correction(), axes)
+    return ground, _heights(boxes, ground, axes)
 
 
 @dataclass(frozen=True)
@@ -340,6 +456,22 @@ def _in_sensor(covariance: FloatArray, ground: GroundPlane, axes: Axes) -> Float
     return carried
 
 
+def _check_count(points: FloatArray, settings: GroundSettings) -> None:
+    if len(points) < settings.min_points:
+        raise GroundError(
+            f"boxes with z and height: {len(points)} found, at least {settings.min_points} needed to find the ground; "
+            "or say --level HEIGHT"
+        )
+
+
+def _can_be_ground(ground: GroundPlane, axes: Axes, settings: GroundSettings) -> bool:
+    """Return whether a plane is where the ground may be."""
+    if ground.height_m < settings.min_height_m:
+        return False
+    up = np.asarray(axes.up, dtype=np.float64)
+    return bool(can_be_ground((-ground.normal / ground.height_m)[None], up / np.linalg.norm(up), settings)[0])
+
+
 def _check(heights: _Heights, ground: GroundPlane, axes: Axes, settings: GroundSettings) -> None:
     spread_m = float(heights.spread_m()[0])
     if spread_m < MIN_SPREAD_M:
@@ -353,9 +485,8 @@ def _check(heights: _Heights, ground: GroundPlane, axes: Axes, settings: GroundS
             f"independent stretches of road under the boxes: {stretches:.1f} found, at least {MIN_STRETCHES} needed to "
             "find the ground; record more traffic, or say --level HEIGHT"
         )
-    up = np.asarray(axes.up, dtype=np.float64)
-    too_near = ground.height_m < settings.min_height_m
-    if too_near or not can_be_ground((-ground.normal / ground.height_m)[None], up / np.linalg.norm(up), settings)[0]:
+    if not _can_be_ground(ground, axes, settings):
+        up = np.asarray(axes.up, dtype=np.float64)
         tilt_deg = np.degrees(np.arccos(np.clip(ground.normal @ up, -1.0, 1.0)))
         raise GroundError(
             f"plane below the boxes: {tilt_deg:.1f} deg from up, {ground.height_m:.2f} m below found, "

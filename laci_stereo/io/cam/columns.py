@@ -76,6 +76,9 @@ STATION_ID = Column("station_id", ("stationid", "station", "id", "senderid", "ve
 GENERATION_DELTA = Column("generationDeltaTime", ("gendeltatime",))
 """Column of the times of generation, of which `timestamp` is the reception then; see `generation_times`."""
 
+DRIVE_DIRECTION = Column("driveDirection", ())
+"""Column that tells where a vehicle drives backwards, as ETSI's name for it or its number; see `backwards`."""
+
 POSITION_OF = Column("position_of", ())
 """Column that names the point on the vehicle that the positions are of, where it is not the CAM reference point."""
 

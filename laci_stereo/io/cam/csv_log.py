@@ -9,7 +9,7 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.columns import ANTENNA, POSITION_OF, QUANTITIES, REQUIRED, in_units
 from laci_stereo.io.cam.gnss import OF_ANTENNA
 from laci_stereo.io.cam.recording import CamRecording, Messages, recorded
-from laci_stereo.io.cam.table import column_notes, generated, numbers_of, station_ids
+from laci_stereo.io.cam.table import backwards, column_notes, generated, numbers_of, station_ids
 from laci_stereo.io.table import merged, read_table, stamps_ns
 
 
@@ -18,9 +18,10 @@ def read_cam_csv(path: Path) -> CamRecording:
 
     The columns are ``timestamp``, ``station_id``, ``latitude``, ``longitude``, ``heading``, ``speed``,
     ``vehicle_length`` and ``vehicle_width``, optionally ``altitude``, ``semi_major_95``, ``semi_minor_95`` and
-    ``ellipse_orientation``, ``position_of``, which is ``antenna`` where positions are those of an antenna, and
-    ``generationDeltaTime``, beside which ``timestamp`` is the time of reception. Common synonyms are recognised. Only
-    times and positions are required. Raw ETSI integers are recognised for the whole file at once.
+    ``ellipse_orientation``, ``driveDirection``, by which headings are turned where it is ``backward``, ``position_of``,
+    which is ``antenna`` where positions are those of an antenna, and ``generationDeltaTime``, beside which
+    ``timestamp`` is the time of reception. Common synonyms are recognised. Only times and positions are required. Raw
+    ETSI integers are recognised for the whole file at once.
 
     Raises
     ------
@@ -39,8 +40,9 @@ def read_cam_csv(path: Path) -> CamRecording:
     unread = merged(parsed.problems for parsed in numbers.values())
     problems = merged([table.problems, stamps.problems, stations.problems, unread])
     code_notes = [note for parsed in numbers.values() for note in parsed.notes]
-    understood = [*column_notes(table), *stamps.notes, *stations.notes, *unit_notes, *code_notes]
-    messages = Messages(path, "row", table.line_numbers, stamps.values, stations.values, values, problems)
+    backward, direction_notes = backwards(table)
+    understood = [*column_notes(table), *stamps.notes, *stations.notes, *unit_notes, *code_notes, *direction_notes]
+    messages = Messages(path, "row", table.line_numbers, stamps.values, stations.values, values, problems, backward)
     of_antenna = ANTENNA in (table.texts(POSITION_OF) or [])
     return replace(
         recorded(messages, [*understood, *([OF_ANTENNA] if of_antenna else [])], "CSV"), is_receiver=of_antenna

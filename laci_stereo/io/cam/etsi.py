@@ -23,7 +23,7 @@ from laci_stereo.io.cam.columns import (
     Values,
 )
 
-_BACKWARD = 1
+BACKWARD = 1
 """Value of driveDirection for a vehicle in reverse."""
 
 _PDU_KINDS: Mapping[int, str] = {
@@ -119,9 +119,3 @@ def value_notes(values: Values, good: BoolArray) -> list[str]:
         if (count := int(np.sum(found[good] == quantity.least_beyond)))
     ]
     return [f"ETSI integers of {sent}", *([lacking_note] if lacking else []), *beyond]
-
-
-def direction_notes(cams: Sequence[Cam]) -> list[str]:
-    """Return a note on the number of messages that report driving in reverse."""
-    reversing = sum(cam.drive_direction == _BACKWARD for cam in cams)
-    return [f"{reversing} messages with driveDirection backward"] if reversing else []

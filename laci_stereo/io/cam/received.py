@@ -11,7 +11,7 @@ import numpy as np
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, IntArray
-from laci_stereo.io.cam.etsi import UNKNOWN, Cam, DamagedError, OtherKindError, direction_notes, in_units, value_notes
+from laci_stereo.io.cam.etsi import BACKWARD, UNKNOWN, Cam, DamagedError, OtherKindError, in_units, value_notes
 from laci_stereo.io.cam.geonetworking import Payload
 from laci_stereo.io.cam.its_time import generation_times
 from laci_stereo.io.cam.recording import CamRecording, Messages, recorded
@@ -125,13 +125,14 @@ def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str
     good = np.array([i not in found.problems for i in range(len(found.cams))], dtype=bool)
     stamps, time_notes = _stamps(found, stations, good)
     values = in_units(found.cams)
-    messages = Messages(source.path, source.noun, found.places, stamps, stations, values, found.problems)
+    backward = np.array([cam.drive_direction == BACKWARD for cam in found.cams], dtype=bool)
+    messages = Messages(source.path, source.noun, found.places, stamps, stations, values, found.problems, backward)
     other_notes = [f"{source.noun}s that are no CAM of a vehicle left out: {kinds}"] if kinds else []
     if found.signed:
         other_notes.append(f"{found.signed} of {len(found.cams)} CAMs are signed; the signatures were not verified")
     return recorded(
         messages,
-        [*notes, *time_notes, *other_notes, *value_notes(values, good), *direction_notes(found.cams)],
+        [*notes, *time_notes, *other_notes, *value_notes(values, good)],
         source.file_format,
     )
 

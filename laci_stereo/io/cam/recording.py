@@ -28,6 +28,7 @@ from laci_stereo.io.cam.columns import (
     WIDTH,
     Values,
 )
+from laci_stereo.io.cam.direction import turned_back
 from laci_stereo.io.cam.exchange import look_exchanged
 from laci_stereo.io.epochs import epoch_notes
 from laci_stereo.io.table import BAD_SHARE, Problems, merged, skip_notes
@@ -80,6 +81,8 @@ class Messages:
         Shape (n,), in each quantity's unit, NaN where missing; quantities that the file lacks may be left out.
     problems : mapping of int to str
         The messages that could not be read: index to reason.
+    backward : ndarray of bool, shape (n,), or None
+        Which messages report to drive backwards; None where none of them says.
     """
 
     path: Path
@@ -89,6 +92,7 @@ class Messages:
     station_id: IntArray
     values: Values
     problems: Problems = field(default_factory=dict)
+    backward: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -120,10 +124,13 @@ def recorded(messages: Messages, notes: Sequence[str], file_format: str) -> CamR
     skipped = skip_notes(messages.path, problems, messages.noun, messages.places, CamError)
     values, range_notes = _possible(messages, values)
     good = np.array([i not in problems for i in range(len(messages))], dtype=bool)
-    log, order_notes = _in_order(messages, _log(messages.stamps_ns, messages.station_id, values)[good])
+    backward = np.zeros(len(messages), dtype=bool) if messages.backward is None else messages.backward
+    log = _log(messages.stamps_ns, messages.station_id, values)[good]
+    log, direction_notes = turned_back(log, backward[good])
+    log, order_notes = _in_order(messages, log)
     position_notes = _check_positions(messages, log)
     log_notes = (*order_notes, *position_notes, *epoch_notes(log.stamps_ns), *_size_notes(log))
-    understood = (*notes, *zero_notes, *sign_notes, *skipped, *range_notes, *log_notes)
+    understood = (*notes, *zero_notes, *sign_notes, *skipped, *range_notes, *direction_notes, *log_notes)
     return CamRecording(log, understood, file_format)
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.io.cam.columns import COLUMNS, GENERATION_DELTA, MOTION, STATION_ID, Quantity
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
+from laci_stereo.io.cam.columns import COLUMNS, DRIVE_DIRECTION, GENERATION_DELTA, MOTION, STATION_ID, Quantity
 from laci_stereo.io.cam.its_time import DELTA_PERIOD_MS, generation_times
 from laci_stereo.io.stamps import number
 from laci_stereo.io.table import Parsed, Table, is_missing
 from laci_stereo.io.text_file import quoted
+
+_DIRECTIONS = {"forward": False, "backward": True, "unavailable": False, "0": False, "1": True, "2": False}
+"""Whether each value of ETSI's DriveDirection is backwards."""
 
 
 def column_notes(table: Table) -> list[str]:
@@ -62,6 +65,22 @@ def generated(table: Table, stamps: Parsed[IntArray], stations: IntArray) -> Par
     values = stamps.values.copy()
     values[good] = times.stamps_ns
     return Parsed(values, stamps.problems, (*stamps.notes, *times.notes))
+
+
+def backwards(table: Table) -> tuple[BoolArray | None, list[str]]:
+    """Return in which rows a vehicle reports to drive backwards, shape (n,), None without such a column, and notes."""
+    texts = table.texts(DRIVE_DIRECTION)
+    if texts is None:
+        return None, []
+    told = [text.lower().removesuffix(".0") for text in texts]
+    unread = [text for text in told if text not in _DIRECTIONS and not is_missing(text)]
+    note = (
+        f"{DRIVE_DIRECTION.name} is {quoted(unread[0])} and the like in {len(unread)} rows: taken as unavailable; "
+        "needed is forward, backward or unavailable, or 0, 1 or 2"
+        if unread
+        else ""
+    )
+    return np.array([_DIRECTIONS.get(text, False) for text in told], dtype=bool), [note] if note else []
 
 
 def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:

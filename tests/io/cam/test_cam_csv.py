@@ -569,6 +569,28 @@ def test_speeds_of_a_vehicle_that_reverses_are_magnitudes(tmp_path: Path) -> Non
     assert f"{len(plain)} speeds are negative; taken as magnitudes" in recording.notes
 
 
+@pytest.mark.parametrize("title", ["driveDirection", "drive_direction", "Drive Direction"])
+@pytest.mark.parametrize(
+    ("text", "back"),
+    [
+        *((text, True) for text in ("backward", "Backward", "1", "1.0")),
+        *((text, False) for text in ("forward", "0", "unavailable", "2", "")),
+    ],
+)
+def test_a_column_tells_who_drives_backwards(tmp_path: Path, title: str, text: str, back: bool) -> None:
+    rows = table(drive(speed=2.0))
+    recording = read_cam_csv(write(tmp_path / "cam.csv", [[*row, text if i else title] for i, row in enumerate(rows)]))
+    assert recording.log.heading_deg == pytest.approx(np.full(20, 255.3 if back else 75.3))
+    assert any("20 messages with driveDirection backward" in note for note in recording.notes) == back
+
+
+def test_a_drive_direction_that_is_none_is_noted(tmp_path: Path) -> None:
+    rows = [[*row, "left" if i else "driveDirection"] for i, row in enumerate(table(drive(speed=2.0)))]
+    recording = read_cam_csv(write(tmp_path / "cam.csv", rows))
+    assert (recording.log.heading_deg == 75.3).all()
+    assert any(note.startswith("driveDirection is 'left' and the like in 20 rows") for note in recording.notes)
+
+
 def test_positions_at_zero_and_missing_ones_are_no_positions(tmp_path: Path) -> None:
     rows = put(put(table(drive()), "latitude", "0.0", 3), "longitude", "0", 3)
     rows = [*rows[:1], *put([rows[0], *rows[1:][::-1]], "latitude", "", 2)[1:]]
