@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -143,9 +144,13 @@ def test_one_vehicle_among_thirty_tells_where_the_sensor_is(
     assert angle_deg < 0.3
 
 
-@pytest.mark.parametrize("late_s", [0.1, -0.1])
 @pytest.mark.parametrize(
-    "seed", [103, 106, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (100, 101, 102, 105, 107, 109))]
+    ("seed", "late_s"),
+    [
+        *product((103, 106), (0.1, -0.1)),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in product((100, 101, 102, 105, 109), (0.1, -0.1))),
+        pytest.param(107, 0.1, marks=pytest.mark.slow),
+    ],
 )
 def test_a_clock_that_nobody_set_is_told_where_speed_changes(tmp_path: Path, seed: int, late_s: float) -> None:
     """To 25 ms at the least; and without a turn, in which it may look like another place on the vehicle."""
@@ -157,6 +162,15 @@ def test_a_clock_that_nobody_set_is_told_where_speed_changes(tmp_path: Path, see
     assert abs(found.drive.time_offset_s - late_s) < 3 * found.time_sigma_s
     assert found.quality.verdict == "warn"
     assert any("the clocks are" in reason for reason in found.quality.reasons)
+
+
+@pytest.mark.slow
+def test_in_a_turn_a_late_clock_may_look_like_another_place_on_the_vehicle_with_the_same_result(tmp_path: Path) -> None:
+    made = traffic(107)
+    sent = replace(made.messages, stamps_ns=made.messages.stamps_ns - round(0.1 * 1e9))
+    found = matched(tmp_path, replace(made, messages=sent)).calibration
+    assert errors(made, found).track_xy_m < 3 * found.quality.track_xy_sigma_m < 0.4
+    assert any("the point that --cam-reference gives" in reason for reason in found.quality.reasons)
 
 
 @pytest.mark.parametrize(("seed", "late_s"), PERHAPS)

@@ -12,7 +12,7 @@ from laci_stereo.core.estimation.evidence import evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import FloatArray, wrap
-from laci_stereo.core.settings import Settings
+from laci_stereo.core.settings import SYNCHRONISED_S, Settings
 from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.core.tracking.tracks import Track
 
@@ -83,6 +83,13 @@ def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
 
 
 def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:
-    """Fit a half of a drive with the priors of the whole, which allow for any mistakes found in it."""
-    drive = evidence_of(Track(tuple(sightings)), own.vehicle, own.ground.height_m).thinned(HELD_ROWS)
-    return fit_jointly([drive], fit.match, [fit.time_offsets_s[0]], fit.settings, close=True, mistakes=False)
+    """Fit a half of a drive with the priors of the whole, which allow for any mistakes found in it.
+
+    Clocks that were never set are those of the whole drive: a half at constant speed would not determine them.
+    """
+    vehicle, offset_s, settings = own.vehicle, fit.time_offsets_s[0], fit.settings
+    if settings.clock_sigma_s > SYNCHRONISED_S:
+        vehicle, offset_s = replace(vehicle, stamps_s=vehicle.stamps_s - offset_s), 0.0
+        settings = replace(settings, clock_sigma_s=max(SYNCHRONISED_S, fit.time_sigmas_s[0]))
+    drive = evidence_of(Track(tuple(sightings)), vehicle, own.ground.height_m).thinned(HELD_ROWS)
+    return fit_jointly([drive], fit.match, [offset_s], settings, close=True, mistakes=False)
