@@ -14,7 +14,7 @@ from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, trans
 from laci_stereo.core.ground.box_ground import (
     LEVEL_SIGMA_RAD,
     Unlike,
-    axes_with_ground,
+    elsewhere_below,
     first_plane,
     level_ground,
     plane_below,
@@ -160,9 +160,8 @@ def _ground_and_tracks(
     try:
         return plane_below(points, above_m, objects, axes, settings.ground), tracks, objections
     except GroundError as error:
-        other = axes_with_ground(points, above_m, objects, axes, settings.ground)
-        elsewhere = () if other is None else (f"there is a ground with --axes '{other}'",)
-        raise GroundError("; ".join((str(error), *objections, *elsewhere))) from error
+        elsewhere = elsewhere_below(points, above_m, objects, axes, settings.ground)
+        raise GroundError("; ".join((str(error), *objections, *([elsewhere] if elsewhere else [])))) from error
 
 
 def _other_origin(unlike: Unlike | None, above_m: FloatArray) -> tuple[str, ...]:

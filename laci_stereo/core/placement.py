@@ -247,6 +247,8 @@ def place(
     bare = max(0, known - fit.standing - fit.frames)
     left_out = {"unknown": sightings - known, "standing": fit.standing, "bare": bare}
     contradicted = _contradicted(fit, drives, names, missing)
+    for name, drive, longer_m in zip(names, drives, longer, strict=True):
+        contradicted += [(name, words) for words in _too_long(drive, longer_m)]
     apart, unexpected = _apart_in_words(fit), fit.settings.apart_sigma_s > settings.joint.apart_sigma_s
     return Placement(
         match=fit.match,
@@ -267,11 +269,6 @@ def place(
         advice=_advice(fit, doubt, drives[0], _all_lack_m(missing)),
         contradictions=(
             *(f"{name}: {words}" if name else words for name, words in contradicted),
-            *(
-                f"{name}: {words}" if name else words
-                for name, drive, longer_m in zip(names, drives, longer, strict=True)
-                for words in _too_long(drive, longer_m)
-            ),
             *([_optics_in_words(fit)] if fit.optics else []),
             *(f"{words}; trigger both cameras at once" for words in apart if unexpected),
             *([_perhaps_unset(fit.perhaps_unset, fit)] if fit.perhaps_unset else []),

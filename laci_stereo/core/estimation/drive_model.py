@@ -216,22 +216,24 @@ class DriveModel:
         late_s = x[SWEEP] * self.drive.points_late_s[points]
         moved = late_s[:, None] * rotate_xy(-x[0], poses.rates.velocity)[frame]
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm - moved)
-        z = self.drive.points[points, 2]
+        z, farther = self.drive.points[points, 2], np.zeros(len(points))
         if self.drive.cameras is not None:
-            nearer = x[APART] * self._farther_per_s(x, poses, frame, self.drive.farther_per_m[points], xy, yaw)
+            farther = self._farther_per_s(x, poses, points, xy, yaw)
+            nearer = x[APART] * farther
             arm = arm - nearer[:, None] * self.drive.points[points, :2]
             xy = xy - nearer[:, None] * (xy - origin)
             z = z - nearer * (z - self.drive.height_m)
         across = self.drive.sigma_across_m[points]
         hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE], z)
-        return Met(points, hits, arm, xy, z, origin, yaw)
+        return Met(points, hits, arm, xy, z, origin, yaw, farther)
 
     def _farther_per_s(
-        self, x: FloatArray, poses: Poses, frame: IntArray, farther_per_m: FloatArray, xy: FloatArray, yaw: FloatArray
+        self, x: FloatArray, poses: Poses, points: IntArray, xy: FloatArray, yaw: FloatArray
     ) -> FloatArray:
         """Return by which fraction points are measured too far per second between left and right images, (n,)."""
+        frame = self.drive.frame[points]
         turning = rotate_xy(yaw, poses.rates.yaw[frame, None] * perpendicular(xy))
-        return dot_xy(farther_per_m, rotate_xy(-x[0], poses.rates.velocity[frame] + turning))
+        return dot_xy(self.drive.farther_per_m[points], rotate_xy(-x[0], poses.rates.velocity[frame] + turning))
 
     def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:
         drive, points, frame = self.drive, met.points, self.drive.frame[met.points]
@@ -244,9 +246,7 @@ class DriveModel:
         longer = np.column_stack([sight[:, 0] * ahead_m, dot_xy(sight, drive.points[points, :2])])
         rows.jacobian[:, BY_OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
-        if drive.cameras is not None:
-            farther = self._farther_per_s(x, poses, frame, drive.farther_per_m[points], met.xy, met.yaw)
-            rows.jacobian[:, APART] = -farther * np.hypot(*drive.points[points, :2].T) * towards
+        rows.jacobian[:, APART] = -met.farther * np.hypot(*drive.points[points, :2].T) * towards
         # A point that is seen within half a window of a border may be the border's. This adds to its variance fully
         # beside the outline, and also on a side that looks narrower than half a window, as it is grazed.
         window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
@@ -275,7 +275,7 @@ class DriveModel:
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE])
         window_m = self._window_m(hits.reach * np.hypot(*at.T))
-        met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, z, origin, yaw)
+        met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, z, origin, yaw, np.zeros(len(frame)))
         rows = self._rows_of(x, poses, met, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
         rows.jacobian[np.arange(len(frame)), _GROWTH + side] = -window_m
         return replace(

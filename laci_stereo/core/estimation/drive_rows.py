@@ -42,6 +42,8 @@ class Met(Columns):
         Sensor in the vehicle frame.
     yaw : ndarray, shape (n,)
         Yaw of the body in the world frame.
+    farther : ndarray, shape (n,)
+        Fraction by which the point is measured too far per second between left and right images; 0 for scanners.
     """
 
     points: IntArray
@@ -51,6 +53,7 @@ class Met(Columns):
     z: FloatArray
     origin: FloatArray
     yaw: FloatArray
+    farther: FloatArray
 
 
 @dataclass(frozen=True)

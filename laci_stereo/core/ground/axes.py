@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import OPENCV_AXES, Axes, FloatArray
 from laci_stereo.core.ground.plane import GroundPlane, fit_ground
@@ -34,22 +36,29 @@ def ground_below(
     try:
         return fit_ground(*cloud, axes.up, settings)
     except GroundError as error:
-        areas_m2 = {} if axes == OPENCV_AXES else _elsewhere(cloud, axes, settings)
-        if not areas_m2:
+        elsewhere = "" if axes == OPENCV_AXES else ground_elsewhere(axes, lambda up: fit_ground(*cloud, up, settings))
+        if not elsewhere:
             return fit_ground(*cloud, axes.up, settings.any_support)
-        likeliest = max(areas_m2, key=lambda name: areas_m2[name])
-        raise GroundError(f"{error}; there is a ground with --axes '{likeliest}'") from error
+        raise GroundError(f"{error}; {elsewhere}") from error
 
 
-def _elsewhere(
-    cloud: tuple[FloatArray, FloatArray, FloatArray], axes: Axes, settings: GroundSettings
-) -> dict[str, float]:
-    """Return the areas of the grounds that are found with other axes, in square metres, by the names of the axes."""
+def ground_elsewhere(axes: Axes, fit: Callable[[tuple[float, float, float]], GroundPlane]) -> str:
+    """Return in words with which other axes there is a ground, the largest one; empty without any.
+
+    Parameters
+    ----------
+    axes : Axes
+        With which there is none.
+    fit : callable
+        Maps an up vector to the ground in its opposite direction, or raises a `GroundError`.
+    """
     areas_m2 = {}
     for name, up in UPS.items():
         if up != tuple(axes.up):
             try:
-                areas_m2[name] = fit_ground(*cloud, up, settings).support_area_m2
+                areas_m2[name] = fit(up).support_area_m2
             except GroundError:
                 continue
-    return areas_m2
+    if not areas_m2:
+        return ""
+    return f"there is a ground with --axes '{max(areas_m2, key=lambda name: areas_m2[name])}'"

@@ -11,7 +11,7 @@ from scipy.stats import f as fisher
 
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform
-from laci_stereo.core.ground.axes import UPS
+from laci_stereo.core.ground.axes import ground_elsewhere
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.ground.rays import GATE
 from laci_stereo.core.ground.start import can_be_ground, where_it_can_be
@@ -266,22 +266,16 @@ def first_plane(points: FloatArray, above_ground_m: FloatArray, axes: Axes, sett
     return _fitted(points, above_ground_m, alone, axes)[0]
 
 
-def axes_with_ground(
+def elsewhere_below(
     points: FloatArray, above_ground_m: FloatArray, objects: Sequence[IntArray], axes: Axes, settings: GroundSettings
-) -> str | None:
-    """Return the other axes, as `--axes` takes them, with which there is a ground, the largest one; None without any.
+) -> str:
+    """Return the words of `ground_elsewhere` for boxes; the parameters are those of `plane_below`."""
 
-    The parameters are those of `plane_below`.
-    """
-    areas_m2 = {}
-    for name, up in UPS.items():
-        if up != tuple(axes.up):
-            turned = Axes((0.0, 1.0, 0.0) if up[0] else (1.0, 0.0, 0.0), up)
-            try:
-                areas_m2[name] = plane_below(points, above_ground_m, objects, turned, settings).support_area_m2
-            except GroundError:
-                continue
-    return max(areas_m2, key=lambda name: areas_m2[name], default=None)
+    def below(up: tuple[float, float, float]) -> GroundPlane:
+        forward = (0.0, 1.0, 0.0) if up[0] else (1.0, 0.0, 0.0)
+        return plane_below(points, above_ground_m, objects, Axes(forward, up), settings)
+
+    return ground_elsewhere(axes, below)
 
 
 def _fitted(

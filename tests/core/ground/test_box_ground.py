@@ -13,7 +13,7 @@ from laci_stereo.core.ground.box_ground import (
     BOX_HEIGHT_SIGMA_M,
     LEVEL_SIGMA_RAD,
     Unlike,
-    axes_with_ground,
+    elsewhere_below,
     level_ground,
     unlike_origin,
 )
@@ -117,8 +117,8 @@ def test_axes_that_have_a_ground_are_named(into: list[list[int]], name: str) -> 
     made = parade()
     R = np.array(into, dtype=np.float64)
     arguments = made.half_m, made.objects, FORWARD_LEFT_UP_AXES, SETTINGS
-    assert axes_with_ground(made.middles, *arguments) is None
-    assert axes_with_ground(made.middles @ R.T, *arguments) == name
+    assert elsewhere_below(made.middles, *arguments) == ""
+    assert elsewhere_below(made.middles @ R.T, *arguments) == f"there is a ground with --axes '{name}'"
 
 
 def test_the_doubt_of_a_vertical_axis_is_the_tilts() -> None:
