@@ -19,7 +19,9 @@ from laci_stereo.core.errors import CamError, MatchError, TrackError
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.observe import Observation, observe, on_the_road
-from laci_stereo.core.placement import doubts_of, place_by_paper, place_jointly, ridden_doubts
+from laci_stereo.core.placement.by_paper import place_by_paper
+from laci_stereo.core.placement.companions import doubts_of, ridden_doubts
+from laci_stereo.core.placement.senders import place_jointly
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread

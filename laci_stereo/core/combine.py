@@ -16,7 +16,7 @@ from laci_stereo.core.estimation.evidence import Evidence, evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import between
-from laci_stereo.core.placement import place
+from laci_stereo.core.placement.place import place
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread

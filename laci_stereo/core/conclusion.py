@@ -12,7 +12,7 @@ from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import planar
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.messages.cam import VehicleTrack
-from laci_stereo.core.placement import place_by_paper
+from laci_stereo.core.placement.by_paper import place_by_paper
 from laci_stereo.core.quality import Placement, covariance_of, judge
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings

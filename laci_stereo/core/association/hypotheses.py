@@ -29,6 +29,7 @@ from laci_stereo.core.association.words import (
     named,
     no_fit,
     nothing_found,
+    odds,
     tie,
     towing,
 )
@@ -202,12 +203,12 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     least = scene.settings.least_log_odds
     if second is not None and margin < least:
         tied = tie(scene, best.account, second, margin)
-        raise MatchError(f"{tied}; needed are {math.exp(least):.0f} to 1{towing(scene)}")
+        raise MatchError(f"{tied}; needed are {odds(least)}{towing(scene)}")
     even, doubt = best.value - math.log(objects), ""
     needed = scene.settings.least_seen_log_odds - SILENT
     if even < needed:
         chance = by_chance(scene, best.account, objects, even)
-        raise MatchError(f"{chance}; needed are {math.exp(needed):.0f} to 1{lingering(scene)}{towing(scene)}")
+        raise MatchError(f"{chance}; needed are {odds(needed)}{lingering(scene)}{towing(scene)}")
     # A result without any objection must hold even at prior odds of one to one that the sender was seen at all.
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
         doubt = tie(scene, best.account, second, margin)

@@ -53,6 +53,9 @@ OPTICS = ("depth", "breadth")
 """Corrections to a stereo camera's points along its axis and across it, each relative: a wrong focal length scales only
 depths, since it cancels out across the axis; a wrong baseline scales both."""
 
+CONTRADICTED = 4.0
+"""Number of standard deviations beyond which a correction contradicts the messages."""
+
 CORRECTED = ("clock", "heading", "lag", "ahead", "left", "length", "width")
 """Corrections to the messages: clock [s], heading [rad], lag of the heading behind the position [s], place of the
 reported position on the vehicle, size [m]."""
@@ -87,6 +90,11 @@ class Correction:
         """
         told = max(1.0 - (self.after / self.sigma) ** 2, LEAST_TOLD) if self.what == "clock" else 1.0
         return abs(self.value) / (self.sigma * float(np.sqrt(told)))
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether it is no correction any more, but a contradiction."""
+        return self.surprise > CONTRADICTED
 
 
 class DrivePrior:

@@ -11,7 +11,6 @@ import numpy as np
 
 from laci_stereo.core.estimation.drive_prior import Correction
 from laci_stereo.core.frames import FloatArray, planar
-from laci_stereo.core.placement import CONTRADICTED
 from laci_stereo.core.result import Calibration, viewing_angles
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.report.page.residuals import SIDES, Laid
@@ -269,7 +268,7 @@ def corrected(corrections: Sequence[Correction]) -> tuple[Corrected, ...]:
 def _corrected(correction: Correction) -> Corrected:
     what, factor, digits, unit = _WORDS[correction.what]
     sigmas = correction.surprise
-    judgement = "contradiction" if sigmas > CONTRADICTED else "notable" if sigmas > NOTABLE else "as expected"
+    judgement = "contradiction" if correction.contradicts else "notable" if sigmas > NOTABLE else "as expected"
     value = f"{_signed(factor * correction.value, digits)}{unit}"
     return Corrected(what, value, f"0 ± {factor * correction.sigma:.{digits}f}{unit}", sigmas, judgement)
 
