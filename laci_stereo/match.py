@@ -25,6 +25,7 @@ from laci_stereo.core.ground.box_ground import (
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import above_zero
+from laci_stereo.core.tracking.box_point import BoxPoint
 from laci_stereo.io.detections import read_detections
 from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
@@ -47,19 +48,22 @@ class MatchOptions(DriveOptions):
     axes : Axes
         Axes of the sensor's frame.
     box_origin : {"centre", "bottom"}
-        Point of a box that its position refers to.
+        Height in a box of the point that its position refers to.
+    box_point : BoxPoint
+        The same on the ground plan.
     level_m : float or None
         Height of the sensor above the ground, if its up axis is vertical; None finds the ground below the boxes.
     """
 
     axes: Axes = FORWARD_LEFT_UP_AXES
     box_origin: BoxOrigin = "centre"
+    box_point: BoxPoint = "centre"
     level_m: float | None = None
 
     def config(self) -> dict[str, object]:
         """Return every effective setting; paths are among the inputs."""
-        own = {"axes": asdict(self.axes), "box_origin": self.box_origin, "level_m": self.level_m}
-        return {**super().config(), **own}
+        own = ("box_origin", "box_point", "level_m")
+        return {**super().config(), "axes": asdict(self.axes), **{name: getattr(self, name) for name in own}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +76,7 @@ class MatchTask(Task):
     axes : Axes
         Axes of the sensor's frame.
     level_m : float or None
+    box_point : BoxPoint
         See `MatchOptions`.
     tilt_sigma_rad : float
         Standard deviation of the up axis about each horizontal one where it is stated to be vertical.
@@ -82,6 +87,7 @@ class MatchTask(Task):
     detections: DetectionLog
     axes: Axes
     level_m: float | None
+    box_point: BoxPoint
     tilt_sigma_rad: float
     otherwise_m: FloatArray
 
@@ -97,6 +103,7 @@ class MatchTask(Task):
             self.axes,
             options.core,
             self.level_m,
+            point=self.box_point,
             tilt_sigma_rad=self.tilt_sigma_rad,
             otherwise_m=self.otherwise_m,
         )
@@ -143,9 +150,10 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
     """
     options = options or MatchOptions()
     recorded = read_detections(detections)
-    centre_m, bottom_m = recorded.log.above_ground_m, np.zeros(len(recorded.log))
+    boxes, points_notes = _placed(detections, recorded.log, options.box_point)
+    centre_m, bottom_m = boxes.above_ground_m, np.zeros(len(boxes))
     above_m, otherwise_m = (centre_m, bottom_m) if options.box_origin == "centre" else (bottom_m, centre_m)
-    boxes = replace(recorded.log, above_ground_m=above_m)
+    boxes = replace(boxes, above_ground_m=above_m)
     below = _check_ground(detections, recorded.no_height, boxes, options)
     tilt_sigma_rad, not_level = _tilt(below)
     drive = read_drive(cam, options.lane_map or find_lane_map(detections), boxes.span_ns, options)
@@ -158,16 +166,39 @@ def prepare(detections: Path, cam: Path, options: MatchOptions | None = None) ->
             frame=f"as in the detections: {_in_words(options.axes)}",
             inputs={str(detections): sha256(detections), **drive.files},
             config=options.config(),
-            notes=(*recorded.notes, _ground_note(boxes, options, below), *drive.notes),
+            notes=(*recorded.notes, *points_notes, _ground_note(boxes, options, below), *drive.notes),
         ),
         inputs=f"{len(boxes)} detections at {len(np.unique(boxes.stamps_ns))} times, {len(drive.messages)} CAMs",
         doubts=not_level,
         detections=boxes,
         axes=options.axes,
         level_m=options.level_m,
+        box_point=options.box_point,
         tilt_sigma_rad=tilt_sigma_rad,
         otherwise_m=otherwise_m,
     )
+
+
+def _placed(path: Path, log: DetectionLog, point: BoxPoint) -> tuple[DetectionLog, list[str]]:
+    """Return the detections whose place on the vehicle is known, and notes on the others.
+
+    Raises
+    ------
+    DetectionError
+        If there is none.
+    """
+    is_box = log.is_box()
+    bare = int((~is_box).sum())
+    if point == "centre":
+        lack = f"{bare} of {len(log)} detections lack yaw, length or width; taken for points at the vehicle's centre"
+        return log, [lack] if bare else []
+    if bare == len(log):
+        raise DetectionError(
+            f"{path}: none of {len(log)} detections has yaw, length and width; needed are these for --box-point {point}"
+        )
+    lack = f"{bare} of {len(log)} detections dropped, which lack yaw, length or width, needed for --box-point {point}"
+    taken = f"x and y taken for the {point.replace('-', ' ')} of the boxes (--box-point)"
+    return log[is_box], [*([lack] if bare else []), taken]
 
 
 def _with_assumption(calibration: Calibration) -> Calibration:
@@ -248,7 +279,8 @@ def _below(boxes: DetectionLog, axes: Axes) -> Below | None:
 
 def _ground_note(boxes: DetectionLog, options: MatchOptions, below: Below | None) -> str:
     if options.level_m is None:
-        return f"x, y and z taken for the {options.box_origin} of the boxes (see --box-origin)"
+        what = "x, y and z" if options.box_point == "centre" else "z"
+        return f"{what} taken for the {options.box_origin} of the boxes (see --box-origin and --box-point)"
     if np.isnan(boxes.points_sensor[:, 2]).all():
         return f"no z; x and y taken for distances along the ground, {options.level_m:g} m below the sensor"
     note = f"the sensor's axis is taken for vertical, and the ground for {options.level_m:g} m below it"

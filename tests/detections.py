@@ -12,6 +12,7 @@ from laci_stereo.core.detections import DetectionLog
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, invert, rotate_xy, transform
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
+from laci_stereo.core.tracking.box_point import BoxPoint
 from tests.simulated import EPOCH_NS, ULM, Drive, Place, cam_log, car, lidar, mounted
 
 LASTS_S = 120.0
@@ -167,6 +168,25 @@ def by_bottom(made: Traffic) -> Traffic:
     log, up = made.detections, made.T_world_sensor[2, :3]
     points = log.points_sensor - made.heights_m[:, None] / 2 * up
     return replace(made, detections=replace(log, points_sensor=points))
+
+
+def by_point(made: Traffic, point: BoxPoint) -> Traffic:
+    """Return the same boxes by another point on the ground plan."""
+    log, R = made.detections, made.T_world_sensor[:3, :3]
+    flat = np.column_stack([np.cos(log.yaw_rad), np.sin(log.yaw_rad), np.zeros(len(log))])
+    ahead = flat @ R.T - np.outer(flat @ R[2] / R[2, 2], R[:, 2])  # along the road, with the same yaw about z
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    left = np.cross([0.0, 0.0, 1.0], ahead)
+    front, side = log.length_m[:, None] / 2 * ahead, log.width_m[:, None] / 2 * left
+    candidates = {
+        "front": [front],
+        "rear": [-front],
+        "near-end": [front, -front],
+        "near-corner": [front + side, front - side, -front + side, -front - side],
+    }[point]
+    points = np.array([log.points_sensor + each @ R for each in candidates])
+    nearest = np.linalg.norm((points @ R.T)[..., :2], axis=2).argmin(axis=0)
+    return replace(made, detections=replace(log, points_sensor=points[nearest, np.arange(len(log))]))
 
 
 def _seen(

@@ -18,9 +18,10 @@ from jsonschema import Draft202012Validator
 from laci_stereo.core.errors import GroundError, InputError
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.tracking.box_point import BoxPoint
 from laci_stereo.io.result.calibration_file import schema
 from laci_stereo.job import Result
-from laci_stereo.match import MatchOptions, match
+from laci_stereo.match import MatchOptions, match, prepare
 from tests.cli_support import refusal, run, run_installed, snapshot
 from tests.detections import (
     EXACT,
@@ -29,6 +30,7 @@ from tests.detections import (
     Rows,
     Traffic,
     by_bottom,
+    by_point,
     cam_rows,
     cars_and_vans,
     detection_rows,
@@ -294,6 +296,40 @@ def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
     assert wrong.height_m - by_bottom.height_m == pytest.approx(log.above_ground_m.mean(), abs=0.1)
 
 
+@pytest.mark.parametrize("point", ["front", "rear", "near-end", "near-corner"])
+def test_boxes_by_another_point_seen_from_above(tmp_path: Path, point: BoxPoint) -> None:
+    made = traffic(TURNS)
+    other = by_point(made, point)
+    at_all = np.linalg.norm(other.detections.points_sensor - made.detections.points_sensor, axis=1)
+    assert at_all.min() > 1.0
+    found = matched(tmp_path, other, MatchOptions(box_point=point)).calibration
+    assert errors(made, found).track_xy_m < 0.05
+    assert found.quality.verdict == "pass"
+
+
+def test_another_point_is_named_where_a_turn_shows_it(tmp_path: Path) -> None:
+    site = lay(tmp_path, by_point(traffic(TURNS), "near-corner"))
+    ran = run(site.arguments(), site.root)
+    assert "if the boxes' positions were not of their centres, station 42 would match" in ran.out + ran.err
+    assert "--box-point near-corner" in ran.out + ran.err
+
+
+def test_only_boxes_have_another_point(tmp_path: Path) -> None:
+    site = lay(tmp_path, by_point(traffic(TURNS), "rear"))
+    rows = detection_rows(site.made)
+    unknown = [str(length) if i % 5 else "" for i, length in enumerate(site.made.detections.length_m)]
+    rows.column("length", unknown)
+    rows.write(site.detections)
+    task = prepare(site.detections, site.cam, MatchOptions(box_point="rear"))
+    assert len(task.detections) == sum(map(bool, unknown))
+    notes = task.provenance.notes
+    dropped = f"{unknown.count('')} of {len(unknown)} detections dropped, which lack yaw, length or width"
+    assert any(note.startswith(dropped) for note in notes)
+    assert any(note == "x and y taken for the rear of the boxes (--box-point)" for note in notes)
+    rows.without("length").write(site.detections)
+    site.refused(UNUSABLE, "has yaw, length and width", "--box-point rear", options=("--box-point", "rear"))
+
+
 def test_the_wrong_point_of_the_boxes_is_a_doubt(tmp_path: Path) -> None:
     made = traffic(3, vehicles=cars_and_vans())
     bottom = MatchOptions(box_origin="bottom")
@@ -402,7 +438,9 @@ def test_a_vehicle_that_is_longer_than_its_messages_report_is_a_doubt(tmp_path: 
 def test_the_command_writes_a_whole_result(site: Site) -> None:
     ran = run_installed(site.arguments("--name", "radar 3"), site.root)
     assert ran.code == 0, ran
-    assert "note: x, y and z taken for the centre of the boxes (see --box-origin)" in ran.err.splitlines()
+    assert (
+        "note: x, y and z taken for the centre of the boxes (see --box-origin and --box-point)" in ran.err.splitlines()
+    )
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
     document = site.document()
     Draft202012Validator(schema()).validate(document)
@@ -457,7 +495,17 @@ def test_result_that_must_not_be_used_is_written_and_no_success(tmp_path: Path) 
 
 def test_what_makes_no_sense_for_detections_is_no_option(site: Site) -> None:
     offered = run(["match", "--help"], site.root).out
-    for option in ("--box-origin", "--level", "--axes", "--station", "--cam-reference", "--crs", "--out", "--map"):
+    for option in (
+        "--box-origin",
+        "--box-point",
+        "--level",
+        "--axes",
+        "--station",
+        "--cam-reference",
+        "--crs",
+        "--out",
+        "--map",
+    ):
         assert option in offered
     assert "radial_speed (m/s, positive away from the sensor)" in " ".join(offered.split())
     for option in ("--workers", "--background", "--stereo", "--disparities"):
@@ -558,6 +606,7 @@ def test_input_that_makes_no_sense_is_refused(site: Site, damage: Damage, words:
         (("--axes", "x forward, x up"), ("the axes 'x forward, x up' make forward and up parallel",)),
         (("--axes", "sideways"), ("the axes are 'sideways'",)),
         (("--box-origin", "top"), ("--box-origin", "'top'")),
+        (("--box-point", "left"), ("--box-point", "'left'")),
         (("--station", "7"), ("station 7 is not in the log; needed is one of 42",)),
     ],
 )

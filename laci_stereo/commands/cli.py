@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import click
 
@@ -36,6 +37,7 @@ from laci_stereo.commands.program import run_command
 from laci_stereo.commands.rig import rig as rig_command
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.tracking.box_point import BoxPoint
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.output import check_output
 from laci_stereo.job import Job
@@ -124,10 +126,17 @@ def calibrate(
 )
 @click.option(
     "--box-origin",
-    type=click.Choice(["centre", "bottom"]),
+    type=click.Choice(get_args(BoxOrigin)),
     default="centre",
     show_default=True,
-    help="Point of a box that its position is of.",
+    help="Height in a box that its position is of.",
+)
+@click.option(
+    "--box-point",
+    type=click.Choice(get_args(BoxPoint)),
+    default="centre",
+    show_default=True,
+    help="Point of a box, seen from above, that its position is of; front is where yaw points to.",
 )
 @click.option(
     "--level",
@@ -137,7 +146,13 @@ def calibrate(
 )
 @matching
 def match(
-    asked: Asked, detections: Path, cam: Path, axes: str, box_origin: BoxOrigin, level: float | None
+    asked: Asked,
+    detections: Path,
+    cam: Path,
+    axes: str,
+    box_origin: BoxOrigin,
+    box_point: BoxPoint,
+    level: float | None,
 ) -> MatchTask:
     """Calibrate a sensor from the boxes that your own detector finds with a radar, a camera or a LiDAR.
 
@@ -148,7 +163,13 @@ def match(
     that `laci-stereo cam` reads: a packet capture, a ROS or MCAP bag, hexadecimal lines, V2AIX's JSON, or positions of
     a receiver in NMEA or GPX, which need --cam-reference.
     """
-    options = MatchOptions(**vars(asked.drive(None)), axes=parse_axes(axes), box_origin=box_origin, level_m=level)
+    options = MatchOptions(
+        **vars(asked.drive(None)),
+        axes=parse_axes(axes),
+        box_origin=box_origin,
+        box_point=box_point,
+        level_m=level,
+    )
     return prepare_match(detections, cam, options)
 
 

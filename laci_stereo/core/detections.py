@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from laci_stereo.core.observe import Observation
 from laci_stereo.core.settings import Settings, TrackSettings
 from laci_stereo.core.tracking.background import Background
 from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.box_point import BoxPoint, to_centre
 from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.core.tracking.tracks import Track, link_tracks
 
@@ -100,6 +101,7 @@ def observe_detections(
     settings: Settings | None = None,
     level_m: float | None = None,
     *,
+    point: BoxPoint = "centre",
     tilt_sigma_rad: float = LEVEL_SIGMA_RAD,
     otherwise_m: FloatArray | None = None,
 ) -> BoxObservation:
@@ -108,11 +110,14 @@ def observe_detections(
     Parameters
     ----------
     detections : DetectionLog
+        Of another ``point`` than the centre, only those that are boxes (`DetectionLog.is_box`).
     axes : Axes
         Axes of the sensor.
     settings : Settings
     level_m : float or None
         Height of the sensor above the ground, if its up axis is vertical; with None the ground is fitted to the boxes.
+    point : BoxPoint
+        Point of the boxes on the ground plan that their positions are of; front is where the yaw points to.
     tilt_sigma_rad : float
         Standard deviation of that axis about each horizontal one.
     otherwise_m : ndarray, shape (n,), or None
@@ -125,19 +130,28 @@ def observe_detections(
     """
     settings = settings or Settings()
     objections: tuple[str, ...] = ()
+
+    def on(ground: GroundPlane) -> list[Sighting]:
+        return _sightings(detections, ground, axes, point)
+
     if level_m is not None:
         ground = level_ground(level_m, axes, tilt_sigma_rad)
-        tracks = _tracks(detections, ground, axes, settings.track)
+        tracks = _tracks(detections, on(ground), settings.track)
     else:
-        ground, tracks, objections = _ground_and_tracks(detections, axes, settings, otherwise_m)
+        ground, tracks, objections = _ground_and_tracks(detections, axes, settings, on, otherwise_m)
     log.info("ground: %.3f m below the sensor; %d tracks", ground.height_m, len(tracks))
     nothing = Background((), 0, settings.background.margin_m)
-    made = (Track(tuple(_sightings(detections[rows], detections, ground, axes))) for rows in tracks)
+    sightings = on(ground)
+    made = (Track(tuple(sightings[row] for row in rows)) for rows in tracks)
     return BoxObservation(axes, ground, nothing, tuple(made), objections=objections)
 
 
 def _ground_and_tracks(
-    detections: DetectionLog, axes: Axes, settings: Settings, otherwise_m: FloatArray | None
+    detections: DetectionLog,
+    axes: Axes,
+    settings: Settings,
+    on: Callable[[GroundPlane], list[Sighting]],
+    otherwise_m: FloatArray | None,
 ) -> tuple[GroundPlane, list[IntArray], tuple[str, ...]]:
     """Return the ground, the tracks on it, and objections; the ground is fitted with each object weighted by its path.
 
@@ -149,7 +163,7 @@ def _ground_and_tracks(
     known = np.flatnonzero(np.isfinite(detections.points_sensor).all(axis=1) & np.isfinite(detections.above_ground_m))
     points, above_m = detections.points_sensor[known], detections.above_ground_m[known]
     start = first_plane(points, above_m, axes, settings.ground)
-    tracks = _tracks(detections, start, axes, settings.track)
+    tracks = _tracks(detections, on(start), settings.track)
     place = np.full(len(detections), -1)
     place[known] = np.arange(len(known))
     objects = [found for rows in tracks if len(found := place[rows][place[rows] >= 0])]
@@ -176,10 +190,9 @@ def _other_origin(unlike: Unlike | None, above_m: FloatArray) -> tuple[str, ...]
     return (words,)
 
 
-def _tracks(detections: DetectionLog, ground: GroundPlane, axes: Axes, settings: TrackSettings) -> list[IntArray]:
+def _tracks(detections: DetectionLog, sightings: Sequence[Sighting], settings: TrackSettings) -> list[IntArray]:
     """Return the indices of each object's detections, in the order of time, the object with most of them first."""
     settings = replace(settings, max_lost_s=max(settings.max_lost_s, LOST_FRAMES * _interval_s(detections)))
-    sightings = _sightings(detections, detections, ground, axes)
     by_number = np.argsort(detections.track_id, kind="stable")
     ends = np.flatnonzero(np.diff(detections.track_id[by_number])) + 1
     tracks: list[IntArray] = []
@@ -213,8 +226,8 @@ def _linked(rows: IntArray, sightings: Sequence[Sighting], settings: TrackSettin
     return [np.array([row_of[id(sighting)] for sighting in track.sightings]) for track in tracks]
 
 
-def _sightings(detections: DetectionLog, recording: DetectionLog, ground: GroundPlane, axes: Axes) -> list[Sighting]:
-    """Return detections as sightings on the ground plan; ``recording``, which contains them, defines second zero."""
+def _sightings(detections: DetectionLog, ground: GroundPlane, axes: Axes, point: BoxPoint) -> list[Sighting]:
+    """Return detections as sightings on the ground plan, with stamps since the first one."""
     T_level_sensor = ground.T_level_sensor(axes)
     # A sensor without elevation measures in its own plane, which may be taken as parallel to the ground only if level.
     xy = transform(T_level_sensor, np.nan_to_num(detections.points_sensor))[:, :2]
@@ -224,7 +237,8 @@ def _sightings(detections: DetectionLog, recording: DetectionLog, ground: Ground
     length, width = np.maximum(length, width), np.minimum(length, width)
     heading = _headings(along, ground.normal, axes) @ T_level_sensor[:2, :3].T
     yaw = wrap(2 * np.arctan2(heading[:, 1], heading[:, 0])) / 2
-    stamps_s = (detections.stamps_ns - recording.stamps_ns[0]) / 1e9
+    xy = xy + to_centre(xy, heading, length, width, point)
+    stamps_s = (detections.stamps_ns - detections.stamps_ns[0]) / 1e9
     no_points, no_noise = np.zeros((0, 3)), np.zeros(0)
     return [
         Sighting(

@@ -136,7 +136,8 @@ def read_detections(path: Path) -> DetectionRecording:
     found, number_notes = _without_row_numbers(found)
     log, order_notes = _in_order(path, found)
     notes = (*_column_notes(table), *stamps.notes, *yaw_notes, *skip_notes, *range_notes, *number_notes, *order_notes)
-    return DetectionRecording(log, (*notes, *_content_notes(log)), _no_height(table, log, numbers[HEIGHT].values))
+    unnumbered = ["no track_id; detections are linked by their motion"] if (log.track_id < 0).all() else []
+    return DetectionRecording(log, (*notes, *unnumbered), _no_height(table, log, numbers[HEIGHT].values))
 
 
 def _column_notes(table: Table) -> list[str]:
@@ -251,11 +252,3 @@ def _in_order(path: Path, log: DetectionLog) -> tuple[DetectionLog, list[str]]:
 def _firsts(keys: IntArray) -> IntArray:
     """Return the index of the first occurrence of each key, shape (n, k), ascending."""
     return np.sort(np.unique(keys, axis=0, return_index=True)[1])
-
-
-def _content_notes(log: DetectionLog) -> list[str]:
-    points = int((~log.is_box()).sum())
-    notes = [f"{points} of {len(log)} detections lack yaw, length or width; taken for points at the vehicle's centre"]
-    if (log.track_id < 0).all():
-        return [*(notes if points else []), "no track_id; detections are linked by their motion"]
-    return notes if points else []

@@ -58,8 +58,8 @@ class Choice:
         Objection: why the track may be a stranger's; empty where that is out of the question.
     beside : int
         Number of frames in which another object moves as one with it; see `companion`.
-    clocks : str
-        Words on a clock offset that explains clearly more; empty where none does.
+    better : str
+        Words on what explains clearly more, such as another clock offset; empty where nothing does.
     others : tuple of Other
         Other senders that are clearly seen as well.
     """
@@ -75,7 +75,7 @@ class Choice:
     second_is: str
     doubt: str = ""
     beside: int = 0
-    clocks: str = ""
+    better: str = ""
     others: tuple[Other, ...] = ()
 
 

@@ -13,6 +13,7 @@ from laci_stereo.core.association.resemblance import resemblance
 from laci_stereo.core.association.unset_clock import clocks_apart
 from laci_stereo.core.association.wrong_optics import disparities_off, optics_off
 from laci_stereo.core.association.wrong_place import place_off
+from laci_stereo.core.association.wrong_point import point_off
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.matching import PlanarMatch
@@ -50,7 +51,7 @@ def choose_vehicle(
     try:
         choice = _that_drives_ahead(case)
     except CalibrationError as error:
-        asked = [mirrored(case, None), clocks_apart(case, None, by_any_clock)]
+        asked = [mirrored(case, None), clocks_apart(case, None, by_any_clock), point_off(case, None)]
         if isinstance(error, MatchError):
             asked += [place_off(case), optics_off(case), disparities_off(case)]
         instead = [each for each in asked if each is not None]
@@ -61,8 +62,9 @@ def choose_vehicle(
     if turned_over := mirrored(case, choice):
         raise MatchError(turned_over.words)
     alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]
-    unset = clocks_apart(case, choice, by_any_clock)
-    return replace(choice, others=tuple(alone), clocks=unset.words if unset else "")
+    asked = [clocks_apart(case, choice, by_any_clock), point_off(case, choice)]
+    better = told([each for each in asked if each is not None], settings.match)
+    return replace(choice, others=tuple(alone), better=better)
 
 
 def told(instead: Sequence[Alternative], settings: MatchSettings) -> str:

@@ -13,7 +13,7 @@ from laci_stereo.core.tracking.tracks import Track
 
 def doubts_of(choice: Choice) -> tuple[str, ...]:
     """Return the objections to the choice of the vehicle."""
-    doubts = [doubt for doubt in (choice.clocks, choice.doubt) if doubt]
+    doubts = [doubt for doubt in (choice.better, choice.doubt) if doubt]
     if choice.beside:
         doubts.append(_part_of_it(choice.beside))
     return tuple(doubts)
