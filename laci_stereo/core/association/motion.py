@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -104,7 +104,7 @@ def _best_offset(
     if not enough.any():
         return None
     offsets_s = offsets_s[enough]
-    poses = Poses(*(getattr(poses, field.name)[enough] for field in fields(poses)))
+    poses = poses[enough]
     weight = poses.known * path_shares(poses, knots.stamp_s, settings)
     yaw, shift, remains = fit_all(knots, poses, weight, sender, settings)
     score = (weight * (WORST - cost(remains[0]))).sum(axis=1) - (offsets_s / settings.clock_sigma_s) ** 2 / 2

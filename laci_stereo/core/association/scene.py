@@ -58,7 +58,7 @@ class Knots(Columns):
 
 
 @dataclass(frozen=True)
-class Poses:
+class Poses(Columns):
     """Poses of a sender's vehicle: each attribute has the shape of the stamps, ``xy`` and ``velocity`` one axis more.
 
     ``slip_rad`` is the standard deviation of the body's yaw about the heading, which is large in narrow bends.
