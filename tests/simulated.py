@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from pyproj import Geod, Proj
@@ -201,7 +200,6 @@ class Sensor:
     half a turn of it before the stamp it passes ``begin_rad``.
     """
 
-    kind: Literal["stereo", "lidar"]
     directions: FloatArray
     at_edge: BoolArray
     axes: Axes
@@ -261,7 +259,7 @@ def lidar(
     directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
     edge = np.zeros((layers, columns), dtype=bool)
     edge[:, [0, -1]] = True
-    return Sensor("lidar", directions.reshape(-1, 3), edge.ravel(), FORWARD_LEFT_UP_AXES, 0.0, sigma_m, 5e-4)
+    return Sensor(directions.reshape(-1, 3), edge.ravel(), FORWARD_LEFT_UP_AXES, 0.0, sigma_m, 5e-4)
 
 
 def stereo(
@@ -283,7 +281,6 @@ def stereo(
     edge[:, [0, -1]] = edge[[0, -1]] = True
     focal_px = focal * width_px
     return Sensor(
-        "stereo",
         directions,
         edge.ravel(),
         OPENCV_AXES,
@@ -317,14 +314,6 @@ class Recording:
     times_s: FloatArray
     seed: int = 0
     surveyed: int = 8
-
-    @property
-    def kind(self) -> str:
-        return self.sensor.kind
-
-    @property
-    def name(self) -> str:
-        return "simulated"
 
     @property
     def axes(self) -> Axes:

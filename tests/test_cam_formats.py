@@ -30,8 +30,6 @@ UNKNOWN = {"semi_major_95_m": 40.95, "semi_minor_95_m": 40.95, "ellipse_orientat
 class Kept:
     """The point clouds of a recording, matched once (implements `PointCloudSource`)."""
 
-    kind: str
-    name: str
     axes: Axes
     span_ns: tuple[int, int]
     frames: list[PointCloud]
@@ -39,7 +37,7 @@ class Kept:
 
     @classmethod
     def of(cls, source: PointCloudSource) -> Kept:
-        return cls(source.kind, source.name, source.axes, source.span_ns, list(source), list(source.survey()))
+        return cls(source.axes, source.span_ns, list(source), list(source.survey()))
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -208,8 +208,7 @@ class MatchedOnce:
     """
 
     def __init__(self, recording: StereoRecording, frames: tuple[Moving | int, ...]) -> None:
-        self.kind, self.name, self.axes = recording.kind, recording.name, recording.axes
-        self.span_ns = recording.span_ns
+        self.axes, self.span_ns = recording.axes, recording.span_ns
         self.mask: VehicleMask | None = None
         self._half_window_px = recording.settings.refine_window_px // 2
         self._survey = tuple(recording.survey())
@@ -236,8 +235,6 @@ class MatchedOnce:
 
 class Simulated:
     """A simulated stereo camera with a mask (implements `PointCloudSource`); its pixels are the simulation's grid."""
-
-    kind, name = "stereo", "simulated"
 
     def __init__(self, scene: Scene) -> None:
         camera = scene.sensor

@@ -308,16 +308,6 @@ class WithProgress:
         self._source = source
 
     @property
-    def kind(self) -> str:
-        """The kind of the wrapped source."""
-        return self._source.kind
-
-    @property
-    def name(self) -> str:
-        """The name of the wrapped source."""
-        return self._source.name
-
-    @property
     def axes(self) -> Axes:
         """The axes of the wrapped source."""
         return self._source.axes

@@ -112,14 +112,6 @@ class PointCloudSource(Protocol):
     """
 
     @property
-    def kind(self) -> str:
-        """``stereo``, ``lidar`` or ``detections``."""
-
-    @property
-    def name(self) -> str:
-        """The user's name for this sensor."""
-
-    @property
     def axes(self) -> Axes:
         """The forward and up axes in the sensor frame."""
 

@@ -31,10 +31,6 @@ class Frames(Protocol):
     """The frames of a recording."""
 
     @property
-    def kind(self) -> str:
-        """``stereo`` or ``lidar``."""
-
-    @property
     def uri(self) -> str:
         """Location of the recording."""
 

@@ -43,8 +43,6 @@ class StereoFrames:
         error.
     """
 
-    kind = "stereo"
-
     def __init__(
         self,
         left: Path,

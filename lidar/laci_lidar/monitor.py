@@ -44,8 +44,6 @@ class LidarFrames:
         If the path is to be followed and is no folder.
     """
 
-    kind = "lidar"
-
     def __init__(self, path: Path, topic: str | None, settings: LidarSettings, *, follow: bool = False) -> None:
         if follow and not path.is_dir():
             raise ScanError(f"{path}: is no folder, and cannot be followed; needed is a folder of scans")

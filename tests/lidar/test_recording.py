@@ -15,7 +15,6 @@ from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
 
 from laci_stereo.core.calibrate import calibrate
-from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.io.axes import parse_axes
@@ -71,7 +70,7 @@ def test_fields_that_may_be_times_are_named():
 
 def test_a_frame_holds_its_scan_with_noise_edges_and_times():
     sequence = listed(scans(4))
-    recording: PointCloudSource = LidarRecording(sequence, EXACT, name="mast 3")
+    recording = LidarRecording(sequence, EXACT, name="mast 3")
     assert (recording.kind, recording.name, len(recording)) == ("lidar", "mast 3", 4)
     assert recording.span_ns == (EPOCH_NS, EPOCH_NS + 3 * PERIOD_NS)
     for _ in range(2):

@@ -51,7 +51,6 @@ class Traffic:
     sensor: Sensor
     killed_at: int | None = None
     identity_: str = "first"
-    kind = "lidar"
     uri = "simulated"
 
     @property

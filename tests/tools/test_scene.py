@@ -16,7 +16,7 @@ from laci_stereo.core.frames import invert, rigid, transform
 from tools.scenes.disparity import SURFACES, Mounted, StereoFlaws, match_frame, reproject, stereo_camera
 from tools.scenes.geometry import Body, Material, Mesh, RayCaster
 from tools.scenes.scene import STATION, Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
-from tools.scenes.sensors import LIDARS, LidarFlaws, lidar, sweep
+from tools.scenes.sensors import LIDARS, Lidar, LidarFlaws, lidar, sweep
 from tools.scenes.traffic import collide
 from tools.scenes.world import LAYOUTS, draw_road, still
 from tools.scenes.write import pcd, write_scene
@@ -115,7 +115,7 @@ def test_scenes_follow_their_seed_and_show_the_sender(sensor):
 
 def _some_points(scene):
     recorded = Recorded(scene)
-    if recorded.kind == "lidar":
+    if isinstance(scene.sensor, Lidar):
         return [recorded.scan(50).points]
     return [recorded._cloud(50, whole=True).points]
 

@@ -683,13 +683,7 @@ class Recorded:
     """
 
     scene: Scene
-    name: str = "simulated"
     _frames: dict[int, Scan | Matched] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> str:
-        """Return ``lidar`` or ``stereo``."""
-        return "lidar" if isinstance(self.scene.sensor, Lidar) else "stereo"
 
     @property
     def axes(self) -> Axes:
@@ -705,13 +699,13 @@ class Recorded:
         return len(self.scene.times_s)
 
     def __iter__(self) -> Iterator[PointCloud]:
-        if self.kind == "lidar":
+        if isinstance(self.scene.sensor, Lidar):
             return iter(self._adapter)
         return (self._cloud(index, whole=False) for index in range(len(self)))
 
     def survey(self) -> Iterator[PointCloud]:
         """Yield some whole frames: of a camera, those with the fewest moving points and others spread over time."""
-        if self.kind == "lidar":
+        if isinstance(self.scene.sensor, Lidar):
             return self._adapter.survey()
         ranked = sorted(range(len(self)), key=lambda index: int(self._matched(index).moving.sum()))
         return (self._cloud(index, whole=True) for index in surveyed(ranked, ranked))
@@ -719,7 +713,7 @@ class Recorded:
     @cached_property
     def _adapter(self) -> PointCloudSource:
         settings = LidarSettings(axes=self.scene.axes, workers=1)
-        return LidarRecording(SimulatedScans(self), settings, name=self.name)
+        return LidarRecording(SimulatedScans(self), settings)
 
     def scan(self, index: int) -> Scan:
         """Return a LiDAR's scan."""
