@@ -10,7 +10,6 @@ from laci_stereo.commands.options import PATH, say_written
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.output import check_files, make_folder, write_file
 from laci_stereo.io.result.exports import FORMATS, ExportedFile, export_as
-from laci_stereo.io.result.siting import site
 from laci_stereo.io.result.stored_calibration import read_calibration
 
 
@@ -31,7 +30,7 @@ def export(calibration: Path | None, form: str | None, out: Path | None, overwri
         return
     if calibration is None or form is None:
         raise SettingError("nothing to write; needed are a CALIBRATION and --to FORMAT, or --list")
-    files = export_as(site(read_calibration(calibration)), form)
+    files = export_as(read_calibration(calibration), form)
     if out is None:
         click.echo(_only(files).text, nl=False)
         return

@@ -16,7 +16,6 @@ from laci_stereo.io.images import ImageFolder, pair_images, read_image
 from laci_stereo.io.maps.lane_map import read_lane_map
 from laci_stereo.io.result.evidence_file import read_evidence
 from laci_stereo.io.result.imported import ImportOptions, import_pose
-from laci_stereo.io.result.siting import site
 from laci_stereo.io.result.stored_calibration import read_calibration
 from laci_stereo.io.rig.stereo_calibration import read_stereo_calibration
 from laci_stereo.mask.contract import read_contract
@@ -39,7 +38,7 @@ def _read_rig(folder: Path) -> object:
 
 
 def _read_calibration(path: Path) -> object:
-    return site(read_calibration(path)).T_utm_sensor
+    return read_calibration(path).T_utm_sensor
 
 
 def _read_pose(folder: Path) -> object:

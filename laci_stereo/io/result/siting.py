@@ -1,4 +1,4 @@
-"""The pose of a sensor as exported to files of other tools, and the description that accompanies it in each of them."""
+"""The pose of a sensor in the grid, and the description that accompanies it in every file of another tool."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.world import World
-from laci_stereo.io.result.stored_calibration import StoredCalibration
 
 STATEMENT = "laci_calibration"
 """Name under which every exported file states in JSON what its numbers alone do not."""
@@ -49,11 +48,6 @@ class Siting:
     def T_utm_sensor(self) -> FloatArray:
         """Transform to UTM coordinates, shape (4, 4): `T_map_sensor`, shifted by the world's origin."""
         return self.world.utm_from_sensor(self.T_world_sensor, self.centre_world)
-
-
-def site(stored: StoredCalibration) -> Siting:
-    """Return the pose of a result's sensor."""
-    return Siting(stored.name, stored.kind, stored.frame, stored.world, stored.T_world_sensor, stored.centre_world)
 
 
 def rigid_in_grid(world: World, T_map_sensor: FloatArray, centre_world: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.world import World, utm_code
 from laci_stereo.io.output import RESULT_FILE
 from laci_stereo.io.result.calibration_file import Document, validate
+from laci_stereo.io.result.siting import Siting
 from laci_stereo.io.text_file import read_text
 
 _FARTHEST_FROM_RIGID = 1e-6
@@ -27,20 +28,15 @@ _SAME = 1e-3
 
 
 @dataclass(frozen=True)
-class StoredCalibration:
-    """A result as stored in its file.
+class StoredCalibration(Siting):
+    """A result as stored in its file: the pose of its sensor, and more.
 
     Attributes
     ----------
     path : Path
-    name, kind, frame : str
-        Of the sensor; the frame is described in words.
-    world : World
-    T_world_sensor : ndarray, shape (4, 4)
     covariance : ndarray, shape (6, 6)
         Of (rotation vector, rad; translation, m), applied on the left in the world frame about ``centre_world``. NaN if
         unknown, as in an imported result.
-    centre_world : ndarray, shape (3,)
     boxes : ndarray, shape (n, 6)
         The static background, world frame: centre x and y, length, width, yaw, height.
     angles_deg : tuple of float
@@ -54,13 +50,7 @@ class StoredCalibration:
     """
 
     path: Path
-    name: str
-    kind: str
-    frame: str
-    world: World
-    T_world_sensor: FloatArray
     covariance: FloatArray
-    centre_world: FloatArray
     boxes: FloatArray
     angles_deg: tuple[float, float, float]
     rectified: bool
@@ -104,7 +94,7 @@ def read_calibration(result: Path) -> StoredCalibration:
     except OverflowError as problem:  # integers in JSON may exceed any float
         raise CalibrationFileError(f"{path} holds a number out of range: {problem}; needed are floats") from problem
     _check(stored)
-    off = float(np.abs(stored.world.utm_from_sensor(stored.T_world_sensor, stored.centre_world) - T_utm_sensor).max())
+    off = float(np.abs(stored.T_utm_sensor - T_utm_sensor).max())
     if not off < _SAME:
         raise CalibrationFileError(
             f"{path}: T_utm_sensor and T_world_sensor contradict each other by up to {off:.3g}: one of them, or the "

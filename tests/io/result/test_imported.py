@@ -20,7 +20,7 @@ from laci_stereo.core.frames import FloatArray, invert, transform
 from laci_stereo.io.result.calibration_file import to_text
 from laci_stereo.io.result.exports import FORMATS, export_as
 from laci_stereo.io.result.imported import Imported, ImportOptions, import_pose, imported_document
-from laci_stereo.io.result.siting import Siting, site
+from laci_stereo.io.result.siting import Siting
 from laci_stereo.io.result.stored_calibration import read_calibration
 from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME
 from tests.io.sitings import CONTINUED, FIJI, SITINGS, ULM, siting, sitings, ten_points
@@ -92,7 +92,7 @@ def test_the_document_is_a_result_that_others_read(tmp_path: Path) -> None:
     stored = read_calibration(result)
     assert not stored.claims
     assert np.isnan(stored.covariance).all()
-    np.testing.assert_allclose(site(stored).T_utm_sensor, STEREO.T_utm_sensor, rtol=0, atol=TWO_ULP_OF_A_NORTHING)
+    np.testing.assert_allclose(stored.T_utm_sensor, STEREO.T_utm_sensor, rtol=0, atol=TWO_ULP_OF_A_NORTHING)
     assert stored.angles_deg == pytest.approx((0.8, 15.0, 114.7))
 
 
@@ -667,7 +667,7 @@ def test_any_utm_zone_goes_into_a_result(tmp_path: Path, crs: str) -> None:
     (tmp_path / "result.json").write_text(to_text(imported_document(imported, {}, {})))
     stored = read_calibration(tmp_path / "result.json")
     assert stored.world.crs == ("EPSG:25832" if crs == "EPSG:25832" else "EPSG:32632")
-    np.testing.assert_allclose(site(stored).T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(stored.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
 
 
 def test_a_camera_in_axes_of_a_body_is_refused(tmp_path: Path) -> None:

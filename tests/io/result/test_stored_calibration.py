@@ -13,7 +13,6 @@ from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.io.result.calibration_file import to_text
 from laci_stereo.io.result.exports import export_as
 from laci_stereo.io.result.imported import ImportOptions, import_pose, imported_document
-from laci_stereo.io.result.siting import site
 from laci_stereo.io.result.stored_calibration import read_calibration
 from tests.io.sitings import siting
 
@@ -122,4 +121,4 @@ def test_a_baseline_may_be_a_whole_number(told: float | None, read: float | None
 
 def test_a_sound_one_is_read(tmp_path: Path) -> None:
     (tmp_path / "calibration.json").write_text(to_text(document(tmp_path)))
-    np.testing.assert_allclose(site(read_calibration(tmp_path)).T_utm_sensor, siting("stereo").T_utm_sensor, atol=1e-8)
+    np.testing.assert_allclose(read_calibration(tmp_path).T_utm_sensor, siting("stereo").T_utm_sensor, atol=1e-8)
