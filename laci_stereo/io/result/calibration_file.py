@@ -18,6 +18,7 @@ from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import FloatArray, planar, rotate_xy
 from laci_stereo.core.messages.slope import Slope
 from laci_stereo.core.result import Calibration
+from laci_stereo.io.result.siting import Siting
 from laci_stereo.io.text_file import shortened
 
 Document: TypeAlias = dict[str, Any]
@@ -77,19 +78,16 @@ def validate(document: object) -> None:
 def to_document(calibration: Calibration, provenance: Provenance, lane_check: Document | None = None) -> Document:
     """Return a result as JSON; ``lane_check`` is its comparison with the map's lines, if that was requested."""
     quality, angles, drive = calibration.quality, calibration.viewing_angles, calibration.drive
+    siting = Siting(
+        provenance.name,
+        provenance.kind,
+        provenance.frame,
+        calibration.world,
+        calibration.T_world_sensor,
+        calibration.centre_world,
+    )
     document: Document = {
-        "schema": "laci-calibration/1",
-        "version": version("laci-stereo"),
-        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "method": drive.method,
-        "sensor": {"name": provenance.name, "kind": provenance.kind, "frame": provenance.frame},
-        "world": {
-            "crs": calibration.world.crs,
-            "origin_utm": list(calibration.world.origin_utm),
-            "grid_scale": calibration.world.grid_scale,
-        },
-        "T_world_sensor": calibration.T_world_sensor.tolist(),
-        "T_utm_sensor": calibration.T_utm_sensor.tolist(),
+        **beginning(siting, drive.method),
         "T_enu_sensor": None if calibration.T_enu_sensor is None else calibration.T_enu_sensor.tolist(),
         "slope": _slope(calibration.slope),
         "height_m": calibration.height_m,
@@ -126,6 +124,24 @@ def to_document(calibration: Calibration, provenance: Provenance, lane_check: Do
         document["T_world_rectified"] = (calibration.T_world_sensor @ provenance.T_sensor_rectified).tolist()
     validate(document)
     return document
+
+
+def beginning(siting: Siting, method: str) -> Document:
+    """Return the first members of a result's document: by what it was made, and the pose of its sensor."""
+    return {
+        "schema": "laci-calibration/1",
+        "version": version("laci-stereo"),
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "method": method,
+        "sensor": {"name": siting.name, "kind": siting.kind, "frame": siting.frame},
+        "world": {
+            "crs": siting.world.crs,
+            "origin_utm": list(siting.world.origin_utm),
+            "grid_scale": siting.world.grid_scale,
+        },
+        "T_world_sensor": siting.T_world_sensor.tolist(),
+        "T_utm_sensor": siting.T_utm_sensor.tolist(),
+    }
 
 
 def _slope(slope: Slope | None) -> Document | None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +16,7 @@ from laci_stereo.core.result import viewing_angles
 from laci_stereo.core.world import World, utm_code
 from laci_stereo.io.file_content import read_content
 from laci_stereo.io.output import RESULT_FILE
-from laci_stereo.io.result.calibration_file import Document, validate
+from laci_stereo.io.result.calibration_file import Document, beginning, validate
 from laci_stereo.io.result.siting import Siting, Statement, rigid_in_grid
 from laci_stereo.io.result.written_pose import WrittenPose, read_pose
 from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME
@@ -385,18 +383,7 @@ def imported_document(imported: Imported, inputs: dict[str, str], options: dict[
     siting = imported.siting
     angles = viewing_angles(siting.T_world_sensor, _KIND_AXES[siting.kind])
     document: Document = {
-        "schema": "laci-calibration/1",
-        "version": version("laci-stereo"),
-        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "method": "imported",
-        "sensor": {"name": siting.name, "kind": siting.kind, "frame": siting.frame},
-        "world": {
-            "crs": siting.world.crs,
-            "origin_utm": list(siting.world.origin_utm),
-            "grid_scale": siting.world.grid_scale,
-        },
-        "T_world_sensor": siting.T_world_sensor.tolist(),
-        "T_utm_sensor": siting.T_utm_sensor.tolist(),
+        **beginning(siting, "imported"),
         "T_enu_sensor": None,
         "slope": None,
         "height_m": float(siting.T_world_sensor[2, 3]),
