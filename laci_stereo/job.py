@@ -13,7 +13,7 @@ from typing import Protocol
 from laci_stereo.check.describe import check_document, check_line
 from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import MAP_SIGMA_M
-from laci_stereo.check.result import Checking, beside_map, not_checked
+from laci_stereo.check.result import beside_map
 from laci_stereo.core.calibrate import calibrate, world_around
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import CalibrationError, CamError
@@ -157,33 +157,6 @@ class Recording(PointCloudSource, Protocol):
         """Why each unusable frame was left out, one line each."""
 
 
-Drawing = Callable[[Calibration], Iterator[tuple[str, Raster]]]
-"""Draws the pictures that only one kind of sensor has, each with its file name."""
-
-
-def not_drawn(_calibration: Calibration) -> Iterator[tuple[str, Raster]]:
-    """Draw nothing: the sensor has no image."""
-    yield from ()
-
-
-Photographing = Callable[[Calibration], Photographs | None]
-"""Returns some images of the drive for the report; None if the sensor takes none."""
-
-
-def not_photographed(_calibration: Calibration) -> Photographs | None:
-    """Return no images: the sensor takes none."""
-    return None
-
-
-def no_remarks() -> tuple[str, ...]:
-    """Return no remarks on the sensor."""
-    return ()
-
-
-def nothing_new(_found: Calibration | CalibrationError) -> None:
-    """Return no other task: results teach nothing new about this sensor."""
-
-
 Watch = Callable[[PointCloudSource], PointCloudSource]
 """Wraps a recording, for example to show progress while its frames are consumed."""
 
@@ -192,6 +165,8 @@ Watch = Callable[[PointCloudSource], PointCloudSource]
 class Task(ABC):
     """Inputs that were read and checked for consistency, before the time-consuming estimation.
 
+    A kind of sensor that has images, sees lines or learns about itself has a class of its own, with the methods for it.
+
     Attributes
     ----------
     drive : Drive
@@ -199,31 +174,16 @@ class Task(ABC):
     provenance : Provenance
     inputs : str
         Description of what was read.
-    draw : callable
-        Draws the sensor's own pictures.
-    check : callable
-        Checks whether the map's lines lie on the road's.
-    photograph : callable
-        Returns images for the report.
-    remarks : callable
-        Returns remarks on the sensor after the recording was read, one line each.
     doubts, failures : tuple of str
         Objections: what in the inputs may have spoilt the result, and what surely has, one line each.
-    again : callable
-        Returns a task that includes what a result, or a refusal, shows about the sensor; None if that is nothing new.
     """
 
     drive: Drive
     options: DriveOptions
     provenance: Provenance
     inputs: str
-    draw: Drawing = not_drawn
-    check: Checking = not_checked
-    photograph: Photographing = not_photographed
-    remarks: Callable[[], tuple[str, ...]] = no_remarks
     doubts: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
-    again: Callable[[Calibration | CalibrationError], Task | None] = nothing_new
 
     @abstractmethod
     def calibrate(self, watch: Watch) -> Calibration:
@@ -248,6 +208,26 @@ class Task(ABC):
     @property
     def skipped(self) -> tuple[str, ...]:
         """What turned out to be unreadable during the run, one line each."""
+        return ()
+
+    def again(self, _found: Calibration | CalibrationError, /) -> Task | None:
+        """Return a task that includes what a result, or a refusal, shows about the sensor; None if nothing is new."""
+        return None
+
+    def check(self, _calibration: Calibration, /) -> Checked | None:
+        """Check whether the map's lines lie on the road's; None without a map, or if the sensor cannot see lines."""
+        return None
+
+    def draw(self, _calibration: Calibration, /) -> Iterator[tuple[str, Raster]]:
+        """Draw the pictures that only this kind of sensor has, each with its file name."""
+        yield from ()
+
+    def photograph(self, _calibration: Calibration, /) -> Photographs | None:
+        """Return some images of the drive for the report; None if the sensor takes none."""
+        return None
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return remarks on the sensor after the recording was read, one line each."""
         return ()
 
     def run(self, watch: Watch = lambda source: source) -> Result:

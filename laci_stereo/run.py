@@ -17,7 +17,7 @@ from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
-from laci_stereo.io.maps.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME, StereoRig
@@ -28,7 +28,7 @@ from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.report.overlay import draw_overlay, overlay_stamps
 from laci_stereo.report.page import MOMENTS, Photograph, Photographs
 from laci_stereo.stereo.recording import StereoRecording
-from laci_stereo.stereo.rectify import Rectification, already_rectified
+from laci_stereo.stereo.rectify import already_rectified
 from laci_stereo.stereo.settings import StereoSettings
 
 SIMULTANEOUS_S = 0.001
@@ -67,6 +67,71 @@ class Options(DriveOptions):
         return {**super().config(), "stereo": asdict(self.camera), **provider}
 
 
+@dataclass(frozen=True, kw_only=True)
+class StereoJob(Job):
+    """A task for a stereo camera.
+
+    Attributes
+    ----------
+    recording : StereoRecording
+    turn : RightTurn
+        Rotation of the right camera since the stereo calibration, as far as it is known.
+    turned : callable
+        Prepares this task anew with another rotation.
+    """
+
+    recording: StereoRecording
+    turn: RightTurn
+    turned: Callable[[RightTurn], StereoJob]
+
+    def again(self, found: Calibration | CalibrationError, /) -> StereoJob | None:
+        """Return the task with the right camera's yaw as the drive determines it; None if that is known already.
+
+        The yaw is estimated from the drive if the rows show that the camera has rotated at all, and repeatedly until
+        the estimate agrees with the previous one; also if the vehicle is not found, but would be with such a yaw.
+        """
+        turn = self.turn
+        if not turn.off_px or turn.looks == MOST_LOOKS:
+            return None
+        if isinstance(found, CalibrationError):
+            per_m, after_per_m = found.nearer_per_m if isinstance(found, MatchError) else 0.0, 0.0
+            known = per_m == 0.0
+        else:
+            per_m, after_per_m = (0.0, 0.0) if found.nearer is None else (found.nearer.value, found.nearer.after)
+            known = found.nearer is None or (turn.left_px > 0.0 and abs(per_m) < after_per_m)
+        if known:
+            return None
+        return self.turned(turn.sideways(self.recording.rectification, per_m, after_per_m))
+
+    def check(self, calibration: Calibration, /) -> Checked | None:
+        """Check whether the map's lines lie on the road's."""
+        if self.lane_map is None:
+            return None
+        recording, files = self.recording, [pair.left for pair in self.recording.pairs]
+        return check_images(files, recording.reader, recording.rig.left, placed_by(calibration), self.lane_map)
+
+    def draw(self, calibration: Calibration, /) -> Iterator[tuple[str, Raster]]:
+        """Draw the map, the vehicle and its track into some left images."""
+        recording = self.recording
+        for number, stamp_s in enumerate(overlay_stamps(calibration), start=1):
+            image = recording.reader.colour(_pair_at(recording, stamp_s).left)
+            yield f"overlay_{number}.png", draw_overlay(image, recording.rig.left, calibration, stamp_s, self.lane_map)
+
+    def photograph(self, calibration: Calibration, /) -> Photographs:
+        """Return some left images of the drive."""
+        recording, shots = self.recording, []
+        for stamp_s in overlay_stamps(calibration, MOMENTS):
+            pair = _pair_at(recording, stamp_s)
+            shots.append(Photograph(stamp_s, recording.reader.colour(pair.left), recording.mask_rays(pair.stamp_ns)))
+        return Photographs(recording.rig.left, tuple(shots))
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return which images are brighter than the range that was learnt, and what a vehicle mask did."""
+        recording = self.recording
+        told = () if recording.mask is None else recording.mask.tally.sentences()
+        return (*recording.reader.remarks(), *(f"vehicle mask: {sentence}" for sentence in told))
+
+
 def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Options | None = None) -> Result:
     """Calibrate a stereo camera from two folders of images and a log of Cooperative Awareness Messages.
 
@@ -88,7 +153,9 @@ def calibrate(left: Path | str, right: Path | str, cam: Path | str, options: Opt
     return prepare(Path(left), Path(right), Path(cam), options).run()
 
 
-def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, turn: RightTurn | None = None) -> Job:
+def prepare(
+    left: Path, right: Path, cam: Path, options: Options | None = None, turn: RightTurn | None = None
+) -> StereoJob:
     """Read and check the inputs; of the images, a few pairs only, to find whether the right camera has rotated.
 
     Parameters
@@ -118,7 +185,7 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
     recording = _recording(left, pairs, rig, options)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
-    return Job(
+    return StereoJob(
         recording=recording,
         drive=drive,
         options=options,
@@ -138,11 +205,8 @@ def prepare(left: Path, right: Path, cam: Path, options: Options | None = None, 
             T_sensor_rectified=recording.rectification.T_sensor_rectified,
         ),
         inputs=f"{len(pairs)} image pairs ({unpaired} unpaired), {len(drive.messages)} CAMs",
-        draw=partial(_overlays, recording, drive.lane_map),
-        check=partial(_check, recording, drive.lane_map),
-        photograph=partial(_photographs, recording),
-        remarks=partial(_words, recording),
-        again=partial(_again, partial(prepare, left, right, cam, asked), turn, recording.rectification),
+        turn=turn,
+        turned=partial(prepare, left, right, cam, asked),
         failures=turn.failures,
         doubts=turn.doubts + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ()),
     )
@@ -167,30 +231,6 @@ def _knowing(options: Options, turn: RightTurn, pairs: Pairs) -> Options:
     joint = replace(core.joint, bias_noise_share=bias, apart_sigma_s=max(core.joint.apart_sigma_s, apart_s))
     ground = replace(core.ground, shared_noise_share=shared)
     return replace(options, camera=camera, core=replace(core, joint=joint, ground=ground))
-
-
-def _again(
-    prepared: Callable[[RightTurn], Job],
-    turn: RightTurn,
-    plane: Rectification,
-    found: Calibration | CalibrationError,
-) -> Job | None:
-    """Return the task with the right camera's yaw as the drive determines it; None if that is known already.
-
-    The yaw is estimated from the drive if the rows show that the camera has rotated at all, and repeatedly until the
-    estimate agrees with the previous one; also if the vehicle is not found, but would be with such a yaw.
-    """
-    if not turn.off_px or turn.looks == MOST_LOOKS:
-        return None
-    if isinstance(found, CalibrationError):
-        per_m, after_per_m = found.nearer_per_m if isinstance(found, MatchError) else 0.0, 0.0
-        known = per_m == 0.0
-    else:
-        per_m, after_per_m = (0.0, 0.0) if found.nearer is None else (found.nearer.value, found.nearer.after)
-        known = found.nearer is None or (turn.left_px > 0.0 and abs(per_m) < after_per_m)
-    if known:
-        return None
-    return prepared(turn.sideways(plane, per_m, after_per_m))
 
 
 def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> StereoRecording:
@@ -223,39 +263,10 @@ def _mask_files(options: MaskOptions | None) -> dict[str, str]:
     return {str(path): sha256(path) for path in (options.model, contract) if path is not None}
 
 
-def _overlays(
-    recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration
-) -> Iterator[tuple[str, Raster]]:
-    for number, stamp_s in enumerate(overlay_stamps(calibration), start=1):
-        image = recording.reader.colour(_pair_at(recording, stamp_s).left)
-        yield f"overlay_{number}.png", draw_overlay(image, recording.rig.left, calibration, stamp_s, lane_map)
-
-
-def _photographs(recording: StereoRecording, calibration: Calibration) -> Photographs:
-    shots = []
-    for stamp_s in overlay_stamps(calibration, MOMENTS):
-        pair = _pair_at(recording, stamp_s)
-        shots.append(Photograph(stamp_s, recording.reader.colour(pair.left), recording.mask_rays(pair.stamp_ns)))
-    return Photographs(recording.rig.left, tuple(shots))
-
-
 def _pair_at(recording: StereoRecording, stamp_s: float) -> StereoPair:
     """Return the image pair that is nearest to a time after the recording's first stamp."""
     epoch_ns = recording.span_ns[0]
     return min(recording.pairs, key=lambda pair: abs((pair.stamp_ns - epoch_ns) / 1e9 - stamp_s))
-
-
-def _words(recording: StereoRecording) -> tuple[str, ...]:
-    """Return which images are brighter than the range that was learnt, and what a vehicle mask did if there is one."""
-    told = () if recording.mask is None else recording.mask.tally.sentences()
-    return (*recording.reader.remarks(), *(f"vehicle mask: {sentence}" for sentence in told))
-
-
-def _check(recording: StereoRecording, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:
-    if lane_map is None:
-        return None
-    files = [pair.left for pair in recording.pairs]
-    return check_images(files, recording.reader, recording.rig.left, placed_by(calibration), lane_map)
 
 
 def _background(pairs: Pairs, asked: tuple[int, int] | Path | None) -> Sequence[StereoPair] | None:

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 
-from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import LaneCheck
 from laci_stereo.check.placed import Placed
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.result.calibration_file import boxes_in_world
-
-Checking: TypeAlias = Callable[[Calibration], Checked | None]
-"""Compares the map with what one kind of sensor saw; None without a map, or if the sensor cannot see lines."""
-
-
-def not_checked(_calibration: Calibration) -> Checked | None:
-    """Return None: there is no map, or the sensor cannot see lines."""
-    return None
 
 
 def placed_by(calibration: Calibration) -> Placed:

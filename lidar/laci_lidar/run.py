@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.subsampling import spread
-from laci_stereo.io.maps.lane_map import LaneMap, find_lane_map
+from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
 
@@ -44,6 +43,28 @@ class LidarOptions(DriveOptions):
         return {**super().config(), "topic": self.topic, "lidar": asdict(self.scanner)}
 
 
+@dataclass(frozen=True, kw_only=True)
+class LidarJob(Job):
+    """A task for a LiDAR.
+
+    Attributes
+    ----------
+    recording : LidarRecording
+    """
+
+    recording: LidarRecording
+
+    def check(self, calibration: Calibration, /) -> Checked | None:
+        """Check whether the map's lines lie on the road's."""
+        if self.lane_map is None:
+            return None
+        return check_scans(self.recording.scans, placed_by(calibration), self.lane_map)
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return what was assumed of the scanner."""
+        return self.recording.remarks()
+
+
 def calibrate(scans: Path | str, cam: Path | str, options: LidarOptions | None = None) -> Result:
     """Calibrate a LiDAR from its scans and a log of Cooperative Awareness Messages.
 
@@ -65,7 +86,7 @@ def calibrate(scans: Path | str, cam: Path | str, options: LidarOptions | None =
     return prepare(Path(scans), Path(cam), options).run()
 
 
-def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
+def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> LidarJob:
     """Read all inputs except the scans, and check their consistency.
 
     Raises
@@ -84,7 +105,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
         options.name or scans.absolute().name,
     )
     drive = read_drive(cam, options.lane_map or find_lane_map(scans), recording.span_ns, options)
-    return Job(
+    return LidarJob(
         recording=recording,
         drive=drive,
         options=options,
@@ -97,8 +118,6 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Job:
             notes=sequence.notes + drive.notes,
         ),
         inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
-        check=partial(_check, sequence, drive.lane_map),
-        remarks=recording.remarks,
     )
 
 
@@ -126,7 +145,3 @@ def _background(asked: tuple[int, int] | Path | None) -> ScanSequence | range | 
         return open_scans(asked)
     first, last = asked
     return range(first, last + 1)
-
-
-def _check(scans: ScanSequence, lane_map: LaneMap | None, calibration: Calibration) -> Checked | None:
-    return None if lane_map is None else check_scans(scans, placed_by(calibration), lane_map)
