@@ -380,8 +380,7 @@ def _by_themselves(best: _Hypothesis, agreeing: Sequence[_Hypothesis]) -> Iterat
     """Yield the accounts of other senders by motions of their own, likewise with their log odds."""
     for one in sorted(agreeing, key=lambda one: -one.value):
         late_s = float(one.motion.offset_s - best.motion.offset_s)
-        its = replace(one, late_s=late_s if abs(late_s) > BOXES_S else 0.0)
-        yield its, one.account, one.value - one.by_others
+        yield replace(one, late_s=late_s if abs(late_s) > BOXES_S else 0.0), one.account, one.value - one.by_others
 
 
 def _by_other_clocks(
@@ -395,8 +394,7 @@ def _by_other_clocks(
         if (found := by_another_clock(scene, best.motion, sender, taken)) is not None:
             account, late_s = found
             motion = replace(best.motion, offset_s=best.motion.offset_s + late_s)
-            its = replace(best, motion=motion, late_s=late_s)
-            yield its, account, account.value + account.coincidence + SILENT
+            yield replace(best, motion=motion, late_s=late_s), account, account.value + account.coincidence + SILENT
 
 
 def _hypotheses(scene: Scene, seeds: Sequence[Seed]) -> list[_Hypothesis]:

@@ -57,8 +57,8 @@ def _possible_s(scene: Scene, sender: Sender, motion: Motion) -> FloatArray:
     """
     stamps_s = np.arange(scene.knots.stamp_s.min(), scene.knots.stamp_s.max(), TABLE_S)
     poses = sender.at(stamps_s + motion.offset_s)
-    there = poses.known & scene.in_view(rotate_xy(-motion.yaw_rad, poses.xy - motion.shift))
-    speeds_mps = np.linalg.norm(poses.velocity[there], axis=1)
+    in_view = poses.known & scene.in_view(rotate_xy(-motion.yaw_rad, poses.xy - motion.shift))
+    speeds_mps = np.linalg.norm(poses.velocity[in_view], axis=1)
     moving_mps = speeds_mps[speeds_mps > sender.length_m / LATEST_S]
     if not len(moving_mps):
         return np.zeros(0)

@@ -251,10 +251,10 @@ def _missed(scene: Scene, sender: Sender, motion: Motion, near: BoolArray) -> fl
     bins = np.arange(stamps_s.min(), stamps_s.max() + KNOT_S, KNOT_S)
     poses = sender.at(bins + motion.offset_s)
     must = poses.known & scene.in_view(rotate_xy(-motion.yaw_rad, poses.xy - motion.shift))
-    there = np.zeros(len(bins), dtype=bool)
-    there[np.round((stamps_s[near] - bins[0]) / KNOT_S).astype(np.int64)] = True
-    there = binary_dilation(there)
-    run, _ = label(must & ~there)
+    seen = np.zeros(len(bins), dtype=bool)
+    seen[np.round((stamps_s[near] - bins[0]) / KNOT_S).astype(np.int64)] = True
+    seen = binary_dilation(seen)
+    run, _ = label(must & ~seen)
     path = np.linalg.norm(poses.velocity, axis=1) * KNOT_S / scene.settings.stretch_m
     missed = np.bincount(run, path)[1:]
     return float((MISSED * np.minimum(missed, 1.0) + np.maximum(missed - 1.0, 0.0) / HIDDEN_STRETCHES).sum())

@@ -61,9 +61,9 @@ def _moved(vehicle: VehicleTrack, place: ReferencePoint) -> VehicleTrack:
 
     A lateral offset that was specified belongs to an antenna that is not at this point.
     """
-    there = place.offset(vehicle.length_m)
-    by = np.asarray(vehicle.reference) - there
+    reference = place.offset(vehicle.length_m)
+    by = np.asarray(vehicle.reference) - reference
     if abs(by[0]) < FREE_LEVER_M:
         return vehicle
     xy = vehicle.xy + rotate_xy(vehicle.yaw_rad, np.tile(by, (len(vehicle.yaw_rad), 1)))
-    return replace(vehicle, xy=xy, reference=(float(there[0]), float(there[1])))
+    return replace(vehicle, xy=xy, reference=(float(reference[0]), float(reference[1])))

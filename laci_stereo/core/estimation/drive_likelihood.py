@@ -122,8 +122,8 @@ class DriveLikelihood:
             Fractions, ordered as in the result of `first_shares`.
         """
         parts = [
-            mixture.weigh(distance[part], sigma[part], group, its, rows.share[part])
-            for part, group, its in self._kinds(rows, shares)
+            mixture.weigh(distance[part], sigma[part], group, fractions, rows.share[part])
+            for part, group, fractions in self._kinds(rows, shares)
         ]
         names = ("surface", "behind", "slope", "log_likelihood", "growth")
         whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
@@ -134,8 +134,8 @@ class DriveLikelihood:
         sigma = np.sqrt(rows.variance)
         return np.concatenate(
             [
-                mixture.log_likelihood(distance[part], sigma[part], group, its)
-                for part, group, its in self._kinds(rows, shares)
+                mixture.log_likelihood(distance[part], sigma[part], group, fractions)
+                for part, group, fractions in self._kinds(rows, shares)
             ]
         )
 
@@ -205,13 +205,13 @@ class DriveLikelihood:
         alike = np.exp(-np.abs(way[:, None] - way) / SAME_ERROR_M) - np.eye(len(way))
         pulls = fitness.jacobian * (fitness.precision * fitness.jacobian[:, BIAS])[:, None]
         for side in range(outline.SIDES):
-            its = rows.face == side
+            on_side = rows.face == side
             by_frame = np.zeros((len(way), size))
-            np.add.at(by_frame, rows.frame[its], pulls[its])
+            np.add.at(by_frame, rows.frame[on_side], pulls[on_side])
             total += by_frame.T @ alike @ by_frame
         return self.settings.shared_variance_share * total
 
-    def gain(self, rows: Rows, before: Rows, here: FloatArray, shares: FloatArray) -> float:
+    def gain(self, rows: Rows, before: Rows, likely_before: FloatArray, shares: FloatArray) -> float:
         """Return the gain in log-likelihood of the ranges over the previous rows.
 
         Noise and angles of incidence are held at their previous values. The gain is the quantity whose gradient `weigh`
@@ -222,20 +222,20 @@ class DriveLikelihood:
         ----------
         rows, before : Rows
             Rows at the new and at the previous parameters.
-        here : ndarray, shape (n,)
+        likely_before : ndarray, shape (n,)
             The `Fitness.log_likelihoods` of the previous rows.
         shares : ndarray
             Fractions of the mixture with which these were weighed.
         """
         if not np.array_equal(rows.point, before.point):
             _, now, then = np.intersect1d(rows.point, before.point, assume_unique=True, return_indices=True)
-            rows, before, here = rows[now], before[then], here[then]
+            rows, before, likely_before = rows[now], before[then], likely_before[then]
         same = rows.face == before.face
-        rows, before, here = rows[same], before[same], here[same]
+        rows, before, likely_before = rows[same], before[same], likely_before[same]
         hit = before.cos > 0.0
         distance = rows.distance * np.where(hit, before.cos, 1.0) / np.where(hit, rows.cos, 1.0)
-        there = self._log_likelihoods(before, distance, shares)
-        return float(before.share @ (there - here))
+        likely = self._log_likelihoods(before, distance, shares)
+        return float(before.share @ (likely - likely_before))
 
     def _by_all(self, rows: Rows) -> FloatArray:
         """Append the derivatives by the knots: a bias of the messages' positions shifts the vehicle in the world."""

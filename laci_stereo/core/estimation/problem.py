@@ -141,7 +141,7 @@ class Problem:
             precision[np.ix_(knots, knots)] = self.drifts
         # With a square root of each drive's precision, any two drives are correlated as `Recordings.senders` says.
         lasting = [own.start + np.array(LASTING) for own in self.own]
-        roots = [np.linalg.cholesky(precision[np.ix_(its, its)]).T for its in lasting]
+        roots = [np.linalg.cholesky(precision[np.ix_(index, index)]).T for index in lasting]
         for (i, one), (j, other) in product(enumerate(lasting), repeat=2):
             precision[np.ix_(one, other)] = self.senders[i, j] * roots[i].T @ roots[j]
         return precision
@@ -238,25 +238,24 @@ class Problem:
             step = np.linalg.solve(curvature, gradient)
             size = float(step @ curvature @ step)
             while pace**2 * size >= converged:
-                there = self.rows_at(x - pace * step, chosen)
+                after = self.rows_at(x - pace * step, chosen)
                 prior = self.log_prior(x - pace * step, precision) - self.log_prior(x, precision)
-                if self._gain(there, rows, fitness, shares) + prior > 0.0:
+                if self._gain(after, rows, fitness, shares) + prior > 0.0:
                     break
                 pace /= 4.0
             else:
                 break
-            x, rows, shares = x - pace * step, there, [each.shares for each in fitness]
+            x, rows, shares = x - pace * step, after, [each.shares for each in fitness]
             pace = min(1.0, 2.0 * pace)
         return x, rows, shares
 
     def _gain(
-        self, rows: Sequence[Rows], held: Sequence[Rows], fitness: Sequence[Fitness], shares: Sequence[FloatArray]
+        self, rows: Sequence[Rows], before: Sequence[Rows], fitness: Sequence[Fitness], shares: Sequence[FloatArray]
     ) -> float:
         """Return the gain in log-likelihood of a place over the one before."""
-        drives = zip(self.models, rows, held, fitness, shares, strict=True)
+        drives = zip(self.models, rows, before, fitness, shares, strict=True)
         return sum(
-            model.likelihood.gain(its, as_were, fits.log_likelihoods, share)
-            for model, its, as_were, fits, share in drives
+            model.likelihood.gain(now, then, fits.log_likelihoods, share) for model, now, then, fits, share in drives
         )
 
     def log_prior(self, x: FloatArray, precision: FloatArray) -> float:
@@ -277,7 +276,7 @@ class Problem:
     def _weigh(self, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]) -> list[Fitness]:
         """Return the fitness of each drive."""
         drives = zip(self.models, rows, shares, strict=True)
-        return [model.likelihood.weigh(its, soft, share) for model, its, share in drives]
+        return [model.likelihood.weigh(distances, soft, share) for model, distances, share in drives]
 
     def _derivatives(
         self, x: FloatArray, fitness: Sequence[Fitness], precision: FloatArray
@@ -306,6 +305,7 @@ class Problem:
         """
         parts = [Blocks(index, *each.by_block()) for index, each in zip(self._places(), fitness, strict=True)]
         lasting = self._sum_of(
-            model.likelihood.lasting(its, each) for model, its, each in zip(self.models, rows, fitness, strict=True)
+            model.likelihood.lasting(distances, each)
+            for model, distances, each in zip(self.models, rows, fitness, strict=True)
         )
         return grown(inverse, precision, parts) + inverse @ lasting @ inverse

@@ -58,13 +58,13 @@ class Edges:
     def __len__(self) -> int:
         return len(self.likely)
 
-    def only(self, there: IntArray) -> Edges:
-        """Return "no edge" and the edges ``there``: an edge without cells behind it is equivalent to no edge."""
-        likely = self.likely[there]
+    def only(self, chosen: IntArray) -> Edges:
+        """Return "no edge" and the edges ``chosen``: an edge without cells behind it is equivalent to no edge."""
+        likely = self.likely[chosen]
         return Edges(
             np.append(1.0 - likely.sum(), likely),
-            np.concatenate([self.mean[:1], self.mean[there]]),
-            np.concatenate([self.sigma[:1], self.sigma[there]]),
+            np.concatenate([self.mean[:1], self.mean[chosen]]),
+            np.concatenate([self.sigma[:1], self.sigma[chosen]]),
         )
 
 

@@ -205,9 +205,9 @@ class VehicleTrack:
         known = (first <= stamps_s) & (stamps_s <= last) & (first < last)
         pose = np.full((len(stamps_s), 3), np.nan)
         for begin, way in self._ways.items():
-            its = known & (first == begin)
-            if its.any():
-                pose[its] = way(stamps_s[its])
+            within = known & (first == begin)
+            if within.any():
+                pose[within] = way(stamps_s[within])
         return pose[:, :2], pose[:, 2], known
 
     def stretch(self, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -423,10 +423,10 @@ def _another_part(
     left = np.flatnonzero(~fits)
     most = WRONG_SHARE * len(fits)
     if len(left) > max(1, most):
-        its = log[left]
-        yaw = world.yaw_from_heading(its.heading_deg, its.latitude_deg, its.longitude_deg)
-        stamps_s = (its.stamps_ns - its.stamps_ns[0]) / 1e9
-        found[left] = fitting(stamps_s, xy[left], yaw, its.speed_mps, arms, _position_sigma(its), MAX_GAP_S)
+        part = log[left]
+        yaw = world.yaw_from_heading(part.heading_deg, part.latitude_deg, part.longitude_deg)
+        stamps_s = (part.stamps_ns - part.stamps_ns[0]) / 1e9
+        found[left] = fitting(stamps_s, xy[left], yaw, part.speed_mps, arms, _position_sigma(part), MAX_GAP_S)
     return found if np.count_nonzero(found) > most else np.zeros(len(fits), dtype=bool)
 
 

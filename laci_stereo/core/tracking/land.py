@@ -66,9 +66,9 @@ def learn_land(clouds_level: Sequence[FloatArray], settings: Settings) -> Land:
     xy = np.column_stack([x, y])
     stays = stands(frame[high], xy[high], len(low), settings.track.fixture_share)
     cells = cells_of(xy, cell_m)
-    its = np.isin(cells, np.unique(cells[high][stays]))
-    found, cell = np.unique(cells[its], return_inverse=True)
-    frame, z = frame[its], z[its]
+    searched = np.isin(cells, np.unique(cells[high][stays]))
+    found, cell = np.unique(cells[searched], return_inverse=True)
+    frame, z = frame[searched], z[searched]
     by_frame, in_frame = np.unique(cell * len(low) + frame, return_inverse=True)
     ground_m = _quantile(by_frame // len(low), _quantile(in_frame, z, 0.5), 0.25)
     below_m = (ground_m[cell] - z).clip(0.0)

@@ -174,7 +174,7 @@ def _that_move(frames: Sequence[Sequence[Sighting]], settings: TrackSettings) ->
         return [list(frame) for frame in frames]
     number = np.array([number for number, _ in clusters])
     fixed = stands(number, np.array([one.middle for _, one in clusters]), len(frames), settings.fixture_share)
-    fixtures = {id(one) for (_, one), its in zip(clusters, fixed, strict=True) if its}
+    fixtures = {id(one) for (_, one), is_fixed in zip(clusters, fixed, strict=True) if is_fixed}
     return [[one for one in frame if id(one) not in fixtures] for frame in frames]
 
 
@@ -243,9 +243,9 @@ def assign(tracks: Sequence[Moving], sightings: Sequence[Sighting], settings: Tr
     speeds = np.array([state[1] for state, _ in ahead])
     sigma = np.sqrt(np.array([covariance[0, 0] for _, covariance in ahead]) + _noise(settings))
     late_s = np.array([sighting.stamp_s for sighting in sightings]) - now_s
-    here = np.array([sighting.middle for sighting in sightings])
+    middles = np.array([sighting.middle for sighting in sightings])
     expected = places[:, None] + late_s[None, :, None] * speeds[:, None]
-    distance = np.linalg.norm(expected - here, axis=2) / sigma[:, None] / GATE
+    distance = np.linalg.norm(expected - middles, axis=2) / sigma[:, None] / GATE
     sizes = np.log10([max(sighting.count, 1) for sighting in sightings])
     size_before = np.log10([float(np.median([max(s.count, 1) for s in track.sightings[-5:]])) for track in tracks])
     # Debris that breaks off a vehicle is near it but small: a factor of ten in size costs as much as the whole gate.
