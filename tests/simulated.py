@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -421,7 +421,7 @@ def cam_log(
 def together(logs: Sequence[CamLog]) -> CamLog:
     """Return the messages of several stations in the order of time."""
     order = np.argsort(np.concatenate([log.stamps_ns for log in logs]), kind="stable")
-    return CamLog(*(np.concatenate([getattr(log, field.name) for log in logs])[order] for field in fields(CamLog)))
+    return logs[0].joined(*logs[1:])[order]
 
 
 @dataclass(frozen=True)

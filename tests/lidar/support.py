@@ -9,7 +9,10 @@ from typing import Any
 import laspy
 import numpy as np
 import numpy.typing as npt
+import pytest
 import trimesh
+from laci_lidar.errors import ScanError
+from laci_lidar.scans import open_scans
 from pypcd4 import Encoding, PointCloud
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -39,6 +42,15 @@ def scene(seed: int = 0, points: int = 300) -> dict[str, Array]:
         "intensity": rng.integers(0, 255, points).astype(np.float32),
         "t": np.linspace(0, 99_000_000, points).astype(np.uint32),
     }
+
+
+def refusal(path: Path, topic: str | None = None) -> str:
+    """Return the one line, which names the path, with which a recording is refused."""
+    with pytest.raises(ScanError) as refused:
+        open_scans(path, topic)
+    assert str(path) in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+    return str(refused.value)
 
 
 def xyz_of(columns: Mapping[str, Array]) -> Array:

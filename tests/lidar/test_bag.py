@@ -23,6 +23,7 @@ from tests.lidar.support import (
     ROS2,
     cloud_message,
     records_of,
+    refusal,
     scene,
     write_bag1,
     write_bag2,
@@ -45,14 +46,6 @@ BAGS: dict[str, Callable[[Path], Path]] = {
     "mcap file": lambda folder: write_bag2(folder / "a", {"/points": SCANS}, "mcap") / "a.mcap",
     "mcap zstd": lambda folder: write_bag2(folder / "a", {"/points": SCANS}, "mcap", "storage") / "a.mcap",
 }
-
-
-def refusal(path: Path, topic: str | None = None) -> str:
-    with pytest.raises(ScanError) as refused:
-        open_scans(path, topic)
-    assert str(path) in str(refused.value)
-    assert len(str(refused.value).splitlines()) == 1
-    return str(refused.value)
 
 
 def assert_same(sequence: ScanSequence, indices: Sequence[int]) -> None:

@@ -9,17 +9,19 @@ from laci_lidar.errors import ScanError
 from laci_lidar.folder import ScanFolder
 from laci_lidar.scans import open_scans
 
-from tests.lidar.support import EPOCH_NS, PERIOD_NS, scene, write_bag1, write_folder, write_npy, write_pcd, xyz_of
+from tests.lidar.support import (
+    EPOCH_NS,
+    PERIOD_NS,
+    refusal,
+    scene,
+    write_bag1,
+    write_folder,
+    write_npy,
+    write_pcd,
+    xyz_of,
+)
 
 SCANS = [scene(seed, 50) for seed in range(8)]
-
-
-def refusal(path: Path, topic: str | None = None) -> str:
-    with pytest.raises(ScanError) as refused:
-        open_scans(path, topic)
-    assert str(path) in str(refused.value)
-    assert len(str(refused.value).splitlines()) == 1
-    return str(refused.value)
 
 
 def test_scans_come_in_the_order_of_time_whatever_their_names(tmp_path: Path):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +17,6 @@ EPOCH_NS = 1_760_000_000_000_000_000
 """Unix time of a scene's time zero, by the sensor's clock."""
 
 ReceiverName = Literal["exact", "rtk", "rtk_float", "dgnss", "gnss"]
-RECEIVERS: tuple[ReceiverName, ...] = get_args(ReceiverName)
 
 Rounding = Literal["none", "nearest", "up"]
 
@@ -164,7 +163,7 @@ def cam_log(
 def together(logs: Sequence[CamLog]) -> CamLog:
     """Return the messages of several stations in chronological order."""
     order = np.argsort(np.concatenate([log.stamps_ns for log in logs]), kind="stable")
-    return CamLog(*(np.concatenate([getattr(log, field.name) for log in logs])[order] for field in fields(CamLog)))
+    return logs[0].joined(*logs[1:])[order]
 
 
 def _sent(mover: Mover, flaws: CamFlaws, span_s: tuple[float, float], rng: np.random.Generator) -> FloatArray:

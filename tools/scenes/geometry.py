@@ -71,6 +71,12 @@ class Mesh:
         return unit
 
 
+def rotation_y(angle_rad: float) -> FloatArray:
+    """Return the rotation about y, shape (3, 3); it turns x downwards."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
 def merged(meshes: Sequence[Mesh]) -> Mesh:
     """Concatenate meshes of the same frame."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])

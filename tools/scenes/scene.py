@@ -46,7 +46,7 @@ from tools.scenes.disparity import (
     stereo_camera,
 )
 from tools.scenes.drives import DRIVES, DriveKind
-from tools.scenes.geometry import Body, RayCaster
+from tools.scenes.geometry import Body, RayCaster, rotation_y
 from tools.scenes.places import PLACES, Place
 from tools.scenes.sensors import LIDARS, TURNINGS, Lidar, LidarFlaws, LidarName, Swept, Turning, lidar, sweep
 from tools.scenes.traffic import Mover, draw_traffic, park, place_drive, possible, vehicle_mover
@@ -592,15 +592,10 @@ def _mount(
             down = float(rng.uniform(0.0, max(down, 0.0)))
     tilt = float(np.clip(down, 0.0, 35.0)) if factors.tilt_deg is None else factors.tilt_deg
     roll = draw.given(factors.roll_deg, "roll", lambda rng: float(rng.normal(0.0, 1.5)))
-    R = rotation_z(yaw) @ _pitched(np.radians(tilt)) @ _rolled(np.radians(roll))
+    R = rotation_z(yaw) @ rotation_y(np.radians(tilt)) @ _rolled(np.radians(roll))
     hanging = draw.choice(factors.hanging, "hanging", tuple(HANGINGS), (0.7, 0.1, 0.1, 0.1))
     axes = OPENCV_AXES if isinstance(sensor, StereoCamera) else HANGINGS[hanging]
     return rigid(R @ forward_left_up(axes), np.append(xy, height)), axes
-
-
-def _pitched(down_rad: float) -> FloatArray:
-    c, s = np.cos(down_rad), np.sin(down_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def _rolled(roll_rad: float) -> FloatArray:

@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import Delaunay, cKDTree
 
 from laci_stereo.core.frames import BoolArray, FloatArray, along_line, planar, rigid, rotation_z
-from tools.scenes.geometry import Body, Material, Mesh, merged
+from tools.scenes.geometry import Body, Material, Mesh, merged, rotation_y
 from tools.scenes.shapes import box, cylinder, leaves, turned_solid
 
 LayoutKind = Literal["cross", "tee", "street", "roundabout"]
@@ -326,7 +326,7 @@ def _thing(rng: np.random.Generator, spots: _Spots, kind: str, name: str) -> Bod
 
     def pose(time_s: float) -> FloatArray:
         lean = sway * np.sin(2 * np.pi * rate * time_s + phase)
-        return rigid(rotation_z(float(yaw)) @ _leaning(lean), np.array([xy[0], xy[1], z]))
+        return rigid(rotation_z(float(yaw)) @ rotation_y(lean), np.array([xy[0], xy[1], z]))
 
     return Body(name, mesh, pose, static=False)
 
@@ -364,14 +364,9 @@ def _in_wind(
         # Positive for a third of the period, in the middle of which it is 1.
         gust = float(np.clip(3.0 * np.cos(2 * np.pi * (time_s - start_s) / period_s) - 1.5, 0.0, 1.0))
         lean = lean_rad * gust * (0.5 + 0.5 * np.sin(2 * np.pi * rate_hz * time_s))
-        return T_world_body @ rigid(_leaning(lean), np.zeros(3))
+        return T_world_body @ rigid(rotation_y(lean), np.zeros(3))
 
     return pose
-
-
-def _leaning(angle_rad: float) -> FloatArray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def _house(rng: np.random.Generator) -> tuple[Mesh, float, float]:

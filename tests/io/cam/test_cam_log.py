@@ -49,9 +49,8 @@ POSITIONS: dict[str, Callable[[Path, CamLog], Path]] = {
 
 def mixed(*logs: CamLog) -> CamLog:
     """Return the messages of several stations in the order of time."""
-    columns = [np.concatenate([getattr(log, column.name) for log in logs]) for column in fields(CamLog)]
-    order = np.lexsort((columns[1], columns[0]))
-    return CamLog(*(column[order] for column in columns))
+    together = logs[0].joined(*logs[1:])
+    return together[np.lexsort((together.station_id, together.stamps_ns))]
 
 
 def assert_same_track(found: CamLog, wanted: CamLog) -> None:
