@@ -124,7 +124,7 @@ def needs_kind(stored: StoredCalibration, kind: str) -> None:
         raise CalibrationFileError(f"{stored.path}: the sensor's kind is {stored.kind}; needed is {kind}")
 
 
-def the_map(stored: StoredCalibration, path: Path | None, crs: str | None = None) -> LaneMap:
+def the_map(stored: StoredCalibration, path: Path | None, crs: str | None) -> LaneMap:
     """Read the map, in the world frame of a result.
 
     Raises

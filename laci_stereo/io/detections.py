@@ -98,7 +98,7 @@ class DetectionRecording:
 
     log: DetectionLog
     notes: tuple[str, ...]
-    no_height: str = ""
+    no_height: str
 
 
 def read_detections(path: Path) -> DetectionRecording:

@@ -76,8 +76,8 @@ def rotation_of_quaternion(xyzw: Sequence[float], name: str) -> FloatArray:
     return np.asarray(Rotation.from_quat(np.array(xyzw)).as_matrix())
 
 
-def rotation_of_angles(angles: Sequence[float], sequence: str, name: str, *, degrees: bool = False) -> FloatArray:
-    """Return the rotation, shape (3, 3), of Euler angles in radians, or degrees, about axes in scipy's notation.
+def rotation_of_angles(angles: Sequence[float], name: str, *, degrees: bool) -> FloatArray:
+    """Return the rotation, shape (3, 3), of roll, pitch and yaw in radians, or degrees, about fixed axes.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def rotation_of_angles(angles: Sequence[float], sequence: str, name: str, *, deg
     if not abs(largest) <= (360.0 if degrees else 2 * np.pi):
         needed = "degrees, at most 360" if degrees else "radians: is it in degrees? A name such as roll_deg says so"
         raise NoTransformError(f"an angle of {name} is {largest:.6g}; needed are {needed}")
-    return np.asarray(Rotation.from_euler(sequence, list(angles), degrees=degrees).as_matrix())
+    return np.asarray(Rotation.from_euler("xyz", list(angles), degrees=degrees).as_matrix())
 
 
 def rotation_of_vector(vector: Sequence[float], name: str) -> FloatArray:

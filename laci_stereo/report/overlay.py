@@ -66,7 +66,7 @@ def overlay_stamps(calibration: Calibration, moments: Sequence[float] = MOMENTS)
 
 
 def draw_overlay(
-    image: Raster, lens: Lens, calibration: Calibration, stamp_s: float, lane_map: LaneMap | None = None
+    image: Raster, lens: Lens, calibration: Calibration, stamp_s: float, lane_map: LaneMap | None
 ) -> Raster:
     """Draw the map, the vehicle and its tracks into an image.
 

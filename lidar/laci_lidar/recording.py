@@ -68,8 +68,8 @@ class Scanner:
     view: View
     noise: Noise
     timed: bool
-    own_clock: bool = False
-    unused: tuple[str, ...] = ()
+    own_clock: bool
+    unused: tuple[str, ...]
 
 
 class LidarRecording:

@@ -75,14 +75,18 @@ MOST_OUTLINES = 8
 class _Hypothesis:
     seed: Seed
     motion: Motion
-    account: Account
     accounts: tuple[Account, ...]
     value: float
     way: float
+    by_others: float
     strayed_s: Times = ()
     fit: PlanarMatch | None = None
     late_s: float = 0.0
-    by_others: float = 0.0
+
+    @property
+    def account(self) -> Account:
+        """The evidence about the seed's station; that about the other stations follows it."""
+        return self.accounts[0]
 
     def place(self, xy_level: FloatArray) -> FloatArray:
         """Map points, shape (n, 2), from the level to the world frame, by the outline's fit where there is one."""
@@ -430,7 +434,7 @@ def _judge(scene: Scene, seed: Seed) -> _Hypothesis | None:
     prior = -((float(motion.offset_s) / scene.settings.clock_sigma_s) ** 2) / 2
     by_others = sum(max(each.value + each.coincidence, -SILENT) for each in _each_track_once(own, others))
     value = prior + own.value + by_others
-    return _Hypothesis(seed, motion, own, (own, *others), value, own.way, by_others=by_others)
+    return _Hypothesis(seed, motion, (own, *others), value, own.way, by_others)
 
 
 def _check_motion(vehicles: Mapping[int, VehicleTrack], settings: MatchSettings) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.messages.cam import MAX_GAP_S, METRES_PER_DEG, CamLog
+from laci_stereo.core.messages.headings import MOVING_MPS
 
-_MOVING_MPS = 2.0
 _FEWEST_STEPS = 5
 _DISAGREES = 0.25
 _AGREES = 0.1
@@ -33,7 +33,7 @@ def _motion_errors(log: CamLog) -> FloatArray:
     speed = (log.speed_mps[1:] + log.speed_mps[:-1]) / 2
     heading = np.radians(log.heading_deg[1:])
     # Comparisons with NaN are False, which drops missing values.
-    usable = (step_s > 0) & (step_s <= MAX_GAP_S) & (speed >= _MOVING_MPS) & np.isfinite(heading)
+    usable = (step_s > 0) & (step_s <= MAX_GAP_S) & (speed >= MOVING_MPS) & np.isfinite(heading)
     sent = np.stack([np.sin(heading), np.cos(heading)])
     errors, reversing = [], []
     for latitude, longitude in ((log.latitude_deg, log.longitude_deg), (log.longitude_deg, log.latitude_deg)):

@@ -43,8 +43,8 @@ class _Interface:
     """An interface: the link type of its frames, and its clock, in ticks of ``1 / per_second`` s since ``offset_s``."""
 
     link_type: int
-    per_second: int = 1_000_000
-    offset_s: int = 0
+    per_second: int
+    offset_s: int
 
     def stamp_ns(self, ticks: int) -> int:
         return self.offset_s * 10**9 + ticks * 10**9 // self.per_second

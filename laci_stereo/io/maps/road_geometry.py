@@ -147,8 +147,8 @@ def parameters_of_lengths(u: FloatArray, v: FloatArray, length_m: float) -> floa
     return (low + high) / 2.0
 
 
-def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray, chord_m: float = CHORD_M) -> FloatArray:
-    """Sample a curve so densely that its chords deviate from it by at most ``chord_m``.
+def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray) -> FloatArray:
+    """Sample a curve so densely that its chords deviate from it by at most `CHORD_M`.
 
     Parameters
     ----------
@@ -156,7 +156,6 @@ def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray, chor
         From parameters, shape (n,), to points, shape (n, 2).
     breaks : ndarray, shape (m,)
         Ascending: the ends of the curve, and in between the places where it may have corners.
-    chord_m : float
 
     Returns
     -------
@@ -176,10 +175,10 @@ def polyline(curve: Callable[[FloatArray], FloatArray], breaks: FloatArray, chor
     )
     for _ in range(_FINEST):
         if len(at) > _MOST_POINTS:
-            raise GeometryError(f"is too crooked: {len(at)} points do not follow it to {chord_m:g} m")
+            raise GeometryError(f"is too crooked: {len(at)} points do not follow it to {CHORD_M:g} m")
         quarters = (at[:-1, None] + np.diff(at)[:, None] * np.array([0.0, 0.25, 0.5, 0.75])).ravel()
         points = curve(np.append(quarters, at[-1]))
-        far = _from_chords(points) > chord_m / 2.0
+        far = _from_chords(points) > CHORD_M / 2.0
         if not far.any():
             break
         at = np.sort(np.append(at, quarters[2::4][far]))

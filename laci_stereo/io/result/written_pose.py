@@ -77,7 +77,7 @@ class WrittenPose:
     notes: tuple[str, ...] = ()
 
 
-def read_pose(path: Path, entry: str | None = None, kind: str | None = None) -> tuple[WrittenPose, Statement | None]:
+def read_pose(path: Path, entry: str | None, kind: str | None) -> tuple[WrittenPose, Statement | None]:
     """Read the only transform in a file, or the one that ``entry`` names.
 
     Parameters
@@ -432,7 +432,7 @@ def _turned(rotation: _Rotation, name: str) -> FloatArray:
         case "vector":
             return rotation_of_vector(rotation.numbers, name)
         case "radians" | "degrees":
-            return rotation_of_angles(rotation.numbers, "xyz", name, degrees=rotation.kind == "degrees")
+            return rotation_of_angles(rotation.numbers, name, degrees=rotation.kind == "degrees")
         case "unclear":
             raise NoTransformError(
                 f"{rotation.name} is three numbers, whose order and axes nobody knows; needed is a name that tells "

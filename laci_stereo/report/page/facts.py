@@ -218,7 +218,7 @@ def clock_facts(calibration: Calibration) -> tuple[Fact, ...]:
     return (
         Fact(
             "Clock offset",
-            f"{_signed(1e3 * offset, 1)} ms ± {1e3 * sigma:.1f} ms",
+            f"{signed(1e3 * offset, 1)} ms ± {1e3 * sigma:.1f} ms",
             "to be added to the sensor's times to get the times of the messages; one standard deviation",
         ),
         Fact(
@@ -269,7 +269,7 @@ def _corrected(correction: Correction) -> Corrected:
     what, factor, digits, unit = _WORDS[correction.what]
     sigmas = correction.surprise
     judgement = "contradiction" if correction.contradicts else "notable" if sigmas > NOTABLE else "as expected"
-    value = f"{_signed(factor * correction.value, digits)}{unit}"
+    value = f"{signed(factor * correction.value, digits)}{unit}"
     return Corrected(what, value, f"0 ± {factor * correction.sigma:.{digits}f}{unit}", sigmas, judgement)
 
 
@@ -291,7 +291,7 @@ def sides(laid: Laid) -> tuple[Side, ...]:
         if len(distances) < FEWEST:
             continue
         low, median, high = np.quantile(distances, [0.25, 0.5, 0.75])
-        found.append(Side(name, len(distances), _signed(float(median), 1), f"{(high - low) / 2:.1f}"))
+        found.append(Side(name, len(distances), signed(float(median), 1), f"{(high - low) / 2:.1f}"))
     return tuple(found)
 
 
@@ -315,9 +315,9 @@ def beside_paper(calibration: Calibration) -> tuple[Compared, ...]:
     yaw, yaw_paper = calibration.viewing_angles.yaw_deg, viewing_angles(T_paper, calibration.axes).yaw_deg
     turn = (yaw_paper - yaw + 180.0) % 360.0 - 180.0
     return (
-        Compared("Easting", f"{xy[0]:.3f} m", f"{xy_paper[0]:.3f} m", f"{_signed(xy_paper[0] - xy[0], 3)} m"),
-        Compared("Northing", f"{xy[1]:.3f} m", f"{xy_paper[1]:.3f} m", f"{_signed(xy_paper[1] - xy[1], 3)} m"),
-        Compared("Looks to", f"{yaw:.3f}°", f"{yaw_paper:.3f}°", f"{_signed(turn, 3)}°"),
+        Compared("Easting", f"{xy[0]:.3f} m", f"{xy_paper[0]:.3f} m", f"{signed(xy_paper[0] - xy[0], 3)} m"),
+        Compared("Northing", f"{xy[1]:.3f} m", f"{xy_paper[1]:.3f} m", f"{signed(xy_paper[1] - xy[1], 3)} m"),
+        Compared("Looks to", f"{yaw:.3f}°", f"{yaw_paper:.3f}°", f"{signed(turn, 3)}°"),
         Compared("Objects on the track", "–", "–", f"{differs[0]:.3f} m apart (root mean square)"),
     )
 
@@ -347,7 +347,7 @@ def drives(calibration: Calibration) -> tuple[DriveFacts, ...]:
                 f"{began:%Y-%m-%d %H:%M:%S} UTC",
                 len(passage.track.sightings),
                 f"{vehicle.length_m:.2f} m × {vehicle.width_m:.2f} m",
-                _signed(1e3 * passage.time_offset_s, 1),
+                signed(1e3 * passage.time_offset_s, 1),
             )
         )
     return tuple(found)
@@ -367,5 +367,6 @@ def settings(config: Mapping[str, object], above: str = "") -> Iterator[tuple[st
             yield f"{above}{name}", json.dumps(value, ensure_ascii=False, default=str)
 
 
-def _signed(value: float, digits: int) -> str:
+def signed(value: float, digits: int) -> str:
+    """Return a number with its sign, for the page."""
     return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")

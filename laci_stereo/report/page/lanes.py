@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.io.result.calibration_file import Document
-from laci_stereo.report.page.facts import Fact
+from laci_stereo.report.page.facts import Fact, signed
 
 
 @dataclass(frozen=True)
@@ -94,5 +94,4 @@ def _line(line: Document) -> LineFacts:
 
 
 def _with_doubt(value: float, sigma: float, digits: int, unit: str = "") -> str:
-    signed = f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")
-    return f"{signed} ± {sigma:.{digits}f}{unit}"
+    return f"{signed(value, digits)} ± {sigma:.{digits}f}{unit}"
