@@ -38,7 +38,7 @@ from laci_stereo.check.placed import Placed
 from laci_stereo.core.frames import FloatArray, IntArray, Raster, invert, rigid, transform
 from laci_stereo.core.subsampling import spread
 from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.drawn import on_ground
 from tools.scenes.__main__ import settings as read_factors

@@ -20,7 +20,7 @@ from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster, invert
 from laci_stereo.core.subsampling import spread
 from laci_stereo.io.maps.lane_map import LaneMap
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.drawn import on_ground
 from laci_stereo.stereo.reader import GreyReader

@@ -15,7 +15,8 @@ from laci_stereo.commands.program import NEGATIVE
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.io.images import IMAGES, ImageFolder, StereoPair, first_size, pair_images, write_picture
 from laci_stereo.io.output import check_files, check_png, write_document
-from laci_stereo.io.rig.stereo_calibration import ForImages, calibration_files, read_rig
+from laci_stereo.io.rig.stereo_calibration import calibration_files, read_rig
+from laci_stereo.io.rig.stereo_rig import ForImages
 from laci_stereo.io.timed_files import names_in
 from laci_stereo.stereo.rectify import already_rectified
 

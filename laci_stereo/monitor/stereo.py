@@ -17,7 +17,8 @@ from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import IntArray
 from laci_stereo.io.images import ImageFolder, StereoPair, first_size, pair_images
-from laci_stereo.io.rig.stereo_calibration import StereoRig, read_stereo_calibration
+from laci_stereo.io.rig.stereo_calibration import read_stereo_calibration
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.mask.stage import VehicleMask
 from laci_stereo.monitor.frames import Arrivals
 from laci_stereo.stereo.reader import GreyReader

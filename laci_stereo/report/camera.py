@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, transform
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.lines import clip_slab, runs, subdivide
 
 NEAR_M = 0.1

@@ -9,7 +9,7 @@ import numpy as np
 from laci_stereo.core.frames import FloatArray, Raster, invert
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.maps.lane_map import LaneMap
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.camera import Camera
 from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, emptiest_corner, touches
 from laci_stereo.report.drawn import (

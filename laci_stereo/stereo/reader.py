@@ -13,7 +13,7 @@ from laci_stereo.core.cloud import MAX_BAD_SHARE
 from laci_stereo.core.errors import ImageError
 from laci_stereo.core.frames import Raster
 from laci_stereo.io.images import MOST_BITS, read_image
-from laci_stereo.io.rig.stereo_calibration import StereoRig
+from laci_stereo.io.rig.stereo_rig import StereoRig
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.subsampling import spread
 from laci_stereo.io.ahead import map_ahead, workers
 from laci_stereo.io.images import StereoPair
-from laci_stereo.io.rig.stereo_calibration import StereoRig
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.mask.apply import Moving, windows
 from laci_stereo.mask.picture import Crop
 from laci_stereo.mask.stage import GlimpseRays, VehicleMask

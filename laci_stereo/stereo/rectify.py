@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.cloud import Cameras
 from laci_stereo.core.frames import BoolArray, FloatArray, Raster, rigid
-from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 
 EDGE_PX = 22
 """Distance from the border of either image within which an object may be cut off. It is two windows of 11 pixels: one

@@ -15,7 +15,7 @@ from laci_stereo.check.placed import Placed
 from laci_stereo.check.sections import PAINTED
 from laci_stereo.core.frames import FloatArray, Raster, invert, planar, rigid, rotation_z, transform
 from laci_stereo.io.maps.lane_map import LaneLine
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.camera import Camera
 
 CLAIMED = np.diag(np.array([3e-4, 3e-4, 1e-3, 0.04, 0.04, 0.005]) ** 2)

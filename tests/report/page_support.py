@@ -11,7 +11,7 @@ import numpy as np
 from laci_stereo.core.frames import FloatArray, Raster
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.result.calibration_file import Provenance, to_document
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.page import Made, Photograph, Photographs, write_page
 from tests.report.support import lane, lane_map, lens
 

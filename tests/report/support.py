@@ -20,7 +20,7 @@ from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
 from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 
 SENSOR_XY = np.array([3.0, -4.0])
 YAW_RAD = np.radians(90.0)

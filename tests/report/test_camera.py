@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
-from laci_stereo.io.rig.stereo_calibration import Lens, Model
+from laci_stereo.io.rig.stereo_rig import Lens, Model
 from laci_stereo.report.camera import FOLD_STEP_DEG, NEAR_M, Camera
 
 K = np.array([[900.0, 0.0, 640.0], [0.0, 880.0, 350.0], [0.0, 0.0, 1.0]])

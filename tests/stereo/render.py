@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, IntArray, Raster, rotation_z
-from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 
 ROAD = 0
 NOTHING = -1

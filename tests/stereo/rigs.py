@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.io.rig.stereo_calibration import Lens, Model, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, Model, StereoRig
 
 SIZE = (400, 300)
 FOCAL_PX = 360.0

@@ -13,7 +13,7 @@ import numpy as np
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster
 from laci_stereo.io.images import StereoPair
-from laci_stereo.io.rig.stereo_calibration import StereoRig
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.stereo.rectify import Rectification, rectify
 from tests.stereo.render import Box, Mounting, View, expose, render, trace, turned
 from tests.stereo.rigs import RIGS

@@ -11,7 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
-from laci_stereo.io.rig.stereo_calibration import StereoRig, read_stereo_calibration
+from laci_stereo.io.rig.stereo_calibration import read_stereo_calibration
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.stereo.rectify import bouguet, undistorted
 from tests.stereo.rigs import EIGHT, FISHEYE, FIVE, lens, rig
 from tools.scenes.cameras import looking, mistold, project, random_mount, random_rig, rays, write_calibration

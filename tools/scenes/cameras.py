@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.frames import FloatArray, rigid
-from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 from laci_stereo.stereo.rectify import with_right_turned
 
 BASELINES_M = (0.2, 0.5, 1.0)

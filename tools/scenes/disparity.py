@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from laci_stereo.core.cloud import Cameras, PointCloud
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, invert, transform
-from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 from laci_stereo.stereo.recording import POINTING_SIGMA_PX
 from laci_stereo.stereo.scene import BLEED_PX
 from laci_stereo.stereo.settings import StereoSettings

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import Raster
-from laci_stereo.io.rig.stereo_calibration import Lens
+from laci_stereo.io.rig.stereo_rig import Lens
 
 GREY = np.array([0.3, 0.6, 0.1], np.float32)
 """Weights of red, green and blue in a grey sensor."""

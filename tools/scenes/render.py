@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, invert, rigid
-from laci_stereo.io.rig.stereo_calibration import Lens, StereoRig
+from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 from tools.scenes.cameras import rays, write_calibration
 from tools.scenes.geometry import Body, Hits, Material, RayCaster
 from tools.scenes.imager import GREY, Sensor, develop

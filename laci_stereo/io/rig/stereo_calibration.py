@@ -20,11 +20,7 @@ from laci_stereo.io.rig.middlebury import read_middlebury
 from laci_stereo.io.rig.opencv import read_opencv
 from laci_stereo.io.rig.ros import read_ros
 from laci_stereo.io.rig.stereo_rig import (
-    MAX_BASELINE_M,
-    MIN_BASELINE_M,
     ForImages,
-    Lens,
-    Model,
     Size,
     StereoRig,
     check_resolution,
@@ -34,20 +30,6 @@ from laci_stereo.io.rig.stereo_rig import (
 )
 from laci_stereo.io.rig.syntax import read_document
 from laci_stereo.io.text_file import listed
-
-__all__ = [
-    "CALIBRATION_FILES",
-    "MAX_BASELINE_M",
-    "MIN_BASELINE_M",
-    "ForImages",
-    "Lens",
-    "Model",
-    "Size",
-    "StereoRig",
-    "calibration_files",
-    "read_rig",
-    "read_stereo_calibration",
-]
 
 CALIBRATION_FILES: tuple[tuple[str, ...], ...] = (
     *((f"stereo.{suffix}",) for suffix in ("yaml", "yml", "json", "xml", "txt", "mat")),

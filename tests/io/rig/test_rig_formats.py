@@ -14,11 +14,7 @@ from scipy.io import savemat
 from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.rig.mat_file import LARGEST_UNPACKED
-from laci_stereo.io.rig.stereo_calibration import (
-    calibration_files,
-    read_rig,
-    read_stereo_calibration,
-)
+from laci_stereo.io.rig.stereo_calibration import calibration_files, read_rig, read_stereo_calibration
 from laci_stereo.io.rig.stereo_rig import ForImages, StereoRig
 from laci_stereo.io.rig.syntax import LARGEST_FILE
 from laci_stereo.stereo.rectify import already_rectified, bouguet, rectify

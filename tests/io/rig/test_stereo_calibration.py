@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.errors import RigError
-from laci_stereo.io.rig.stereo_calibration import StereoRig, calibration_files, read_stereo_calibration
+from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
+from laci_stereo.io.rig.stereo_rig import StereoRig
 from tests.io.support import SHARED, fuzz, mutations, needs_shared, noise, read_or_refused
 
 SIZE = (1280, 720)
