@@ -13,7 +13,7 @@ from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.placed import Placed
 from laci_stereo.check.verdict import TOO_FAR_M, TOO_FAR_RAD
-from laci_stereo.commands.options import PATH, a_number, baseline_option, map_crs_option, say_written
+from laci_stereo.commands.options import PATH, a_number, baseline_option, map_crs_option, say_written, with_options
 from laci_stereo.commands.program import NEGATIVE
 from laci_stereo.core.errors import CalibrationFileError, MapError
 from laci_stereo.io.images import ImageFolder, first_size, write_picture
@@ -29,28 +29,25 @@ UNCLAIMED = np.diag([0.0, 0.0, TOO_FAR_RAD**2, TOO_FAR_M**2, TOO_FAR_M**2, 0.0])
 Errors of its tilt and height also displace the lines on the ground, and are counted as such."""
 
 
-def map_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options of a check, whatever the sensor."""
-    for option in (
-        click.option("--overwrite", is_flag=True, help="Replace files that are there already."),
-        click.option(
-            "--picture", type=PATH, default=Path("check.png"), show_default=True, help="File for the picture (PNG)."
-        ),
-        click.option("--json", "json_file", type=PATH, help="File for all figures."),
-        click.option(
-            "--map-sigma",
-            type=click.FloatRange(min=0.0, max=10.0),
-            callback=a_number,
-            default=MAP_SIGMA_M,
-            show_default=True,
-            metavar="M",
-            help="Error of a line's place in the map, one standard deviation.",
-        ),
-        map_crs_option,
-        click.option("--map", "lane_map", type=PATH, help="Lane map [default: map.osm or the like beside the data]."),
-    ):
-        command = option(command)
-    return command
+map_options = with_options(
+    click.option("--map", "lane_map", type=PATH, help="Lane map [default: map.osm or the like beside the data]."),
+    map_crs_option,
+    click.option(
+        "--map-sigma",
+        type=click.FloatRange(min=0.0, max=10.0),
+        callback=a_number,
+        default=MAP_SIGMA_M,
+        show_default=True,
+        metavar="M",
+        help="Error of a line's place in the map, one standard deviation.",
+    ),
+    click.option("--json", "json_file", type=PATH, help="File for all figures."),
+    click.option(
+        "--picture", type=PATH, default=Path("check.png"), show_default=True, help="File for the picture (PNG)."
+    ),
+    click.option("--overwrite", is_flag=True, help="Replace files that are there already."),
+)
+"""The options of a check, whatever the sensor."""
 
 
 stereo_option = click.option(

@@ -32,6 +32,7 @@ from laci_stereo.commands.options import (
     max_sigma_deg_option,
     max_sigma_m_option,
     parse_background,
+    verbosity_options,
 )
 from laci_stereo.commands.program import run_command
 from laci_stereo.commands.rig import rig as rig_command
@@ -182,8 +183,7 @@ def match(
 @max_sigma_m_option
 @max_sigma_deg_option
 @click.option("--name", help="Name of the sensor [default: as in the first RUN].")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-@click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds.")
+@verbosity_options
 def combine(
     runs: tuple[Path, ...],
     out: Path,

@@ -12,7 +12,7 @@ import click
 import cv2
 import numpy as np
 
-from laci_stereo.commands.options import PATH, say_written
+from laci_stereo.commands.options import PATH, say_written, with_options
 from laci_stereo.core.errors import ImageError, SettingError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.subsampling import spread
@@ -31,27 +31,23 @@ MASK_SHARE = 0.4
 """Opacity of a mask's colour in the picture."""
 
 
-def mask_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options that go with a vehicle mask's model."""
-    for option in (
-        click.option(
-            "--mask-provider",
-            "provider",
-            type=click.Choice(list(PROVIDERS)),
-            default="cpu",
-            show_default=True,
-            help="What the mask's network runs on, where the installed onnxruntime offers it.",
-        ),
-        click.option(
-            "--mask-contract",
-            "--contract",
-            "contract",
-            type=PATH,
-            help="What the network expects and returns (JSON) [default: MODEL.contract.json beside it].",
-        ),
-    ):
-        command = option(command)
-    return command
+mask_options = with_options(
+    click.option(
+        "--mask-contract",
+        "--contract",
+        "contract",
+        type=PATH,
+        help="What the network expects and returns (JSON) [default: MODEL.contract.json beside it].",
+    ),
+    click.option(
+        "--mask-provider",
+        "provider",
+        type=click.Choice(list(PROVIDERS)),
+        default="cpu",
+        show_default=True,
+        help="What the mask's network runs on, where the installed onnxruntime offers it.",
+    ),
+)
 
 
 def asked_mask(model: Path | None, contract: Path | None, provider: Provider, workers: int) -> MaskOptions | None:

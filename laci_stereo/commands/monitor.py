@@ -19,12 +19,13 @@ from laci_stereo.commands.check import needs_kind, placed_by, stereo_option, the
 from laci_stereo.commands.mask import asked_mask, mask_options
 from laci_stereo.commands.options import (
     PATH,
-    SAID,
     a_number,
     baseline_option,
     log_to_stderr,
     map_crs_option,
     say_written,
+    verbosity_options,
+    with_options,
     workers_option,
 )
 from laci_stereo.core.errors import ImageError, LaciError, OutputError, SettingError
@@ -93,7 +94,7 @@ class Watched:
     files: dict[str, Path]
 
 
-_ASKED = (
+_common_options = with_options(
     click.argument("calibration", type=PATH),
     click.option("--map", "lane_map", type=PATH, help="Lane map [default: map.osm or the like beside the recording]."),
     map_crs_option,
@@ -108,7 +109,7 @@ _ASKED = (
         help="With --follow, end after S seconds without a file.",
     ),
     workers_option,
-    *SAID,
+    verbosity_options,
 )
 
 
@@ -126,9 +127,7 @@ def monitoring(kind: str) -> Callable[[Callable[..., Watched]], Callable[..., No
             needs_kind(stored, kind)
             watch(command(asked, stored, **given), stored, asked)
 
-        for option in reversed(_ASKED):
-            run = option(run)
-        return run
+        return _common_options(run)
 
     return decorate
 

@@ -7,7 +7,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -99,6 +99,17 @@ class Asked:
 PATH = click.Path(path_type=Path)
 
 
+def with_options(*options: Callable[[Any], Any]) -> Callable[[click.decorators.FC], click.decorators.FC]:
+    """Return several options, in the order in which the help lists them, as one decorator."""
+
+    def add(command: click.decorators.FC) -> click.decorators.FC:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
 def a_number(_context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
     """Refuse NaN, which no range refuses: it is neither below nor above the limits."""
     if value is not None and math.isnan(value):
@@ -140,7 +151,7 @@ max_sigma_deg_option = click.option(
     help="The same for the yaw, degrees; the limit of the tilt is twice that.",
 )
 
-_ASKED = (
+_common_options = with_options(
     click.option("--out", type=PATH, default=Path("calibration"), show_default=True, help="Folder for the result."),
     click.option("--overwrite", is_flag=True, help="Replace a result that is there already."),
     click.option(
@@ -206,7 +217,7 @@ workers_option = click.option(
     "--workers", type=click.IntRange(min=0), default=0, help="Threads [default: one per processor, up to 8]."
 )
 
-SAID = (
+verbosity_options = with_options(
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
     click.option("-v", "--verbose", is_flag=True, help="Say what each stage finds."),
 )
@@ -214,16 +225,16 @@ SAID = (
 
 def calibrating(command: Callable[..., Task]) -> Callable[..., None]:
     """Turn a function that prepares a task into a command, for a sensor whose frames are read."""
-    return _asking(command, (*_ASKED, workers_option, *SAID))
+    return with_options(_common_options, workers_option, verbosity_options)(_running(command))
 
 
 def matching(command: Callable[..., Task]) -> Callable[..., None]:
     """Turn a function that prepares a task without frames into a command."""
-    return _asking(command, (*_ASKED, *SAID))
+    return with_options(_common_options, verbosity_options)(_running(command))
 
 
-def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]]) -> Callable[..., None]:
-    """Turn a function that prepares a task into a command: add the common options, run the task, save and print."""
+def _running(command: Callable[..., Task]) -> Callable[..., None]:
+    """Return a function that takes the common options as well, runs the task that is prepared, saves and prints."""
 
     @wraps(command)
     def run(**given: Any) -> None:
@@ -232,8 +243,6 @@ def _asking(command: Callable[..., Task], options: Sequence[Callable[[Any], Any]
         check_output(asked.out, overwrite=asked.overwrite)
         _carry_out(command(asked, **given), asked)
 
-    for option in reversed(options):
-        run = option(run)
     return run
 
 
