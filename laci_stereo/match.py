@@ -20,7 +20,7 @@ from laci_stereo.core.ground.box_ground import (
     LEVEL_SIGMA_RAD,
     SLOPE_SIGMA,
     Below,
-    ground_below,
+    ground_by_heights,
 )
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.robust import TAIL
@@ -274,7 +274,7 @@ def _tilt(below: Below | None) -> tuple[float, tuple[str, ...]]:
 def _below(boxes: DetectionLog, axes: Axes) -> Below | None:
     """Return the ground according to the boxes' own heights; None where they have none."""
     known = np.isfinite(boxes.points_sensor).all(axis=1) & np.isfinite(boxes.above_ground_m)
-    return ground_below(boxes.points_sensor[known], boxes.above_ground_m[known], axes) if known.any() else None
+    return ground_by_heights(boxes.points_sensor[known], boxes.above_ground_m[known], axes) if known.any() else None
 
 
 def _ground_note(boxes: DetectionLog, options: MatchOptions, below: Below | None) -> str:

@@ -33,8 +33,8 @@ OUTER_SHARE = 0.02
 """Fraction of an outline's points that may lie beyond its near side: outliers that the density filter kept."""
 
 SIDE_M = BoxSettings.line_tolerance_m
-"""Points of one upright side lie within this, or within twice the standard
-deviation of their noise if that is larger."""
+"""Points of one upright side lie within this, or within twice the standard deviation of their noise if that is
+larger."""
 
 OUTER_SIDES = 2.0
 """The near side is searched within this many of these widths from the outermost points."""

@@ -104,7 +104,7 @@ class Below:
     slope_sigma: float
 
 
-def ground_below(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> Below:
+def ground_by_heights(points: FloatArray, above_ground_m: FloatArray, axes: Axes) -> Below:
     """Return the ground according to the boxes' own heights, below a sensor that the user states to be level.
 
     The standard deviations allow for a slope of the road, for its curvature between the sensor and the boxes, and for
