@@ -93,6 +93,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     together = fit_together(laid, drives, _fit_alone(laid, drives, settings), settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
+    placement = replace(placement, contradictions=(*placement.contradictions, *together.objections))
     calibration = conclude(together.passages, placement, settings)
     shares = (
         Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)

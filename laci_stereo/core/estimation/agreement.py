@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from laci_stereo.core.errors import CombineError
 from laci_stereo.core.estimation.evidence import Evidence
@@ -18,6 +18,17 @@ from laci_stereo.core.settings import JointSettings
 
 FALSE_ALARM = 1e-3
 """Probability that any drive is left out although all of them agree."""
+
+UNEVEN = 1e-2
+"""Probability that drives differ by as much, below which that is an objection, as in a comparison of two results."""
+
+LEAST_LOG_ODDS = float(np.log(100.0))
+"""Log odds by which one group of drives that agree must be likelier than another one."""
+
+LEAST_RIVALS, RIVAL_SHARE = 2, 0.5
+"""Drives that contradict the others, but agree with one another, are wrong alike, or right: as after the sensor was
+moved, or with the same wrong setting. One by itself may be wrong by chance. Where they are half as many as the others,
+a majority says little about which of both it is."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +70,17 @@ class Together:
     drives : tuple of Evidence
         Of the same drives.
     fit : JointFit
+        Its covariance includes by how much the drives differ more than they should.
     left_out : tuple of LeftOut
+    objections : tuple of str
+        Why the result may be wrong: drives were left out, or differ by more than they should.
     """
 
     passages: tuple[Passage, ...]
     drives: tuple[Evidence, ...]
     fit: JointFit
     left_out: tuple[LeftOut, ...]
+    objections: tuple[str, ...] = ()
 
     @property
     def sightings(self) -> int:
@@ -94,33 +109,38 @@ def fit_together(
     """
     kept, left_out = agreeing([passage.name for passage in passages], alone)
     kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
-    fit = alone[kept[0]]
+    fit, uneven = alone[kept[0]], Estimates.of([alone[i] for i in kept])
     if len(kept) > 1:
         offsets = [alone[i].time_offsets_s[0] for i in kept]
         stations = [passages[i].station_id for i in kept]
         fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings, stations=stations, close=True)
+        fit = replace(fit, covariance=uneven.excess * fit.covariance)
     used = tuple(replace(passages[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True))
-    return Together(used, tuple(drives[i] for i in kept), fit, left_out)
+    objections = [_left_behind(passages, kept, left_out)] if left_out else []
+    if (chance := uneven.chance) < UNEVEN:
+        objections.append(
+            f"the {len(kept)} drives differ by more than their uncertainties, as by chance in {chance:.1%} of cases: "
+            "messages or clocks of some may be wrong"
+        )
+    return Together(used, tuple(drives[i] for i in kept), fit, left_out, tuple(objections))
 
 
 def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int], tuple[LeftOut, ...]]:
-    """Return the drives that agree, and those that do not: the worst one is left out until the rest agree.
+    """Return the largest group of drives that agree, and the others, which contradict it.
 
     Raises
     ------
     CombineError
-        If no majority agrees, or another selection would agree as well.
+        If no majority agrees, another selection would agree as well, or so many others agree with one another that it
+        is not clear which group is right.
     """
-    kept = list(range(len(alone)))
     if all_agree(alone):
-        return kept, ()
-    values, covariances = _at_one_place(alone)
-    distance = _distances(values, covariances, kept)
-    while len(kept) > 1 and distance.max() > _gate(len(kept)):
-        del kept[int(distance.argmax())]
-        distance = _distances(values, covariances, kept)
+        return list(range(len(alone))), ()
+    estimates = Estimates.of(alone)
+    groups = sorted(_groups(estimates), key=estimates.cost)
+    kept = groups[0]
     gone = [i for i in range(len(alone)) if i not in kept]
-    found = tuple(_left_out(names[i], i, kept, values, covariances) for i in gone)
+    found = tuple(_left_out(names[i], i, kept, estimates) for i in gone)
     if 2 * len(kept) <= len(alone):
         worst = max(found, key=lambda each: each.sigmas)
         raise CombineError(
@@ -130,43 +150,133 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
         )
     for i, j in product(gone, kept):
         swapped = [i if k == j else k for k in kept]
-        if _distances(values, covariances, swapped).max() <= _gate(len(swapped)):
+        if estimates.agree(swapped):
             raise CombineError(
                 f"{names[i]} and {names[j]} contradict each other, and the other drives agree with either; needed is "
                 "one more drive to tell which is wrong"
             )
+    for rivals in groups[1:]:
+        ours, theirs = sorted(set(kept) - set(rivals)), sorted(set(rivals) - set(kept))
+        many = len(theirs) >= max(LEAST_RIVALS, RIVAL_SHARE * len(ours))
+        if many or (theirs and estimates.cost(rivals) < estimates.cost(kept) + LEAST_LOG_ODDS):
+            shift_m, turn_deg = estimates.between(theirs, ours)
+            either = "; or ".join(", ".join(names[i] for i in group) for group in (ours, theirs))
+            raise CombineError(
+                f"the drives agree in two groups, {shift_m:.2f} m and {turn_deg:.2f} deg apart: {either}; needed are "
+                "those of one, if the sensor was moved or messages are wrong in the other"
+            )
     return kept, found
 
 
+def _left_behind(passages: Sequence[Passage], kept: Sequence[int], left_out: Sequence[LeftOut]) -> str:
+    """Return in words that drives were left out, and that the sensor may have been moved if they are the last."""
+    names = {each.name for each in left_out}
+    gone = [passage.span_ns for passage in passages if passage.name in names]
+    used = [passages[i].span_ns for i in kept]
+    words = f"{len(gone)} of {len(passages)} drives contradict the others and were left out"
+    for before, after, result_is in ((used, gone, "before that"), (gone, used, "after it")):
+        last_ns, first_ns = max(end_ns for _, end_ns in before), min(begin_ns for begin_ns, _ in after)
+        if last_ns < first_ns:
+            return (
+                f"{words}, all {'later' if after is gone else 'earlier'} than those: if the sensor was moved between "
+                f"{_utc(last_ns)} and {_utc(first_ns)} UTC, the result is of the time {result_is}"
+            )
+    return words
+
+
+def _utc(time_ns: int) -> str:
+    return str(np.datetime64(time_ns, "ns").astype("datetime64[m]")).replace("T", " ")
+
+
 def all_agree(alone: Sequence[JointFit]) -> bool:
-    """Tell whether none of several drives contradicts the others."""
-    distance = _distances(*_at_one_place(alone), list(range(len(alone))))
-    return bool(distance.max() <= _gate(len(alone)))
+    """Tell whether none of several drives contradicts the others, and they differ no more than they should."""
+    return Estimates.of(alone).agree(range(len(alone)))
 
 
-def _at_one_place(alone: Sequence[JointFit]) -> tuple[FloatArray, FloatArray]:
-    """Return yaw, x and y by every drive, shape (n, 3), in the middle of all drives, and their covariances."""
-    place = np.mean([fit.centre_level for fit in alone], axis=0)
-    first = alone[0].match.yaw_rad
-    values, covariances = [], []
-    for fit in alone:
-        values.append([first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]])
-        covariances.append(fit.covariance_about(place))
-    return np.array(values), np.array(covariances)
+@dataclass(frozen=True)
+class Estimates:
+    """Yaw, x and y by each drive alone, shape (n, 3), in the middle of all drives, and their covariances."""
+
+    values: FloatArray
+    covariances: FloatArray
+
+    @staticmethod
+    def of(alone: Sequence[JointFit]) -> Estimates:
+        """Return them from the estimate of each drive."""
+        place = np.mean([fit.centre_level for fit in alone], axis=0)
+        first = alone[0].match.yaw_rad
+        values = [[first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]] for fit in alone]
+        return Estimates(np.array(values), np.array([fit.covariance_about(place) for fit in alone]))
+
+    def agree(self, chosen: Sequence[int]) -> bool:
+        """Tell whether none of the chosen is far from the others, nor all of them together are too far apart."""
+        if len(chosen) < 2:
+            return True
+        if self.chi_square(chosen) > chdtri(self.freedom(len(chosen)), FALSE_ALARM):
+            return False
+        return max(self.distance(i, [j for j in chosen if j != i]) for i in chosen) <= _gate(len(chosen))
+
+    @staticmethod
+    def freedom(count: int) -> int:
+        """Return the degrees of freedom of the chi-square of so many drives."""
+        return 3 * (count - 1)
+
+    @property
+    def excess(self) -> float:
+        """By how much the variance among all drives exceeds what their covariances say; at least 1.
+
+        It is the square of Birge's ratio (Birge 1932, Phys. Rev. 40, 207).
+        """
+        count = len(self.values)
+        return max(1.0, self.chi_square(range(count)) / max(self.freedom(count), 1))
+
+    @property
+    def chance(self) -> float:
+        """Probability that all drives differ by as much by chance."""
+        count = len(self.values)
+        return float(chdtrc(self.freedom(count), self.chi_square(range(count)))) if count > 1 else 1.0
+
+    def mean(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted mean of the chosen, and its covariance."""
+        return weighted_mean(self.values[list(chosen)], self.covariances[list(chosen)])
+
+    def chi_square(self, chosen: Sequence[int]) -> float:
+        """Return the sum of the squared distances from the weighted mean."""
+        off = self.values[list(chosen)] - self.mean(chosen)[0]
+        return float(np.einsum("ni,ni", off, np.linalg.solve(self.covariances[list(chosen)], off[..., None])[..., 0]))
+
+    def cost(self, group: Sequence[int]) -> float:
+        """Return the negative log-likelihood of the group, if a drive that is left out costs as much as the gate."""
+        count = len(self.values)
+        return self.chi_square(group) / 2.0 + (count - len(group)) * _gate(count) ** 2 / 2.0
+
+    def distance(self, one: int, others: Sequence[int]) -> float:
+        """Return the Mahalanobis distance of one from all the others together."""
+        mean, covariance = self.mean(others)
+        off = self.values[one] - mean
+        return float(np.sqrt(off @ np.linalg.solve(covariance + self.covariances[one], off)))
+
+    def between(self, some: Sequence[int], others: Sequence[int]) -> tuple[float, float]:
+        """Return the differences in position, metres, and yaw, degrees, between the means of two groups."""
+        off = self.mean(some)[0] - self.mean(others)[0]
+        return float(np.hypot(*off[1:])), float(np.degrees(abs(off[0])))
 
 
-def _distances(values: FloatArray, covariances: FloatArray, chosen: Sequence[int]) -> FloatArray:
-    """Return the Mahalanobis distance of each of the chosen from all the others together, shape (len(chosen),)."""
-    if len(chosen) < 2:
-        return np.zeros(len(chosen))
-    return np.array([_apart(i, [j for j in chosen if j != i], values, covariances)[1] for i in chosen])
+def _groups(estimates: Estimates) -> list[list[int]]:
+    """Return the groups of drives that agree, each in ascending order: the largest that begins with each drive.
 
-
-def _apart(one: int, others: Sequence[int], values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, float]:
-    """Return the difference of one from all the others together, shape (3,), and its Mahalanobis distance."""
-    mean, covariance = weighted_mean(values[list(others)], covariances[list(others)])
-    off = values[one] - mean
-    return off, float(np.sqrt(off @ np.linalg.solve(covariance + covariances[one], off)))
+    A group takes in the nearest of the others, as long as all agree. Beginning with all of them and leaving out the
+    worst, many vague drives would be drawn to a few sharp ones that are wrong.
+    """
+    count = len(estimates.values)
+    groups = set()
+    for first in range(count):
+        group = [first]
+        for other in sorted(set(range(count)) - {first}, key=lambda i: estimates.distance(i, [first])):
+            if estimates.agree([*group, other]):
+                group.append(other)
+        groups.add(tuple(sorted(group)))
+    return [list(group) for group in sorted(groups)]
 
 
 def _gate(count: int) -> float:
@@ -174,9 +284,8 @@ def _gate(count: int) -> float:
     return float(np.sqrt(chdtri(3, FALSE_ALARM / count)))
 
 
-def _left_out(name: str, one: int, kept: Sequence[int], values: FloatArray, covariances: FloatArray) -> LeftOut:
-    off, sigmas = _apart(one, kept, values, covariances)
-    return LeftOut(name, float(np.hypot(*off[1:])), float(np.degrees(abs(off[0]))), sigmas, len(kept))
+def _left_out(name: str, one: int, kept: Sequence[int], estimates: Estimates) -> LeftOut:
+    return LeftOut(name, *estimates.between([one], kept), estimates.distance(one, kept), len(kept))
 
 
 def weighted_mean(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,6 +22,22 @@ CLOCK_S = 3600.0
 rate (Mills 2011, "Computer Network Time Synchronization"). An offset of 1 s that nothing corrects changes by 0.3 ms in
 a second, more than any crystal drifts."""
 
+LASTING_CLOCK = 0.5
+"""Fraction of the variance of the sensor's clock error that is the same in all recordings: the delay from a measurement
+to its stamp, which its electronics and driver make, is no error of the clock's, and no clock corrects it. Either may
+dominate, so that each counts as half."""
+
+LASTING_PLACE = 0.25
+"""Fraction of the variance of positions that is the same for all receivers on all days: the coordinates of the base
+stations, the realisation of the reference frame, and what a fleet measures of its antennas' places. It is half of the
+standard deviation: beyond it no number of drives makes a result more certain."""
+
+SENDERS, SAME_SIZE = 0.25, 0.5
+"""Correlations of the own parameters of any two senders, and of two whose vehicles have the same size. How a size and a
+reference point are measured, and what all cars have that the expected outline has not, is half of the standard
+deviation, as of positions. Vehicles of the same size are at even odds one under two pseudonyms (stations change theirs,
+ETSI TS 102 940), or of one model."""
+
 SAME = 0.99
 """Correlation, between the drives of one sender, of its own parameters: its stamping delay, its antenna's place and its
 vehicle's shape. Stamps are whole milliseconds, and loads shift the body by half a centimetre. Below 1, it also keeps
@@ -47,13 +63,19 @@ class Recordings:
         if stations is not None:
             begins_s = np.array([(each.epoch_ns - vehicles[0].epoch_ns) / 1e9 for each in vehicles])
         self.stations = range(len(models)) if stations is None else tuple(stations)
+        self._together = stations is not None
+        # Sizes that nobody reports are no sign.
+        sizes = [(each.length_m, each.width_m) if stations and not any(each.guessed_m) else None for each in vehicles]
+        self._sizes = [i if size is None else sizes.index(size) for i, size in enumerate(sizes)]
         self._models = models
         self._knots_s = [begin_s + model.knots.at_s for begin_s, model in zip(begins_s, models, strict=True)]
 
     @property
     def senders(self) -> FloatArray:
         """The correlation of the senders' own parameters between drives, shape (drives, drives)."""
-        alike: FloatArray = np.where(np.equal.outer(self.stations, self.stations), SAME, 0.0)
+        others = SENDERS if self._together else 0.0
+        alike: FloatArray = np.where(np.equal.outer(self._sizes, self._sizes), SAME_SIZE, others)
+        alike[np.equal.outer(self.stations, self.stations)] = SAME
         np.fill_diagonal(alike, 1.0)
         return alike
 
@@ -68,7 +90,8 @@ class Recordings:
         variance = 1.0 / precision
         own = np.minimum(SENDER_S**2, SENDER_SHARE**2 * variance)
         at_s = np.array([knots_s.mean() for knots_s in self._knots_s])
-        sensors = np.exp(-(((at_s[:, None] - at_s) / CLOCK_S) ** 2) / 2.0)
+        passing = np.exp(-(((at_s[:, None] - at_s) / CLOCK_S) ** 2) / 2.0)
+        sensors = self._lasting(LASTING_CLOCK, passing)
         covariance = sensors * _outer(np.sqrt(variance - own)) + self.senders * _outer(np.sqrt(own))
         tied: FloatArray = np.linalg.inv(np.asarray(covariance, dtype=np.float64))
         return tied
@@ -81,8 +104,16 @@ class Recordings:
         at_s, at_m = np.concatenate(self._knots_s), np.concatenate(self._ways())
         own = np.equal.outer(station, station)
         alike = np.where(own, decay(at_s, at_m, settings), ALIKE * in_time(at_s, settings))
+        alike = self._lasting(LASTING_PLACE, alike)
         precision: FloatArray = np.linalg.inv(np.asarray(_outer(sigma_m) * alike, dtype=np.float64))
         return precision
+
+    def _lasting(self, share: float, passing: FloatArray) -> FloatArray:
+        """Return the correlation of errors of which a share lasts, given that of the others."""
+        if not self._together:
+            return passing
+        lasting: FloatArray = share + (1.0 - share) * passing
+        return lasting
 
     def _ways(self) -> list[FloatArray]:
         """Return how far along its sender's path each drive's knots are, with a straight line between two drives."""

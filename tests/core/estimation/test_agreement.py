@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from laci_stereo.core.errors import CombineError
-from laci_stereo.core.estimation.agreement import agreeing, weighted_mean
+from laci_stereo.core.estimation.agreement import Estimates, agreeing, weighted_mean
 from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch
@@ -74,6 +75,46 @@ def test_no_majority_is_no_agreement(count: int) -> None:
     ]
     with pytest.raises(CombineError, match=f"no majority of the {count} drives \\(run 0, run 1"):
         agreeing(names(count), fits)
+
+
+def moved(one: JointFit, east_m: float) -> JointFit:
+    return replace(one, match=PlanarMatch(one.match.yaw_rad, one.match.shift + np.array([east_m, 0.0])))
+
+
+def test_of_two_groups_that_agree_the_larger_one_need_not_be_right() -> None:
+    rng = np.random.default_rng(6)
+    for alike in (3, 4):
+        fits = [moved(one, 0.6 if i < alike else 0.0) for i, one in enumerate(drawn(10, rng, [0.3] * 10))]
+        with pytest.raises(CombineError, match=r"agree in two groups, 0\.\d\d m and .*: run \d.*; or run \d"):
+            agreeing(names(10), fits[: 5 + alike])
+    fits = [moved(one, 0.6 if i < 2 else 0.0) for i, one in enumerate(drawn(10, rng, [0.3] * 10))]
+    kept, left_out = agreeing(names(10), fits)
+    assert kept == list(range(2, 10))
+    assert all(each.shift_m == pytest.approx(0.6, abs=0.1) for each in left_out)
+
+
+def test_vague_drives_do_not_make_sharp_ones_that_are_wrong_alike_a_majority() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        fits = drawn(10, rng, [0.3] * 7 + [1.5] * 3)
+        fits = [moved(one, 0.35 if i < 4 else 0.0) for i, one in enumerate(fits)]
+        with pytest.raises(CombineError, match="the drives agree in two groups"):
+            agreeing(names(10), fits)
+
+
+@pytest.mark.parametrize("larger", [1.0, 2.0])
+def test_drives_that_differ_more_than_they_say_are_less_certain_by_as_much(larger: float) -> None:
+    rng = np.random.default_rng(8)
+    made = []
+    for _ in range(200):
+        fits = drawn(6, rng)
+        wider = [replace(one, covariance=one.covariance / larger**2) for one in fits]
+        made.append((Estimates.of(wider).excess, Estimates.of(wider).chance))
+    excesses, chances = np.array(made).T
+    assert excesses.min() >= 1.0
+    assert np.median(excesses) == pytest.approx(larger**2, rel=0.1)
+    if larger == 1.0:
+        assert np.mean(chances < 0.1) == pytest.approx(0.1, abs=0.05)
 
 
 def test_one_drive_agrees_with_itself() -> None:

@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.estimation.drive_model import DriveModel
-from laci_stereo.core.estimation.recordings import CLOCK_S, SAME, SENDER_S, SENDER_SHARE, Recordings
+from laci_stereo.core.estimation.recordings import (
+    CLOCK_S,
+    LASTING_CLOCK,
+    LASTING_PLACE,
+    SAME,
+    SAME_SIZE,
+    SENDER_S,
+    SENDER_SHARE,
+    SENDERS,
+    Recordings,
+)
 from laci_stereo.core.messages.receiver import ALIKE
 from laci_stereo.core.settings import JointSettings
 from tests.core.outlines import STRAIGHT, evidence
@@ -18,15 +28,18 @@ ONE, OTHER = 42, 43
 FAR_S = 30 * 86_400.0
 
 
-def model(begin_s: float = 0.0, sigma_m: float = 0.02, drive: Drive = STRAIGHT) -> DriveModel:
+def model(
+    begin_s: float = 0.0, sigma_m: float = 0.02, drive: Drive = STRAIGHT, length_m: float | None = None
+) -> DriveModel:
     """Return the model of a drive whose recording begins then."""
     seen = evidence(drive)
     vehicle = replace(seen.vehicle, epoch_ns=1_700_000_000_000_000_000 + round(1e9 * begin_s), position_sigma_m=sigma_m)
+    vehicle = replace(vehicle, length_m=length_m or vehicle.length_m)
     return DriveModel(replace(seen, vehicle=vehicle), np.zeros(2), SETTINGS)
 
 
 def clocks(stations: Sequence[int], begins_s: Sequence[float], sigma_s: float) -> np.ndarray:
-    models = [model(begin_s) for begin_s in begins_s]
+    models = [model(at_s, length_m=4.0 + 0.1 * one) for one, at_s in zip(stations, begins_s, strict=True)]
     return np.linalg.inv(Recordings(models, stations).clocks(np.full(len(models), sigma_s**-2)))
 
 
@@ -39,8 +52,9 @@ def test_the_sensors_clock_is_common_to_a_recording_and_each_sender_stamps_by_it
     covariance = clocks([1, 2, 3], [0.0, FAR_S, 0.0], sigma_s)
     own_s = min(SENDER_S, SENDER_SHARE * sigma_s)
     assert np.diag(covariance) == pytest.approx(sigma_s**2)
-    assert covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2] == pytest.approx(2 * own_s**2, rel=1e-3)
-    assert covariance[1, [0, 2]] == pytest.approx(0.0)
+    apart_s2 = covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2]
+    assert apart_s2 == pytest.approx(2 * (1 - SENDERS) * own_s**2, rel=1e-3)
+    assert covariance[1, [0, 2]] == pytest.approx(LASTING_CLOCK * (sigma_s**2 - own_s**2) + SENDERS * own_s**2)
 
 
 @pytest.mark.parametrize("sigma_s", [0.001, 0.01, 1.0])
@@ -51,20 +65,46 @@ def test_of_one_sender_the_clocks_are_as_far_apart_a_moment_later_and_on_another
     own_s = min(SENDER_S, SENDER_SHARE * sigma_s)
     apart_s2 = covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]
     assert apart_s2 == pytest.approx(
-        2 * (1 - SAME) * own_s**2 + (sigma_s**2 - own_s**2) * (5.0 / CLOCK_S) ** 2, rel=1e-3
+        2 * (1 - SAME) * own_s**2 + (1 - LASTING_CLOCK) * (sigma_s**2 - own_s**2) * (5.0 / CLOCK_S) ** 2, rel=1e-3
     )
-    assert covariance[2, :2] == pytest.approx(SAME * own_s**2)
+    assert covariance[2, :2] == pytest.approx(SAME * own_s**2 + LASTING_CLOCK * (sigma_s**2 - own_s**2))
 
 
-def test_receivers_err_alike_in_part_at_one_time_and_by_themselves_on_other_days() -> None:
+@pytest.mark.parametrize("guessed", [False, True])
+def test_vehicles_of_one_size_may_be_one(guessed: bool) -> None:
+    """A size that nobody reported tells nothing of it."""
+    models = [model(length_m=length_m) for length_m in (4.5, 4.5, 4.6)]
+    if guessed:
+        for each in models:
+            each.drive = replace(each.drive, vehicle=replace(each.drive.vehicle, guessed_m=(0.3, 0.1)))
+    senders = Recordings(models, [1, 2, 3]).senders
+    assert senders[0, 1] == (SENDERS if guessed else SAME_SIZE)
+    assert senders[2, :2] == pytest.approx(SENDERS)
+    assert Recordings(models, [1, 1, 3]).senders[0, 1] == SAME
+    assert np.linalg.eigvalsh(senders).min() > 0.0
+
+
+def test_no_number_of_drives_is_more_certain_than_what_they_have_in_common() -> None:
+    models = [model(day * FAR_S, 0.3) for day in range(20)]
+    mean = np.zeros(sum(len(each.knots) for each in models))
+    mean[np.cumsum([0, *(len(each.knots) for each in models[:-1])])] = 1.0 / len(models)
+    variance = mean @ drifts(range(20), models) @ mean
+    assert variance == pytest.approx(0.3**2 * (LASTING_PLACE + (1.0 - LASTING_PLACE) / 20))
+
+
+def test_receivers_err_alike_in_part_at_one_time_and_less_on_other_days() -> None:
     models = [model(0.0, 0.01), model(20.0, 0.3), model(FAR_S, 0.02)]
     covariance = drifts([1, 2, 3], models)
     own = np.repeat(range(3), [len(each.knots) for each in models])
     assert np.sqrt(np.diag(covariance)) == pytest.approx(np.array([0.01, 0.3, 0.02])[own])
     passed_s = np.abs(20.0 + models[1].knots.at_s - models[0].knots.at_s[:, None])
-    between = ALIKE * 0.01 * 0.3 * np.exp(-passed_s / SETTINGS.bias_time_s)
+    passing = ALIKE * np.exp(-passed_s / SETTINGS.bias_time_s)
+    between = 0.01 * 0.3 * (LASTING_PLACE + (1.0 - LASTING_PLACE) * passing)
     assert covariance[np.ix_(own == 0, own == 1)] == pytest.approx(between)
-    assert covariance[np.ix_(own == 2, own != 2)] == pytest.approx(0.0)
+    last = np.sqrt(np.diag(covariance))
+    assert covariance[np.ix_(own == 2, own != 2)] == pytest.approx(
+        LASTING_PLACE * np.outer(last[own == 2], last[own != 2])
+    )
 
 
 def test_a_receiver_errs_alike_in_all_drives_of_one_day() -> None:
@@ -76,7 +116,8 @@ def test_a_receiver_errs_alike_in_all_drives_of_one_day() -> None:
     way_m = float(np.linalg.norm(other.ends[0] - one.ends[1]))
     passed_s = 30.0 + other.knots.at_s[0] - one.knots.at_s[-1]
     decayed = ALIKE + (1.0 - ALIKE) * np.exp(-way_m / SETTINGS.bias_way_m)
-    assert from_end_to_begin == pytest.approx(decayed * np.exp(-passed_s / SETTINGS.bias_time_s))
+    passing = decayed * np.exp(-passed_s / SETTINGS.bias_time_s)
+    assert from_end_to_begin == pytest.approx(LASTING_PLACE + (1.0 - LASTING_PLACE) * passing)
     assert drifts([ONE, OTHER], [one, other])[0, -1] < 0.3**2 * covariance[0, -1]
 
 
