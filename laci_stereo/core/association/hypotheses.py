@@ -20,6 +20,7 @@ import numpy as np
 from laci_stereo.core.association.choice import Choice, Likeness, Other, no_likeness
 from laci_stereo.core.association.late_senders import by_another_clock
 from laci_stereo.core.association.likelihood import MAX_GOOD_SIGMA, Account, hold_against, joined
+from laci_stereo.core.association.meetings import meeting_seeds
 from laci_stereo.core.association.motion import Motion, Seed, find_seeds, refit
 from laci_stereo.core.association.scene import Scene, Sender, extent, lay_out
 from laci_stereo.core.association.words import (
@@ -133,7 +134,7 @@ def choose_track(
     seeds = find_seeds(scene)
     if not seeds:
         raise TrackError(nothing_found(tracks, settings) + folding(vehicles) + lingering(scene))
-    hypotheses = _hypotheses(scene, seeds)
+    hypotheses = _hypotheses(scene, [*meeting_seeds(scene, seeds), *seeds])
     if not hypotheses:
         raise MatchError(no_fit(scene, seeds) + folding(vehicles) + lingering(scene) + towing(scene))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}

@@ -78,13 +78,7 @@ def find_seeds(scene: Scene) -> list[Seed]:
 def _seed(index: int, knots: Knots, sender: Sender, settings: MatchSettings) -> Seed | None:
     """Search the clock offset on a grid, then on finer ones around the best value."""
     knots = knots[evenly(len(knots), SEARCH_KNOTS)]
-    told = sender.table[sender.known, 2:4]
-    fastest_mps = max(float(np.linalg.norm(told, axis=1).max(initial=0.0)), 1.0)
-    limit_s = 3 * settings.clock_sigma_s
-    # A step moves the vehicle by less than its reach, most of which the fitted motion absorbs; the grid is then
-    # refined.
-    steps = math.ceil(limit_s * fastest_mps / (3 * settings.position_sigma_m))
-    offsets_s, step_s = np.linspace(-limit_s, limit_s, 2 * steps + 1), limit_s / max(steps, 1)
+    offsets_s, step_s = offset_steps(sender, settings)
     found: Seed | None = None
     for _ in range(4):
         found = _best_offset(index, knots, sender, offsets_s, settings)
@@ -92,6 +86,18 @@ def _seed(index: int, knots: Knots, sender: Sender, settings: MatchSettings) -> 
             break
         offsets_s, step_s = found.motion.offset_s + np.linspace(-step_s, step_s, 7), step_s / 3
     return found
+
+
+def offset_steps(sender: Sender, settings: MatchSettings) -> tuple[FloatArray, float]:
+    """Return a grid of clock offsets, and its step, s.
+
+    A step moves the vehicle by less than its reach, most of which the fitted motion absorbs.
+    """
+    told = sender.table[sender.known, 2:4]
+    fastest_mps = max(float(np.linalg.norm(told, axis=1).max(initial=0.0)), 1.0)
+    limit_s = 3 * settings.clock_sigma_s
+    steps = math.ceil(limit_s * fastest_mps / (3 * settings.position_sigma_m))
+    return np.linspace(-limit_s, limit_s, 2 * steps + 1), limit_s / max(steps, 1)
 
 
 def _best_offset(

@@ -14,6 +14,7 @@ from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.joint import JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import FloatArray, wrap
+from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
 
 FALSE_ALARM = 1e-3
@@ -89,7 +90,11 @@ class Together:
 
 
 def fit_together(
-    passages: Sequence[Passage], drives: Sequence[Evidence], alone: Sequence[JointFit], settings: JointSettings
+    passages: Sequence[Passage],
+    drives: Sequence[Evidence],
+    alone: Sequence[JointFit],
+    settings: JointSettings,
+    start: PlanarMatch | None = None,
 ) -> Together:
     """Return the joint estimate from all drives that agree.
 
@@ -101,6 +106,9 @@ def fit_together(
     alone : sequence of JointFit
         The estimate from each drive by itself.
     settings : JointSettings
+    start : PlanarMatch or None
+        A transform by which all drives are where they were seen, with their passages' clock offsets, to begin with;
+        None begins with the estimates by themselves.
 
     Raises
     ------
@@ -111,9 +119,10 @@ def fit_together(
     kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
     fit, uneven = alone[kept[0]], Estimates.of([alone[i] for i in kept])
     if len(kept) > 1:
-        offsets = [alone[i].time_offsets_s[0] for i in kept]
+        offsets = [alone[i].time_offsets_s[0] if start is None else passages[i].time_offset_s for i in kept]
         stations = [passages[i].station_id for i in kept]
-        fit = fit_jointly([drives[i] for i in kept], fit.match, offsets, settings, stations=stations, close=True)
+        begin, close = start or fit.match, start is None
+        fit = fit_jointly([drives[i] for i in kept], begin, offsets, settings, stations=stations, close=close)
         fit = replace(fit, covariance=uneven.excess * fit.covariance)
     used = tuple(replace(passages[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True))
     objections = [_left_behind(passages, kept, left_out)] if left_out else []

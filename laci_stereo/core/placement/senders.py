@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from laci_stereo.core.association.choice import Choice
+from laci_stereo.core.association.hypotheses import BOXES_S
 from laci_stereo.core.errors import CombineError, MatchError
 from laci_stereo.core.estimation.agreement import agreeing, fit_together
 from laci_stereo.core.estimation.evidence import Evidence, evidence_of
@@ -63,8 +66,11 @@ def place_jointly(
     registered, remarks, contradicting = _registered(own, drive, fit, others, settings)
     doubts += contradicting
     seen, drives, alone = zip(*registered, strict=True)
+    # Clock offsets that straight drives leave open differ by themselves, although the sensor has one clock.
+    moved_s = [each.time_offsets_s[0] - passage.time_offset_s for each, passage in zip(alone, seen, strict=True)]
+    start = own.match if np.ptp(moved_s) > BOXES_S else None
     try:
-        together = fit_together(seen, drives, alone, settings.joint)
+        together = fit_together(seen, drives, alone, settings.joint, start)
     except CombineError as error:
         doubts.append(f"only {own.name} was used: {error}{''.join(_late(own, other) for other in seen[1:])}")
         together = fit_together([own], [drive], [fit], settings.joint)

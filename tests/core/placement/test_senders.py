@@ -51,6 +51,17 @@ def test_clocks_that_nobody_knows_are_told_by_cars_that_meet() -> None:
     assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) < 0.05
 
 
+@pytest.mark.parametrize("late_s", [-0.6, 0.5])
+def test_clocks_that_are_far_off_are_told_by_cars_that_meet(late_s: float) -> None:
+    """By either car alone any offset is as good as any other."""
+    recording, logs, truth = meeting(late_s)
+    found = calibrate(recording, together(logs), UNKNOWN)
+    assert {each.station_id for each in found.passages} == {42, 43}
+    assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) < 0.05
+    assert found.drive.time_offset_s == pytest.approx(late_s, abs=3 * found.time_sigma_s)
+    assert found.time_sigma_s < 0.02
+
+
 def test_the_paper_knows_one_sender_alone() -> None:
     recording, logs, _ = meeting()
     assert calibrate(recording, together(logs), Settings(method="paper")).others == ()
