@@ -268,8 +268,8 @@ def _check_majority(grounds: _Grounds, kept: list[int], gone: list[int]) -> None
             one, other = sorted((i, j))
             raise CombineError(
                 f"the sensor was moved between the drives: in {grounds.names([other])} its "
-                f"{_off(grounds, [other], [one], grounds.names([one]))}, and the other drives agree with either; needed "
-                "is one more drive to tell which is wrong"
+                f"{_off(grounds, [other], [one], grounds.names([one]))}, and the other drives agree with either; "
+                "needed is one more drive to tell which is wrong"
             )
 
 
