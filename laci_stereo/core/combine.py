@@ -87,13 +87,13 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     """
     settings = _as_loose(settings or Settings(), passages)
     _check_alike(passages)
-    ground = merge_grounds(passages)
-    laid = along_ground([lay(passage, ground, passages[0].world) for passage in passages])
-    drives = [evidence_of(each.track, each.vehicle, ground.height_m) for each in laid]
+    merged = merge_grounds(passages)
+    laid = along_ground([lay(passages[i], merged.ground, passages[0].world) for i in merged.kept])
+    drives = [evidence_of(each.track, each.vehicle, merged.ground.height_m) for each in laid]
     together = fit_together(laid, drives, _fit_alone(laid, drives, settings), settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
-    placement = replace(placement, contradictions=(*placement.contradictions, *together.objections))
+    placement = replace(placement, contradictions=(*placement.contradictions, *merged.objections, *together.objections))
     calibration = conclude(together.passages, placement, settings)
     shares = (
         Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)

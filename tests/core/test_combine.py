@@ -126,7 +126,11 @@ def test_a_sensor_that_was_moved_between_the_drives_is_refused() -> None:
     ground = drives[0].ground
     higher = replace(drives[1], ground=replace(ground, height_m=ground.height_m + 0.2))
     with pytest.raises(CombineError, match=r"moved between the drives: in run 1 .*\+0\.2"):
-        combine([drives[0], higher, drives[2]])
+        combine([drives[0], higher])
+    found = combine([drives[0], higher, drives[2]]).calibration
+    assert {each.name for each in found.passages} == {"run 0", "run 2"}
+    assert found.quality.verdict == "warn"
+    assert any(reason.startswith("run 1 left out: ") and "height +0.2" in reason for reason in found.quality.reasons)
     c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
     tilted = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ ground.normal
     with pytest.raises(CombineError, match=r"in run 1 its tilt is (0\.9|1\.0)\d deg"):
