@@ -9,7 +9,7 @@ from pathlib import Path
 
 from laci_stereo.core.combine import Combined
 from laci_stereo.core.combine import combine as estimate
-from laci_stereo.core.errors import CombineError, EvidenceError
+from laci_stereo.core.errors import CombineError, EvidenceError, OutputError
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
@@ -100,11 +100,11 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
     passages = [passage for run, one in zip(runs, kept, strict=True) for passage in _named(str(run), one)]
     try:
         combined = estimate(passages, options.core)
-    except (CombineError, EvidenceError) as error:
+    except CombineError as error:
         names = list(dict.fromkeys(one.name for one in kept))
         if len(names) == 1:
             raise
-        raise type(error)(f"{error}; are these one sensor? They are named {listed(names)}") from error
+        raise CombineError(f"{error}; are these one sensor? They are named {listed(names)}") from error
     world = combined.calibration.world
     lane_map = None if options.lane_map is None else read_lane_map(options.lane_map, world, options.map_crs)
     files = [*paths, *([] if options.lane_map is None else [options.lane_map])]
@@ -118,8 +118,25 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
         T_sensor_rectified=kept[0].T_sensor_rectified,
     )
     skipped = tuple(map(str, combined.left_out))
-    read = f"{len(passages)} drives from {len(runs)} results, {len(skipped)} left out"
+    read = f"{_counted(passages, 'drive')} from {_counted(runs, 'result')}, {len(skipped)} left out"
     return Result(combined.calibration, Origin(provenance, read, lane_map, skipped))
+
+
+def _counted(what: Sequence[object], name: str) -> str:
+    return f"{len(what)} {name}" if len(what) == 1 else f"{len(what)} {name}s"
+
+
+def check_kept(runs: Sequence[Path | str], out: Path) -> None:
+    """Check that a result would not replace one of those that it is made from.
+
+    Raises
+    ------
+    OutputError
+    """
+    for run in runs:
+        folder = Path(run) if Path(run).is_dir() else Path(run).parent
+        if out.exists() and folder.exists() and out.samefile(folder):
+            raise OutputError(f"{out}: holds {run}, which is to be combined; needed is another --out")
 
 
 def _evidence_of(run: Path) -> Path:

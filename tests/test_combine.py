@@ -92,7 +92,10 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     assert document["quality"]["track_xy_sigma_m"] < min(found.quality.track_xy_sigma_m for _, found in recorded())
     assert cv2.imread(str(site.out / "topdown.png")) is not None
     refusal(run(site.arguments(runs), site.root), UNUSABLE, "holds a result already", "--overwrite")
-    again = run(site.arguments(["all"], "--overwrite", "--name", "mast 8", "-q"), site.root)
+    assert "needed is another --out" in run(site.arguments(["all"], "--overwrite"), site.root).err
+    assert site.document() == document
+    (site.root / "all").rename(site.root / "before")
+    again = run(site.arguments(["before"], "--overwrite", "--name", "mast 8", "-q"), site.root)
     assert (again.code, again.out, again.err) == (0, "", "")
     replaced = site.document()
     assert replaced["sensor"]["name"] == "mast 8"
