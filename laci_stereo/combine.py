@@ -7,17 +7,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from laci_stereo.core.combine import Combined
 from laci_stereo.core.combine import combine as estimate
-from laci_stereo.core.errors import CombineError, EvidenceError
+from laci_stereo.core.errors import CombineError, EvidenceError, OutputError
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.frames import Raster
+from laci_stereo.core.frames import Raster, planar
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.maps.lane_map import LaneMap, read_lane_map
 from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.io.result.evidence_file import Kept, read_evidence
+from laci_stereo.io.result.stored_calibration import read_calibration
 from laci_stereo.io.text_file import listed
 from laci_stereo.job import Result, sha256
 from laci_stereo.report.page import Photographs
@@ -97,14 +100,15 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
     paths = [_evidence_of(Path(run)) for run in runs]
     kept = [read_evidence(path) for path in paths]
     _check_kind(runs, kept)
+    failed = [str(run) for run, path, one in zip(runs, paths, kept, strict=True) if _failed(path, one)]
     passages = [passage for run, one in zip(runs, kept, strict=True) for passage in _named(str(run), one)]
     try:
         combined = estimate(passages, options.core)
-    except (CombineError, EvidenceError) as error:
+    except CombineError as error:
         names = list(dict.fromkeys(one.name for one in kept))
         if len(names) == 1:
             raise
-        raise type(error)(f"{error}; are these one sensor? They are named {listed(names)}") from error
+        raise CombineError(f"{error}; are these one sensor? They are named {listed(names)}") from error
     world = combined.calibration.world
     lane_map = None if options.lane_map is None else read_lane_map(options.lane_map, world, options.map_crs)
     files = [*paths, *([] if options.lane_map is None else [options.lane_map])]
@@ -114,12 +118,33 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
         frame=kept[0].frame,
         inputs={str(path): sha256(path) for path in files},
         config={**_read_as(paths[0]), **_config(combined, options)},
-        notes=(*map(str, combined.shares), *(lane_map.notes if lane_map is not None else ())),
+        notes=(
+            *map(str, combined.shares),
+            *(f"{run}: by itself, its verdict is fail" for run in failed),
+            *(lane_map.notes if lane_map is not None else ()),
+        ),
         T_sensor_rectified=kept[0].T_sensor_rectified,
     )
     skipped = tuple(map(str, combined.left_out))
-    read = f"{len(passages)} drives from {len(runs)} results, {len(skipped)} left out"
+    read = f"{_counted(passages, 'drive')} from {_counted(runs, 'result')}, {len(skipped)} left out"
     return Result(combined.calibration, Origin(provenance, read, lane_map, skipped))
+
+
+def _counted(what: Sequence[object], name: str) -> str:
+    return f"{len(what)} {name}" if len(what) == 1 else f"{len(what)} {name}s"
+
+
+def check_kept(runs: Sequence[Path | str], out: Path) -> None:
+    """Check that a result would not replace one of those that it is made from.
+
+    Raises
+    ------
+    OutputError
+    """
+    for run in runs:
+        folder = Path(run) if Path(run).is_dir() else Path(run).parent
+        if out.exists() and folder.exists() and out.samefile(folder):
+            raise OutputError(f"{out}: holds {run}, which is to be combined; needed is another --out")
 
 
 def _evidence_of(run: Path) -> Path:
@@ -132,6 +157,24 @@ def _evidence_of(run: Path) -> Path:
     if not (folder / EVIDENCE_FILE).exists():
         raise EvidenceError(f"{run}: no {EVIDENCE_FILE} is with it; needed is a result that keeps its evidence")
     return folder / EVIDENCE_FILE
+
+
+def _failed(evidence: Path, kept: Kept) -> bool:
+    """Tell whether the result beside its evidence has the verdict "fail"; one that was taken away has none.
+
+    Raises
+    ------
+    CalibrationFileError, EvidenceError
+        If it cannot be read, or the evidence is of another result.
+    """
+    path = evidence.with_name(RESULT_FILE)
+    if not path.is_file():
+        return False
+    stored, own = read_calibration(path), kept.passages[0]
+    T_world_sensor = planar(own.match.yaw_rad, own.match.shift) @ own.ground.T_level_sensor(own.axes)
+    if stored.world != own.world or not np.allclose(stored.T_world_sensor, T_world_sensor, rtol=0.0, atol=1e-6):
+        raise EvidenceError(f"{path}: places the sensor elsewhere than {EVIDENCE_FILE} beside it; needed is one result")
+    return stored.verdict == "fail"
 
 
 def _read_as(evidence: Path) -> dict[str, object]:

@@ -253,7 +253,7 @@ class Task(ABC):
             raise type(error)("; ".join((str(error), *objections))) from error
         if (task := self.again(found)) is not None:
             return task.run(watch)
-        found = replace(found, quality=found.quality.doubted(*self.doubts).failed(*self.failures))
+        found = found.doubted(*self.doubts).failed(*self.failures)
         lanes = self.check(found)
         return Result(found if lanes is None else beside_map(found, lanes.check), self, lanes)
 

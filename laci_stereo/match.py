@@ -116,8 +116,7 @@ class MatchTask(Task):
             raise type(error)("; ".join((str(error), *remarks, *seen.objections))) from error
         for remark in remarks:
             log.warning("%s", remark)
-        found = replace(found, found=(*found.found, *remarks), quality=found.quality.doubted(*seen.objections))
-        return _with_assumption(found)
+        return _with_assumption(replace(found, found=(*found.found, *remarks)).doubted(*seen.objections))
 
 
 def match(detections: Path | str, cam: Path | str, options: MatchOptions | None = None) -> Result:
@@ -206,12 +205,12 @@ def _with_assumption(calibration: Calibration) -> Calibration:
     sized = np.array([sighting.box.length_m > 0.0 for sighting in calibration.drive.track.sightings])
     if 2 * sized.sum() >= len(sized):
         return calibration
-    vehicle, quality = calibration.drive.vehicle, calibration.quality
+    vehicle = calibration.drive.vehicle
     reason = (
         "the detections have no size and are taken for the vehicle's centre; if they are on its near side, the "
         f"position is off by up to {np.hypot(vehicle.length_m, vehicle.width_m) / 2:.1f} m"
     )
-    return replace(calibration, quality=quality.doubted(reason))
+    return calibration.doubted(reason)
 
 
 def _check_ground(path: Path, no_height: str, boxes: DetectionLog, options: MatchOptions) -> Below | None:

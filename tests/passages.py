@@ -11,7 +11,7 @@ import numpy as np
 from laci_stereo.combine import Origin
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.frames import FloatArray, invert, transform
+from laci_stereo.core.frames import FloatArray, invert, planar, transform
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.result.calibration_file import Provenance
@@ -75,7 +75,14 @@ def ahead(passage: Passage, by_m: float) -> Passage:
 
 def with_passage(calibration: Calibration, passage: Passage) -> Calibration:
     """Return a result that keeps this drive."""
-    return replace(calibration, passages=(passage, *calibration.others))
+    T_level_sensor = passage.ground.T_level_sensor(passage.axes)
+    T_world_sensor = planar(passage.match.yaw_rad, passage.match.shift) @ T_level_sensor
+    return replace(
+        calibration,
+        passages=(passage, *calibration.others),
+        T_world_sensor=T_world_sensor,
+        T_level_sensor=T_level_sensor,
+    )
 
 
 def misplaced(found: Calibration) -> tuple[float, float]:

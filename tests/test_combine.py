@@ -92,7 +92,10 @@ def test_the_command_writes_a_whole_result(site: Site) -> None:
     assert document["quality"]["track_xy_sigma_m"] < min(found.quality.track_xy_sigma_m for _, found in recorded())
     assert cv2.imread(str(site.out / "topdown.png")) is not None
     refusal(run(site.arguments(runs), site.root), UNUSABLE, "holds a result already", "--overwrite")
-    again = run(site.arguments(["all"], "--overwrite", "--name", "mast 8", "-q"), site.root)
+    assert "needed is another --out" in run(site.arguments(["all"], "--overwrite"), site.root).err
+    assert site.document() == document
+    (site.root / "all").rename(site.root / "before")
+    again = run(site.arguments(["before"], "--overwrite", "--name", "mast 8", "-q"), site.root)
     assert (again.code, again.out, again.err) == (0, "", "")
     replaced = site.document()
     assert replaced["sensor"]["name"] == "mast 8"
@@ -200,3 +203,12 @@ def test_the_result_of_a_detector_is_kept_too(tmp_path: Path) -> None:
     again = combine([tmp_path / "radar"])
     assert again.calibration.T_utm_sensor == pytest.approx(found.calibration.T_utm_sensor, abs=1e-3)
     assert again.job.provenance.kind == "detections"
+
+
+def test_every_result_is_read_and_belongs_to_its_evidence(site: Site) -> None:
+    runs = [site.lay(0), site.lay(1)]
+    second = site.root / "run1" / "calibration.json"
+    second.write_bytes((site.root / "run0" / "calibration.json").read_bytes())
+    site.refused(UNUSABLE, runs, "run1/calibration.json: places the sensor elsewhere than evidence.npz")
+    second.write_text("{")
+    site.refused(UNUSABLE, runs, "run1/calibration.json is no JSON")

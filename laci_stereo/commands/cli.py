@@ -7,7 +7,7 @@ from typing import get_args
 
 import click
 
-from laci_stereo.combine import CombineOptions
+from laci_stereo.combine import CombineOptions, check_kept
 from laci_stereo.combine import combine as combine_runs
 from laci_stereo.commands.cam import cam as cam_command
 from laci_stereo.commands.check import check as check_command
@@ -203,6 +203,7 @@ def combine(
     """
     log_to_stderr(quiet=quiet, verbose=verbose)
     check_output(out, overwrite=overwrite)
+    check_kept(runs, out)
     core = Settings(quality=limits(max_sigma_m, max_sigma_deg))
     result = combine_runs(runs, CombineOptions(name=name, lane_map=lane_map, map_crs=map_crs, core=core))
     deliver(result, out, overwrite=overwrite, quiet=quiet)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -108,10 +108,26 @@ def locate(
         passages: tuple[Passage, ...] = (replace(own, time_offset_s=placement.time_offset_s),)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    ridden = ridden_doubts(choice, passages, tracks, placement)
-    doubts = (*doubts_of(choice), *ridden, *repeats_of(own.track, own.vehicle, own.time_offset_s))
+    ridden = ridden_doubts(choice, passages, tracks, placement.match)
+    repeats = repeats_of(own.track, own.vehicle, own.time_offset_s)
+    by_chance = (choice.doubt,) if choice.doubt else ()
+    named = (
+        f"{each.name}: {doubt}" if len(passages) > 1 else doubt
+        for each, doubts in zip(passages, ridden, strict=True)
+        for doubt in doubts
+    )
+    doubts = (*by_chance, *doubts_of(choice), *named, *repeats)
     placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
-    return conclude(passages, placement, settings)
+    kept = [
+        replace(each, objections=(*each.objections, *doubts)) for each, doubts in zip(passages, ridden, strict=True)
+    ]
+    kept = [_doubted(each, choice, repeats) if each.station_id == choice.station else each for each in kept]
+    return conclude(kept, placement, settings)
+
+
+def _doubted(passage: Passage, choice: Choice, repeats: Sequence[str]) -> Passage:
+    """Return the drive of the chosen sender with the objections to the choice, for estimates that cannot find them."""
+    return replace(passage, by_chance=choice.doubt, objections=(*passage.objections, *doubts_of(choice), *repeats))
 
 
 def _assumed(vehicles: Mapping[int, VehicleTrack]) -> str:

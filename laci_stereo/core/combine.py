@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -20,6 +20,12 @@ from laci_stereo.core.placement.place import place
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.threads import in_one_thread
+
+LANE_M = 3.0
+"""Least distance of a stranger from the sender for which it is taken: a lane's width, or a vehicle's length."""
+
+IN_VIEW_NS = 60_000_000_000
+"""Least time between two drives that are independent: within a minute, both may have mistaken the same stranger."""
 
 
 @dataclass(frozen=True)
@@ -90,16 +96,45 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     merged = merge_grounds(passages)
     laid = along_ground([lay(passages[i], merged.ground, passages[0].world) for i in merged.kept])
     drives = [evidence_of(each.track, each.vehicle, merged.ground.height_m) for each in laid]
-    together = fit_together(laid, drives, _fit_alone(laid, drives, settings), settings.joint)
+    alone = _fit_alone(laid, drives, settings)
+    together = fit_together(laid, drives, alone, settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
-    placement = replace(placement, contradictions=(*placement.contradictions, *merged.objections, *together.objections))
+    gone = {each.name for each in together.left_out}
+    fits = {each.name: fit for each, fit in zip(laid, alone, strict=True) if each.name not in gone}
+    objections = (*merged.objections, *together.objections, *_repeated(together.passages, fits))
+    placement = replace(placement, contradictions=(*placement.contradictions, *objections))
     calibration = conclude(together.passages, placement, settings)
     shares = (
         Share(each.name, each.station_id, len(each.track.sightings), each.time_offset_s, sigma_s)
         for each, sigma_s in zip(together.passages, together.fit.time_sigmas_s, strict=True)
     )
     return Combined(calibration, tuple(shares), together.left_out)
+
+
+def _repeated(passages: Sequence[Passage], alone: Mapping[str, JointFit]) -> list[str]:
+    """Return what was objected to drives when each was calibrated, unless others refute it; drives are named."""
+    drives: dict[str, list[str]] = {}
+    for one in passages:
+        refuted = any(_refutes(other, one, alone) for other in passages)
+        for objection in (*([one.by_chance] if one.by_chance and not refuted else []), *one.objections):
+            drives.setdefault(objection, []).append(one.name)
+    return [f"{', '.join(filter(None, names))}: {words}".removeprefix(": ") for words, names in drives.items()]
+
+
+def _refutes(other: Passage, one: Passage, alone: Mapping[str, JointFit]) -> bool:
+    """Tell whether another drive shows that the track of this one is no stranger's.
+
+    That is if it is of another time, and places the sensor nearer to where this one does than a stranger would.
+    """
+    (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
+    if max(begin_ns - last_ns, first_ns - end_ns) < IN_VIEW_NS:
+        return False
+    fit, its = alone[one.name], alone[other.name]
+    place = (fit.centre_level + its.centre_level) / 2.0
+    off_m = float(np.linalg.norm(fit.match(place[None])[0] - its.match(place[None])[0]))
+    covariance = (fit.covariance_about(place) + its.covariance_about(place))[1:, 1:]
+    return off_m + 3.0 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) < LANE_M
 
 
 def _as_loose(settings: Settings, passages: Sequence[Passage]) -> Settings:
@@ -126,6 +161,12 @@ def _check_alike(passages: Sequence[Passage]) -> None:
             )
     for one, other in combinations(passages, 2):
         (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
+        if one.station_id != other.station_id and _seen_apart_m(one, other) < _half_width_m(one, other):
+            raise EvidenceError(
+                f"{other.name}: is the same drive as {one.name}, or a part of it, under another station number "
+                f"({other.station_id} and {one.station_id}): at the same times its vehicle is seen at the same place; "
+                "needed is each drive once"
+            )
         if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
             both_s = (min(last_ns, end_ns) - max(first_ns, begin_ns)) / 1e9
             apart_m = _apart_m(one, other)
@@ -149,6 +190,21 @@ def _apart_m(one: Passage, other: Passage) -> float:
     both = (other_s[0] <= there_s) & (there_s <= other_s[-1])
     apart_m = np.linalg.norm(xy - between(there_s, other_s, other_xy), axis=1)[both]
     return float(np.median(apart_m)) if len(apart_m) else 0.0
+
+
+def _half_width_m(one: Passage, other: Passage) -> float:
+    return min(one.vehicle.width_m, other.vehicle.width_m) / 2.0
+
+
+def _seen_apart_m(one: Passage, other: Passage) -> float:
+    """Return the median distance between what is seen of two vehicles at the same times; infinite without any."""
+    there_s = one.track.stamps_s + (one.vehicle.epoch_ns - other.vehicle.epoch_ns) / 1e9
+    other_s = other.track.stamps_s
+    both = (other_s[0] <= there_s) & (there_s <= other_s[-1])
+    if not both.any():
+        return float("inf")
+    centres, others = one.track.centres[both], between(there_s[both], other_s, other.track.centres)
+    return float(np.median(np.linalg.norm(centres - others, axis=1)))
 
 
 def _in_words(passage: Passage) -> str:

@@ -104,6 +104,18 @@ class Calibration:
     nearer: Correction | None = None
     found: tuple[str, ...] = ()
 
+    def doubted(self, *reasons: str) -> Calibration:
+        """Return this result with objections to its recording; its drives keep them."""
+        return self._objected(reasons, self.quality.doubted(*reasons))
+
+    def failed(self, *reasons: str) -> Calibration:
+        """Return this result with reasons why its recording is spoilt; its drives keep them."""
+        return self._objected(reasons, self.quality.failed(*reasons))
+
+    def _objected(self, reasons: tuple[str, ...], quality: Quality) -> Calibration:
+        passages = (replace(each, objections=(*each.objections, *reasons)) for each in self.passages)
+        return replace(self, quality=quality, passages=tuple(passages))
+
     @property
     def drive(self) -> Passage:
         """The result's own drive."""

@@ -261,7 +261,9 @@ def test_in_one_recording_cars_that_meet_tell_the_clock_which_neither_does_alone
 def test_a_recording_s_clock_is_known_no_better_by_two_cars_that_follow_each_other() -> None:
     one, _, _ = met(0.03)
     passage = replace(one.passages[0], name="one")
+    behind_ns = passage.vehicle.epoch_ns + 3_000_000_000
     follower = replace(passage, name="other", station_id=passage.station_id + 1)
+    follower = replace(follower, vehicle=replace(follower.vehicle, epoch_ns=behind_ns))
     next_day = replace(follower, vehicle=replace(follower.vehicle, epoch_ns=follower.vehicle.epoch_ns + DAY_NS))
     together, apart = (combine([passage, each]).calibration.quality for each in (follower, next_day))
     assert together.track_xy_sigma_m == pytest.approx(one.quality.track_xy_sigma_m, rel=0.05)
@@ -288,3 +290,24 @@ def test_a_combined_result_can_be_combined_further() -> None:
     at_once = combined(0, 1, 2).calibration
     assert stepwise.T_utm_sensor == pytest.approx(at_once.T_utm_sensor, abs=5e-3)
     assert len(stepwise.passages) == 3
+
+
+def test_what_was_objected_to_a_drive_is_repeated_and_chance_is_refuted_by_a_drive_of_another_day() -> None:
+    one, other = passages()[:2]
+    doubted = replace(one, objections=("something rides along",), by_chance="it may be by chance")
+    alone = combine([doubted]).calibration.quality
+    assert alone.verdict == "warn"
+    assert {"run 0: something rides along", "run 0: it may be by chance"} <= set(alone.reasons)
+    both = combine([doubted, replace(other, objections=("something rides along",))]).calibration
+    assert "run 0, run 1: something rides along" in {
+        ", ".join(sorted(words.split(": ")[0].split(", "))) + ": " + words.split(": ")[1]
+        for words in both.quality.reasons
+    }
+    assert not any("by chance" in reason for reason in both.quality.reasons)
+    assert {each.by_chance for each in both.passages} == {"it may be by chance", ""}
+
+
+def test_one_vehicle_under_two_station_numbers_is_one_drive() -> None:
+    one = passages()[0]
+    with pytest.raises(EvidenceError, match=r"is the same drive as run 0.*under another station number"):
+        combine([one, replace(one, name="copy", station_id=777)])

@@ -47,6 +47,11 @@ class Passage:
         Name in messages to the user.
     body : VehicleTrack or None
         The track of the vehicle's body by the estimate; None where it was not estimated.
+    objections : tuple of str
+        Objections to its recording, or to the choice of its vehicle, that another estimate cannot find again.
+    by_chance : str
+        Objection: why the track may be a stranger's; empty where that is out of the question. Another drive that
+        agrees refutes it.
     """
 
     world: World
@@ -64,6 +69,8 @@ class Passage:
     turn: float = 0.0
     name: str = ""
     body: VehicleTrack | None = None
+    objections: tuple[str, ...] = ()
+    by_chance: str = ""
 
     @property
     def span_ns(self) -> tuple[int, int]:

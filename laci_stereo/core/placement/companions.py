@@ -7,27 +7,26 @@ from collections.abc import Sequence
 from laci_stereo.core.association.choice import Choice
 from laci_stereo.core.association.riders import ridden_frames
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.quality import Placement
+from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.tracking.tracks import Track
 
 
 def doubts_of(choice: Choice) -> tuple[str, ...]:
-    """Return the objections to the choice of the vehicle."""
-    doubts = [doubt for doubt in (choice.better, choice.doubt) if doubt]
-    if choice.beside:
-        doubts.append(_part_of_it(choice.beside))
-    return tuple(doubts)
+    """Return the objections to the choice of the vehicle, other than that it may be a stranger."""
+    return (*([choice.better] if choice.better else []), *([_part_of_it(choice.beside)] if choice.beside else []))
 
 
 def ridden_doubts(
-    choice: Choice, passages: Sequence[Passage], tracks: Sequence[Track], placement: Placement
-) -> tuple[str, ...]:
-    """Return objections where something moves along with a vehicle, unless `choice` has it; see `ridden_frames`."""
-    told = []
-    for each, frames in zip(passages, ridden_frames(passages, tracks, placement.match), strict=True):
-        if frames and not (choice.beside and each.station_id == choice.station):
-            told.append(f"{each.name}: {_part_of_it(frames)}" if len(passages) > 1 else _part_of_it(frames))
-    return tuple(told)
+    choice: Choice, passages: Sequence[Passage], tracks: Sequence[Track], match: PlanarMatch
+) -> list[tuple[str, ...]]:
+    """Return, for each drive, the objection that something moves along with its vehicle, unless `choice` has it.
+
+    See `ridden_frames`.
+    """
+    return [
+        (_part_of_it(frames),) if frames and not (choice.beside and each.station_id == choice.station) else ()
+        for each, frames in zip(passages, ridden_frames(passages, tracks, match), strict=True)
+    ]
 
 
 def _part_of_it(frames: int) -> str:

@@ -86,7 +86,11 @@ def place_jointly(
         remarks=(*placement.remarks, *remarks),
         contradictions=(*placement.contradictions, *doubts),
     )
-    return told, passages
+    kept = (
+        replace(each, objections=(*each.objections, *doubts)) if each.station_id == own.station_id else each
+        for each in passages
+    )
+    return told, tuple(kept)
 
 
 def _registered(

@@ -38,7 +38,7 @@ from laci_stereo.core.world import World
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-FORMAT = "laci-evidence/7"
+FORMAT = "laci-evidence/8"
 KINDS = ("stereo", "lidar", "detections")
 FLAWS: tuple[Flaw | None, ...] = (None, "cut", "far", "thin")
 
@@ -78,6 +78,8 @@ LAYOUT: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "points": ("f", ("points", 3)),
     "sigmas": ("f", ("points", 2)),  # along and across the line of sight
     "low": ("f", ("lows", 5)),  # x, y, z; along and across the line of sight
+    "objections": ("U", ("objections",)),
+    "by_chance": ("U", ()),  # empty: it is not
 }
 """The arrays of each drive: NumPy kind, and shape; dimensions with the same name have the same length."""
 
@@ -268,6 +270,8 @@ def _to_arrays(passage: Passage) -> Arrays:
         "points": np.concatenate([np.zeros((0, 3)), *(each.points for each in sightings)]).astype(np.float32),
         "sigmas": np.concatenate([np.zeros((0, 2)), *sigmas]).astype(np.float32),
         "low": np.concatenate([np.zeros((0, 5)), *low]).astype(np.float32),
+        "objections": np.array(passage.objections, dtype=np.str_),
+        "by_chance": np.array(passage.by_chance),
     }
 
 
@@ -339,6 +343,8 @@ def _passage(path: Path, arrays: Arrays, number: int) -> Passage:
         apart_sigma_s=apart_sigma_s,
         turn=float(found["turn"][1]),
         name=str(found["name"]),
+        objections=tuple(found["objections"].tolist()),
+        by_chance=str(found["by_chance"]),
     )
 
 

@@ -47,6 +47,8 @@ class StoredCalibration(Siting):
         The distance between the cameras that the user stated; None: that of the stereo calibration.
     turn_deg : tuple of float or None
         Rotation of the right camera since its calibration, see `StereoSettings.turn_deg`.
+    verdict : str or None
+        None where the result claims nothing.
     """
 
     path: Path
@@ -56,6 +58,7 @@ class StoredCalibration(Siting):
     rectified: bool
     baseline_m: float | None
     turn_deg: tuple[float, float, float] | None
+    verdict: str | None = None
 
     @property
     def claims(self) -> bool:
@@ -123,6 +126,7 @@ def _parsed(path: Path, document: Document) -> StoredCalibration:
         rectified=images.get("rectified") is True,
         baseline_m=float(baseline_m) if isinstance(baseline_m, int | float) else None,
         turn_deg=_turn_deg(images.get("turn_deg")),
+        verdict=None if document["quality"] is None else document["quality"]["verdict"],
     )
 
 
