@@ -126,7 +126,8 @@ def combine(runs: Sequence[Path | str], options: CombineOptions | None = None) -
         T_sensor_rectified=kept[0].T_sensor_rectified,
     )
     skipped = tuple(map(str, combined.left_out))
-    read = f"{_counted(passages, 'drive')} from {_counted(runs, 'result')}, {len(skipped)} left out"
+    left_out = len(passages) - len(combined.shares)
+    read = f"{_counted(passages, 'drive')} from {_counted(runs, 'result')}, {left_out} left out"
     return Result(combined.calibration, Origin(provenance, read, lane_map, skipped))
 
 

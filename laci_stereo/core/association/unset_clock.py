@@ -42,7 +42,7 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> A
     if other is None or not clearly or abs(other.time_offset_s) < least_s:
         return None
     seen = _together(other)
-    stations = " and ".join(str(each) for each in seen)
+    stations = " and ".join(str(each) for each in sorted(seen))
     who, whose = (f"station {stations}", "its") if len(seen) == 1 else (f"stations {stations}", "their")
     return Alternative(
         other,

@@ -69,9 +69,11 @@ def remarks_on(fit: JointFit, drives: Sequence[Evidence], names: Sequence[str], 
         "receiver with carrier-phase corrections; with another the result is as far off as its positions: "
         "give --cam-sigma"
     )
-    for name, drive in zip(names, drives, strict=True):
-        if not np.isfinite(drive.vehicle.position_sigma_m):
-            found += _named(name, [assumed])
+    silent = [
+        name for name, drive in zip(names, drives, strict=True) if not np.isfinite(drive.vehicle.position_sigma_m)
+    ]
+    if silent:
+        found += _named("" if len(silent) == len(drives) else ", ".join(silent), [assumed])
     return found
 
 

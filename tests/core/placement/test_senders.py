@@ -125,7 +125,7 @@ def test_the_sensors_clock_is_told_by_a_second_sender_that_turns(late_s: float) 
     assert np.linalg.norm(found.T_utm_sensor[:2, 3] - truth) > 1.0
     assert found.quality.verdict == "warn"
     (told,) = re.findall(
-        r"with the clocks (\d\.\d\d) s apart, stations 43 and 42 would match their messages: --clock ",
+        r"with the clocks (\d\.\d\d) s apart, stations 42 and 43 would match their messages: --clock ",
         "\n".join(found.quality.reasons),
     )
     assert float(told) == pytest.approx(abs(late_s), abs=0.05)
@@ -143,7 +143,7 @@ def test_of_a_clock_that_is_set_nothing_is_said() -> None:
 
 def test_senders_of_which_none_is_likelier_are_refused_with_the_clock_that_suits_both() -> None:
     recording, logs, _ = meeting(0.2, turning(-3.0))
-    with pytest.raises(MatchError, match=r"fit equally well .*; with the clocks 0\.1\d s apart, stations 43 and 42 "):
+    with pytest.raises(MatchError, match=r"fit equally well .*; with the clocks 0\.1\d s apart, stations 42 and 43 "):
         calibrate(recording, together(logs))
 
 
