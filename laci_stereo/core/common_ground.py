@@ -13,8 +13,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from laci_stereo.core.errors import CombineError
-from laci_stereo.core.estimation.agreement import weighted_mean
-from laci_stereo.core.estimation.passage import Passage
+from laci_stereo.core.estimation.consensus import Estimates
+from laci_stereo.core.estimation.passage import Passage, utc
 from laci_stereo.core.frames import FloatArray, invert, planar
 from laci_stereo.core.ground.merge import Chart
 from laci_stereo.core.ground.plane import GroundPlane
@@ -70,9 +70,8 @@ def merge_grounds(passages: Sequence[Passage]) -> MergedGround:
     """Return the mean of the grounds of several drives, weighted by their inverse covariances.
 
     The road and the sensor are the same each time, so the errors of the drives are fully correlated: the information is
-    the mean of theirs, not the sum. Grounds that differ by more than they claim are not as good as they claim: the
-    covariance is multiplied by their chi-square per degree of freedom where that exceeds one (Birge 1932, "The
-    calculation of errors by the method of least squares"). Drives with one and the same ground are of one recording or
+    the mean of theirs, not the sum. Grounds that differ by more than they claim are not as good as they claim, see
+    `Estimates.excess`. Drives with one and the same ground are of one recording or
     of one earlier result, and have one vote.
 
     Raises
@@ -87,11 +86,10 @@ def merge_grounds(passages: Sequence[Passage]) -> MergedGround:
     planes = [passages[numbers[0]].ground for numbers in drives]
     sway = np.diag([SWAY_RAD, SWAY_RAD, GROWTH_M]) ** 2
     covariances = np.array([chart.covariance(plane) + sway for plane in planes])
-    grounds = _Grounds(passages, drives, chart.values(planes), covariances)
+    grounds = _Grounds(chart.values(planes), covariances, passages, drives)
     kept, objections = _one_ground(grounds)
-    mean, covariance = weighted_mean(grounds.values[kept], covariances[kept])
-    growth = max(1.0, grounds.chi_square(kept) / _freedom(kept)) if len(kept) > 1 else 1.0
-    merged = chart.plane(mean, growth * len(kept) * covariance)
+    mean, covariance = grounds.mean(kept)
+    merged = chart.plane(mean, grounds.excess(kept) * len(kept) * covariance)
     return MergedGround(merged, tuple(sorted(i for each in kept for i in drives[each])), objections)
 
 
@@ -106,7 +104,7 @@ def _by_ground(passages: Sequence[Passage]) -> list[tuple[int, ...]]:
 
 
 @dataclass(frozen=True)
-class _Grounds:
+class _Grounds(Estimates):
     """Different grounds in one chart.
 
     Attributes
@@ -114,30 +112,10 @@ class _Grounds:
     passages : sequence of Passage
     drives : sequence of tuple of int
         Those with each ground.
-    values : ndarray, shape (n, 3)
-    covariances : ndarray, shape (n, 3, 3)
     """
 
     passages: Sequence[Passage]
     drives: Sequence[tuple[int, ...]]
-    values: FloatArray
-    covariances: FloatArray
-
-    def chi_square(self, chosen: Sequence[int]) -> float:
-        """Return the sum of the squared Mahalanobis distances of some grounds from their mean."""
-        off = self.values[chosen] - self._mean(list(chosen))[0]
-        return float(np.einsum("ni,nij,nj->", off, np.linalg.inv(self.covariances[chosen]), off))
-
-    def distances(self, chosen: Sequence[int]) -> FloatArray:
-        """Return the Mahalanobis distance of each of some grounds from all the others together."""
-        return np.array([self.apart([i], [j for j in chosen if j != i])[1] for i in chosen])
-
-    def apart(self, some: Sequence[int], others: Sequence[int]) -> tuple[FloatArray, float]:
-        """Return the difference of some grounds from others, shape (3,), and its Mahalanobis distance."""
-        mean, covariance = self._mean(some)
-        reference, doubt = self._mean(others)
-        off = mean - reference
-        return off, float(np.sqrt(off @ np.linalg.solve(covariance + doubt, off)))
 
     def chance(self, chosen: Sequence[int]) -> float:
         """Return an upper bound of the probability that grounds with correct covariances differ by as much.
@@ -145,10 +123,8 @@ class _Grounds:
         Tested are all of them together, and each one against the others and the earlier against the later ones: many
         that differ little do not hide one that differs much, or a step. Both, and each of these, count (Bonferroni).
         """
-        if len(chosen) == 1:
-            return 1.0
-        together = float(chdtrc(_freedom(chosen), self.chi_square(chosen)))
-        if len(chosen) == 2:
+        together = super().chance(chosen)
+        if len(chosen) <= 2:
             return together
         steps = [self.apart(*halves)[1] for halves in self.halves(chosen)]
         contrasts = np.append(self.distances(chosen), steps)
@@ -183,17 +159,10 @@ class _Grounds:
         drives = self.of(chosen)
         return drives[0].name if len(drives) == 1 else f"the {len(drives)} other drives"
 
-    def _mean(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        return weighted_mean(self.values[chosen], self.covariances[chosen])
-
-
-def _freedom(chosen: Sequence[int]) -> int:
-    return 3 * (len(chosen) - 1)
-
 
 def _one_ground(grounds: _Grounds) -> tuple[list[int], tuple[str, ...]]:
     """Return the grounds to be taken for one, and what is to be said against it."""
-    everyone = list(range(len(grounds.values)))
+    everyone = list(range(len(grounds)))
     chance = grounds.chance(everyone)
     if chance >= CONTRADICTION_RATE:
         return everyone, ()
@@ -224,7 +193,7 @@ def _one_ground(grounds: _Grounds) -> tuple[list[int], tuple[str, ...]]:
 
 def _vote(grounds: _Grounds) -> tuple[list[int], list[int]]:
     """Return grounds that agree, and the rest: the farthest one is taken away until the others agree."""
-    kept = everyone = list(range(len(grounds.values)))
+    kept = everyone = list(range(len(grounds)))
     while not grounds.agree(kept):
         farthest = kept[int(grounds.distances(kept).argmax())]
         kept = [i for i in kept if i != farthest]
@@ -249,7 +218,7 @@ def _moved(grounds: _Grounds, kept: list[int], gone: list[int]) -> tuple[list[in
             if grounds.last_ns(early) < grounds.first_ns(late):
                 return early, late
     least, found = grounds.chi_square(kept) + 2.0 * 3.0 * (len(gone) - 1), None
-    for early, late in grounds.halves(range(len(grounds.values))):
+    for early, late in grounds.halves(range(len(grounds))):
         chi_square = grounds.chi_square(early) + grounds.chi_square(late)
         if chi_square < least and grounds.agree(early) and grounds.agree(late):
             least, found = chi_square, (early, late)
@@ -258,7 +227,7 @@ def _moved(grounds: _Grounds, kept: list[int], gone: list[int]) -> tuple[list[in
 
 def _check_majority(grounds: _Grounds, kept: list[int], gone: list[int]) -> None:
     """Raise if nothing shows that those left out are wrong."""
-    if 2 * len(kept) <= len(grounds.values):
+    if 2 * len(kept) <= len(grounds):
         raise CombineError(
             f"the sensor was moved between the drives: in {grounds.names(gone)} its "
             f"{_off(grounds, gone, kept, grounds.names(kept))}; needed are grounds that agree to {GROUND_GATE:g} sigma"
@@ -280,11 +249,7 @@ def _off(grounds: _Grounds, some: list[int], others: list[int], named: str) -> s
 
 
 def _between(grounds: _Grounds, early: list[int], late: list[int]) -> str:
-    return f"{_utc(grounds.last_ns(early))} and {_utc(grounds.first_ns(late))} UTC"
-
-
-def _utc(unix_ns: int) -> str:
-    return str(np.datetime_as_string(np.datetime64(unix_ns, "ns"), unit="s")).replace("T", " ")
+    return f"{utc(grounds.last_ns(early))} and {utc(grounds.first_ns(late))} UTC"
 
 
 def lay(passage: Passage, ground: GroundPlane, world: World) -> Passage:

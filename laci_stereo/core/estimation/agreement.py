@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 from laci_stereo.core.errors import CombineError
+from laci_stereo.core.estimation.consensus import Estimates
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.joint import JointFit, fit_jointly
-from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.frames import FloatArray, wrap
+from laci_stereo.core.estimation.passage import Passage, utc
+from laci_stereo.core.frames import wrap
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
 
@@ -117,16 +118,16 @@ def fit_together(
     """
     kept, left_out = agreeing([passage.name for passage in passages], alone)
     kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
-    fit, uneven = alone[kept[0]], Estimates.of([alone[i] for i in kept])
+    fit, estimates = alone[kept[0]], estimates_of(alone)
     if len(kept) > 1:
         offsets = [alone[i].time_offsets_s[0] if start is None else passages[i].time_offset_s for i in kept]
         stations = [passages[i].station_id for i in kept]
         begin, close = start or fit.match, start is None
         fit = fit_jointly([drives[i] for i in kept], begin, offsets, settings, stations=stations, close=close)
-        fit = replace(fit, covariance=uneven.excess * fit.covariance)
+        fit = replace(fit, covariance=estimates.excess(kept) * fit.covariance)
     used = tuple(replace(passages[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True))
     objections = [_left_behind(passages, kept, left_out)] if left_out else []
-    if (chance := uneven.chance) < UNEVEN:
+    if (chance := estimates.chance(kept)) < UNEVEN:
         objections.append(
             f"the {len(kept)} drives differ by more than their uncertainties, as by chance in {chance:.1%} of cases: "
             "messages or clocks of some may be wrong"
@@ -145,8 +146,8 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
     """
     if all_agree(alone):
         return list(range(len(alone))), ()
-    estimates = Estimates.of(alone)
-    groups = sorted(_groups(estimates), key=estimates.cost)
+    estimates = estimates_of(alone)
+    groups = sorted(_groups(estimates), key=lambda group: _cost(estimates, group))
     kept = groups[0]
     gone = [i for i in range(len(alone)) if i not in kept]
     found = tuple(_left_out(names[i], i, kept, estimates) for i in gone)
@@ -159,7 +160,7 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
         )
     for i, j in product(gone, kept):
         swapped = [i if k == j else k for k in kept]
-        if estimates.agree(swapped):
+        if _agree(estimates, swapped):
             raise CombineError(
                 f"{names[i]} and {names[j]} contradict each other, and the other drives agree with either; needed is "
                 "one more drive to tell which is wrong"
@@ -167,8 +168,8 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
     for rivals in groups[1:]:
         ours, theirs = sorted(set(kept) - set(rivals)), sorted(set(rivals) - set(kept))
         many = len(theirs) >= max(LEAST_RIVALS, RIVAL_SHARE * len(ours))
-        if many or (theirs and estimates.cost(rivals) < estimates.cost(kept) + LEAST_LOG_ODDS):
-            shift_m, turn_deg = estimates.between(theirs, ours)
+        if many or (theirs and _cost(estimates, rivals) < _cost(estimates, kept) + LEAST_LOG_ODDS):
+            shift_m, turn_deg = _between(estimates, theirs, ours)
             either = "; or ".join(", ".join(names[i] for i in group) for group in (ours, theirs))
             raise CombineError(
                 f"the drives agree in two groups, {shift_m:.2f} m and {turn_deg:.2f} deg apart: {either}; needed are "
@@ -188,87 +189,35 @@ def _left_behind(passages: Sequence[Passage], kept: Sequence[int], left_out: Seq
         if last_ns < first_ns:
             return (
                 f"{words}, all {'later' if after is gone else 'earlier'} than those: if the sensor was moved between "
-                f"{_utc(last_ns)} and {_utc(first_ns)} UTC, the result is of the time {result_is}"
+                f"{utc(last_ns)} and {utc(first_ns)} UTC, the result is of the time {result_is}"
             )
     return words
 
 
-def _utc(time_ns: int) -> str:
-    return str(np.datetime64(time_ns, "ns").astype("datetime64[m]")).replace("T", " ")
-
-
 def all_agree(alone: Sequence[JointFit]) -> bool:
     """Tell whether none of several drives contradicts the others, and they differ no more than they should."""
-    return Estimates.of(alone).agree(range(len(alone)))
+    return _agree(estimates_of(alone), range(len(alone)))
 
 
-@dataclass(frozen=True)
-class Estimates:
-    """Yaw, x and y by each drive alone, shape (n, 3), in the middle of all drives, and their covariances."""
+def estimates_of(alone: Sequence[JointFit]) -> Estimates:
+    """Return yaw, x and y by each drive alone, in the middle of all drives."""
+    place = np.mean([fit.centre_level for fit in alone], axis=0)
+    first = alone[0].match.yaw_rad
+    values = [[first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]] for fit in alone]
+    return Estimates(np.array(values), np.array([fit.covariance_about(place) for fit in alone]))
 
-    values: FloatArray
-    covariances: FloatArray
 
-    @staticmethod
-    def of(alone: Sequence[JointFit]) -> Estimates:
-        """Return them from the estimate of each drive."""
-        place = np.mean([fit.centre_level for fit in alone], axis=0)
-        first = alone[0].match.yaw_rad
-        values = [[first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]] for fit in alone]
-        return Estimates(np.array(values), np.array([fit.covariance_about(place) for fit in alone]))
+def _agree(estimates: Estimates, chosen: Sequence[int]) -> bool:
+    """Tell whether none of the chosen is far from the others, nor all of them together are too far apart."""
+    if len(chosen) < 2:
+        return True
+    return estimates.chance(chosen) >= FALSE_ALARM and estimates.distances(chosen).max() <= _gate(len(chosen))
 
-    def agree(self, chosen: Sequence[int]) -> bool:
-        """Tell whether none of the chosen is far from the others, nor all of them together are too far apart."""
-        if len(chosen) < 2:
-            return True
-        if self.chi_square(chosen) > chdtri(self.freedom(len(chosen)), FALSE_ALARM):
-            return False
-        return max(self.distance(i, [j for j in chosen if j != i]) for i in chosen) <= _gate(len(chosen))
 
-    @staticmethod
-    def freedom(count: int) -> int:
-        """Return the degrees of freedom of the chi-square of so many drives."""
-        return 3 * (count - 1)
-
-    @property
-    def excess(self) -> float:
-        """By how much the variance among all drives exceeds what their covariances say; at least 1.
-
-        It is the square of Birge's ratio (Birge 1932, Phys. Rev. 40, 207).
-        """
-        count = len(self.values)
-        return max(1.0, self.chi_square(range(count)) / max(self.freedom(count), 1))
-
-    @property
-    def chance(self) -> float:
-        """Probability that all drives differ by as much by chance."""
-        count = len(self.values)
-        return float(chdtrc(self.freedom(count), self.chi_square(range(count)))) if count > 1 else 1.0
-
-    def mean(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the weighted mean of the chosen, and its covariance."""
-        return weighted_mean(self.values[list(chosen)], self.covariances[list(chosen)])
-
-    def chi_square(self, chosen: Sequence[int]) -> float:
-        """Return the sum of the squared distances from the weighted mean."""
-        off = self.values[list(chosen)] - self.mean(chosen)[0]
-        return float(np.einsum("ni,ni", off, np.linalg.solve(self.covariances[list(chosen)], off[..., None])[..., 0]))
-
-    def cost(self, group: Sequence[int]) -> float:
-        """Return the negative log-likelihood of the group, if a drive that is left out costs as much as the gate."""
-        count = len(self.values)
-        return self.chi_square(group) / 2.0 + (count - len(group)) * _gate(count) ** 2 / 2.0
-
-    def distance(self, one: int, others: Sequence[int]) -> float:
-        """Return the Mahalanobis distance of one from all the others together."""
-        mean, covariance = self.mean(others)
-        off = self.values[one] - mean
-        return float(np.sqrt(off @ np.linalg.solve(covariance + self.covariances[one], off)))
-
-    def between(self, some: Sequence[int], others: Sequence[int]) -> tuple[float, float]:
-        """Return the differences in position, metres, and yaw, degrees, between the means of two groups."""
-        off = self.mean(some)[0] - self.mean(others)[0]
-        return float(np.hypot(*off[1:])), float(np.degrees(abs(off[0])))
+def _cost(estimates: Estimates, group: Sequence[int]) -> float:
+    """Return the negative log-likelihood of a group, if a drive that is left out costs as much as the gate."""
+    left_out = len(estimates) - len(group)
+    return estimates.chi_square(group) / 2.0 + left_out * _gate(len(estimates)) ** 2 / 2.0
 
 
 def _groups(estimates: Estimates) -> list[list[int]]:
@@ -277,12 +226,12 @@ def _groups(estimates: Estimates) -> list[list[int]]:
     A group takes in the nearest of the others, as long as all agree. Beginning with all of them and leaving out the
     worst, many vague drives would be drawn to a few sharp ones that are wrong.
     """
-    count = len(estimates.values)
+    count = len(estimates)
     groups = set()
     for first in range(count):
         group = [first]
-        for other in sorted(set(range(count)) - {first}, key=lambda i: estimates.distance(i, [first])):
-            if estimates.agree([*group, other]):
+        for other in sorted(set(range(count)) - {first}, key=lambda i: estimates.apart([i], [first])[1]):
+            if _agree(estimates, [*group, other]):
                 group.append(other)
         groups.add(tuple(sorted(group)))
     return [list(group) for group in sorted(groups)]
@@ -294,12 +243,10 @@ def _gate(count: int) -> float:
 
 
 def _left_out(name: str, one: int, kept: Sequence[int], estimates: Estimates) -> LeftOut:
-    return LeftOut(name, *estimates.between([one], kept), estimates.distance(one, kept), len(kept))
+    return LeftOut(name, *_between(estimates, [one], kept), estimates.apart([one], kept)[1], len(kept))
 
 
-def weighted_mean(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of independent estimates, shape (n, 3), weighted by their information, and its covariance."""
-    information = np.linalg.inv(covariances)
-    covariance: FloatArray = np.linalg.inv(information.sum(axis=0))
-    mean: FloatArray = covariance @ np.einsum("nij,nj->i", information, values)
-    return mean, covariance
+def _between(estimates: Estimates, some: Sequence[int], others: Sequence[int]) -> tuple[float, float]:
+    """Return the differences in position, metres, and yaw, degrees, between the means of two groups."""
+    off, _ = estimates.apart(some, others)
+    return float(np.hypot(*off[1:])), float(np.degrees(abs(off[0])))

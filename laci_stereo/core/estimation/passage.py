@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from laci_stereo.core.frames import Axes
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.matching import PlanarMatch
@@ -77,3 +79,8 @@ class Passage:
         """Unix times of the first and the last sighting, nanoseconds."""
         first, last = (self.track.sightings[i].stamp_s for i in (0, -1))
         return self.vehicle.epoch_ns + round(1e9 * first), self.vehicle.epoch_ns + round(1e9 * last)
+
+
+def utc(unix_ns: int) -> str:
+    """Return a Unix time, nanoseconds, as a date and a time of day in UTC, to the second."""
+    return str(np.datetime_as_string(np.datetime64(unix_ns, "ns"), unit="s")).replace("T", " ")
