@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from laci_stereo.core.association.choice import Choice, Other
 from laci_stereo.core.association.pieces import whole
-from laci_stereo.core.association.repeated_frames import repeats_of
 from laci_stereo.core.association.vehicle_choice import choose_vehicle
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
@@ -20,7 +19,7 @@ from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.placement.by_paper import place_by_paper
-from laci_stereo.core.placement.companions import doubts_of, ridden_doubts
+from laci_stereo.core.placement.objections import objected
 from laci_stereo.core.placement.senders import place_jointly
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -108,26 +107,9 @@ def locate(
         passages: tuple[Passage, ...] = (replace(own, time_offset_s=placement.time_offset_s),)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    ridden = ridden_doubts(choice, passages, tracks, placement.match)
-    repeats = repeats_of(own.track, own.vehicle, own.time_offset_s)
-    by_chance = (choice.doubt,) if choice.doubt else ()
-    named = (
-        f"{each.name}: {doubt}" if len(passages) > 1 else doubt
-        for each, doubts in zip(passages, ridden, strict=True)
-        for doubt in doubts
-    )
-    doubts = (*by_chance, *doubts_of(choice), *named, *repeats)
-    placement = replace(placement, contradictions=(*placement.contradictions, *doubts))
-    kept = [
-        replace(each, objections=(*each.objections, *doubts)) for each, doubts in zip(passages, ridden, strict=True)
-    ]
-    kept = [_doubted(each, choice, repeats) if each.station_id == choice.station else each for each in kept]
+    kept, objections = objected(passages, own, choice, tracks, placement.match)
+    placement = replace(placement, contradictions=(*placement.contradictions, *objections))
     return conclude(kept, placement, settings)
-
-
-def _doubted(passage: Passage, choice: Choice, repeats: Sequence[str]) -> Passage:
-    """Return the drive of the chosen sender with the objections to the choice, for estimates that cannot find them."""
-    return replace(passage, by_chance=choice.doubt, objections=(*passage.objections, *doubts_of(choice), *repeats))
 
 
 def _assumed(vehicles: Mapping[int, VehicleTrack]) -> str:

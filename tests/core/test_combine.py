@@ -87,9 +87,9 @@ def test_a_drive_whose_messages_are_a_metre_off_is_named_and_left_out(wrong: int
     assert f"run {wrong} left out" in str(found.left_out[0])
     quality = found.calibration.quality
     assert quality.verdict == "warn"
-    (reason,) = (reason for reason in quality.reasons if "1 of 3 drives contradict the others" in reason)
+    (reason,) = (reason for reason in quality.reasons if "1 of 3 drives contradicts the others" in reason)
     # The drives are of successive days: the first or the last is another one if the sensor was moved.
-    when = {0: "all earlier than those", 1: "were left out", 2: "all later than those"}[wrong]
+    when = {0: "all earlier than those", 1: "was left out", 2: "all later than those"}[wrong]
     assert when in reason
     assert ("if the sensor was moved between 20" in reason) == (wrong != 1)
     without = combined(*(number for number in range(3) if number != wrong))

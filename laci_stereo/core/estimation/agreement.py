@@ -183,7 +183,8 @@ def _left_behind(passages: Sequence[Passage], kept: Sequence[int], left_out: Seq
     names = {each.name for each in left_out}
     gone = [passage.span_ns for passage in passages if passage.name in names]
     used = [passages[i].span_ns for i in kept]
-    words = f"{len(gone)} of {len(passages)} drives contradict the others and were left out"
+    contradict = "contradicts the others and was" if len(gone) == 1 else "contradict the others and were"
+    words = f"{len(gone)} of {len(passages)} drives {contradict} left out"
     for before, after, result_is in ((used, gone, "before that"), (gone, used, "after it")):
         last_ns, first_ns = max(end_ns for _, end_ns in before), min(begin_ns for begin_ns, _ in after)
         if last_ns < first_ns:

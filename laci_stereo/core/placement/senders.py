@@ -15,8 +15,8 @@ from laci_stereo.core.estimation.evidence import Evidence, evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.estimation.split_check import compare_halves, with_doubt
-from laci_stereo.core.placement.companions import besides
 from laci_stereo.core.placement.findings import against_messages
+from laci_stereo.core.placement.objections import besides
 from laci_stereo.core.placement.place import check_registered, place
 from laci_stereo.core.placement.seen_length import seen_length, seen_lengths, with_doubt_along
 from laci_stereo.core.quality import Placement
