@@ -130,6 +130,24 @@ def test_the_verdict_is_by_the_limits_that_are_asked_for(site: Site, times: floa
 
 
 @pytest.mark.slow
+def test_a_result_that_fails_and_what_was_objected_to_it_are_not_forgotten(site: Site) -> None:
+    doubted = replace(passages()[1], objections=("the box is a dog's",), by_chance="it may be a stranger's")
+    runs = [site.lay(0), site.lay(1, doubted)]
+    assert run(site.arguments(runs[:1], "--max-sigma-m", "0.0001"), site.root).code == NOT_CALIBRATED
+    (site.root / "all").rename(site.root / "failed")
+    alone = run(site.arguments([runs[1]]), site.root)
+    for objection in ("the box is a dog's", "it may be a stranger's"):
+        assert objection in alone.out
+    ran = run(site.arguments(["failed", runs[1]], "--overwrite"), site.root)
+    assert ran.code == 0, ran
+    assert "note: failed: by itself, its verdict is fail" in ran.err.splitlines()
+    # Another drive shows that it is no stranger, but not what the box is of.
+    quality = site.document()["quality"]
+    assert quality["verdict"] == "warn"
+    assert "run1: the box is a dog's" in quality["reasons"]
+    assert not any("stranger" in reason for reason in quality["reasons"])
+
+
 def test_what_cannot_be_combined_is_refused(site: Site) -> None:
     runs = [site.lay(0), site.lay(1, off_by(passages()[1], 1.0, 0.0))]
     site.refused(NOT_CALIBRATED, runs, "not calibrated: no majority of the 2 drives (run0, run1)")
