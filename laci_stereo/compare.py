@@ -11,8 +11,8 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
 from laci_stereo.core.errors import CalibrationFileError
+from laci_stereo.core.estimation.passage import Passage, utc
 from laci_stereo.core.frames import FloatArray, invert, planar, rotate_xy, transform, wrap
 from laci_stereo.io.output import EVIDENCE_FILE
 from laci_stereo.io.result.evidence_file import read_evidence
@@ -78,6 +79,8 @@ class Comparison:
     chi_square, probability : float
         Chi-square of all six parameters under both covariances, and the probability that results with correct
         covariances differ by at least as much; NaN where one has no covariance.
+    shared : tuple of str
+        The drives from which both were estimated, in words: by these they agree, right or wrong.
     """
 
     first: str
@@ -85,6 +88,7 @@ class Comparison:
     differences: tuple[Difference, ...]
     chi_square: float
     probability: float
+    shared: tuple[str, ...] = ()
 
     @property
     def outcome(self) -> Outcome:
@@ -119,9 +123,12 @@ def compare(results: Sequence[Path | str], *, renamed: bool = False) -> tuple[Co
                 f"{other.path}: the sensor's name is {other.name!r}; needed is {stored[0].name!r} as in "
                 f"{stored[0].path}, or --renamed if it is the same sensor"
             )
-    tracks = [_track_of(one) for one in stored]
+    drives = [_drives_of(one) for one in stored]
+    tracks = [_track_of(*each) for each in zip(stored, drives, strict=True)]
+    pairs = combinations(range(len(stored)), 2)
     return tuple(
-        compare_two(stored[i], stored[j], tracks[i], tracks[j]) for i, j in combinations(range(len(stored)), 2)
+        replace(compare_two(stored[i], stored[j], tracks[i], tracks[j]), shared=_shared(drives[i], drives[j]))
+        for i, j in pairs
     )
 
 
@@ -161,12 +168,27 @@ def _world_in(other: StoredCalibration, one: StoredCalibration) -> FloatArray:
     return planar(turn_rad, (one.world.from_geodetic(latitude_deg, longitude_deg) - rotate_xy(turn_rad, place))[0])
 
 
-def _track_of(stored: StoredCalibration) -> FloatArray:
-    """Return where the vehicles were seen, world, shape (n, 2): only the middle of that where no evidence is kept."""
+def _drives_of(stored: StoredCalibration) -> tuple[Passage, ...]:
+    """Return the drives that a result was estimated from; empty where no evidence is kept."""
     evidence = stored.path.parent / EVIDENCE_FILE
-    if not evidence.exists():
+    return read_evidence(evidence).passages if evidence.exists() else ()
+
+
+def _track_of(stored: StoredCalibration, drives: Sequence[Passage]) -> FloatArray:
+    """Return where the vehicles were seen, world, shape (n, 2): only the middle of that where no evidence is kept."""
+    if not drives:
         return stored.centre_world[None, :2]
-    return np.concatenate([passage.match(passage.track.centres) for passage in read_evidence(evidence).passages])
+    return np.concatenate([drive.match(drive.track.centres) for drive in drives])
+
+
+def _shared(some: Sequence[Passage], others: Sequence[Passage]) -> tuple[str, ...]:
+    """Return in words the drives that are among both: of one station, at one time."""
+    found = []
+    for one, other in product(some, others):
+        (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
+        if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
+            found.append(f"station {one.station_id} at {utc(first_ns)} UTC")
+    return tuple(found)
 
 
 def compare_two(
@@ -294,10 +316,13 @@ def chance(comparison: Comparison) -> str:
     """Return words on how likely the differences are."""
     if comparison.outcome == "cannot tell":
         return "one of them was imported and claims nothing, so only by how much they differ can be said"
-    return (
+    words = (
         f"chi-square {comparison.chi_square:.1f} of 6; results that are as good as they claim are so far apart in "
         f"{_percent(comparison.probability)} of cases, and contradict below {100 * CONTRADICTION_RATE:g} %"
     )
+    if not comparison.shared:
+        return words
+    return f"{words}; both are of the same drive, of {' and of '.join(comparison.shared)}, which agrees with itself"
 
 
 def _percent(share: float) -> str:

@@ -24,6 +24,7 @@ from laci_stereo.core.world import World
 from laci_stereo.io.result.calibration_file import to_document
 from laci_stereo.io.result.stored_calibration import StoredCalibration, read_calibration
 from tests.io.support import with_utm
+from tests.passages import recorded, save
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
 
@@ -286,3 +287,11 @@ def test_points_are_carried_by_both_transforms(tmp_path: Path) -> None:
     apart = np.linalg.norm((transform(other.T_world_sensor, in_sensor)[0] - place)[:2])
     found = compare_two(one, other, place[None, :2], place[None, :2]).differences[6].value
     assert found == pytest.approx(apart, rel=1e-9)
+
+
+def test_results_that_share_a_drive_are_told_so(tmp_path: Path) -> None:
+    for number, (_, found) in enumerate(recorded()[:2]):
+        save(found, tmp_path / f"run{number}")
+    same, others = (run(tmp_path / "run0", tmp_path / second).output for second in ("run0", "run1"))
+    assert "both are of the same drive, of station 42 at 20" in same
+    assert "same drive" not in others
