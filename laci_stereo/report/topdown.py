@@ -183,7 +183,8 @@ def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> li
     drives = list(drives_of(calibration))
     for sighting in (sighting for alone in drives for sighting in alone.drive.track.usable):
         canvas.specks(view.pixels(transform(T, sighting.points)[:, :2]), POINTS.colour)
-    marks = [mark for drive in drives for mark in marks_of(drive)]
+    own, *others = (marks_of(drive) for drive in drives)
+    marks = [*own, *(mark for each in others for mark in each)]
     for mark in marks:
         canvas.lines([view.pixels(mark.corners)], SENSOR, closed=True)
     canvas.lines([piece for track in sender_track(calibration) for piece in view.line(track)], SENDER)
@@ -194,6 +195,8 @@ def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> li
     ]
     for mark in marks:
         _draw_mark(canvas, view, mark)
+    for mark in own:  # those of other drives would lie on these
+        _write_time(canvas, view, mark)
     canvas.lines(visible, ELLIPSE, closed=True)
     entries = [
         Entry("track by the CAMs", "line", SENDER),
@@ -205,11 +208,15 @@ def _draw_vehicle(canvas: Canvas, view: MapView, calibration: Calibration) -> li
 
 
 def _draw_mark(canvas: Canvas, view: MapView, mark: Mark) -> None:
-    """Mark one time on both tracks, connect the two marks, and write the time beside the box."""
+    """Mark one time on both tracks, and connect the two marks."""
     ends = view.pixels(np.stack([mark.sent, mark.seen]))
     canvas.lines([ends], TIE)
     canvas.dots(ends[:1], SENDER.colour, SENDER_MARK_RADIUS)
     canvas.dots(ends[1:], SENSOR.colour, SENSOR_MARK_RADIUS)
+
+
+def _write_time(canvas: Canvas, view: MapView, mark: Mark) -> None:
+    """Write the time beside the box."""
     clear_m = float(((mark.corners - mark.sent) @ mark.left).max())
     x, y = view.pixels(mark.sent + mark.left * (clear_m + TEXT * canvas.unit_px / view.scale_px))
     canvas.text(f"{mark.stamp_s:.0f} s", (x, y), BLACK, align="centre", size=SMALL)

@@ -40,8 +40,8 @@ ONE_STEP = 3
 def meeting_seeds(scene: Scene, seeds: Sequence[Seed]) -> list[Seed]:
     """Return alignments of two tracks with two senders by one motion, each as a seed of both, the best first.
 
-    Clocks that are synchronised within one step of the search leave nothing open, so that there are none. A pair counts
-    if both fit together as well as each by itself.
+    There are none where clocks are synchronised to one step of the search, as nothing is open then. A pair counts if
+    both fit together as well as each by itself.
     """
     grids = {station: offset_steps(sender, scene.settings) for station, sender in scene.senders.items()}
     good = [seed for seed in seeds if seed.share >= scene.settings.min_explained][:MOST]
@@ -52,7 +52,7 @@ def meeting_seeds(scene: Scene, seeds: Sequence[Seed]) -> list[Seed]:
         if apart and len(offsets_s) > ONE_STEP:
             score, motion = _together(scene, pair, offsets_s, step_s)
             if score > sum(seed.score for seed in pair) - scene.settings.least_log_odds:
-                found += [Seed(seed.station, seed.track, motion, score, seed.share) for seed in pair]
+                found += [Seed(seed.station, seed.track, motion, score, seed.share, meeting=True) for seed in pair]
     return sorted(found, key=lambda seed: -seed.score)
 
 

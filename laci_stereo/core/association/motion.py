@@ -45,9 +45,18 @@ class Motion:
 
 @dataclass(frozen=True)
 class Seed:
-    """The best alignment of one track with one station, regardless of all others.
+    """The best alignment of one track with one station.
 
-    ``share`` is the fraction of the frames that it explains.
+    Attributes
+    ----------
+    station, track : int
+    motion : Motion
+    score : float
+        Log-likelihood against outliers.
+    share : float
+        Fraction of the frames that it explains.
+    meeting : bool
+        Whether the motion fits another track and station as well; otherwise all others are disregarded.
     """
 
     station: int
@@ -55,6 +64,7 @@ class Seed:
     motion: Motion
     score: float
     share: float
+    meeting: bool = False
 
 
 def find_seeds(scene: Scene) -> list[Seed]:
