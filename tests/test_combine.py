@@ -130,6 +130,7 @@ def test_the_verdict_is_by_the_limits_that_are_asked_for(site: Site, times: floa
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_result_that_fails_and_what_was_objected_to_it_are_not_forgotten(site: Site) -> None:
     doubted = replace(passages()[1], objections=("the box is a dog's",), by_chance="it may be a stranger's")
     runs = [site.lay(0), site.lay(1, doubted)]

@@ -296,7 +296,9 @@ def test_boxes_by_the_middle_of_their_bottom(tmp_path: Path) -> None:
     assert wrong.height_m - by_bottom.height_m == pytest.approx(log.above_ground_m.mean(), abs=0.1)
 
 
-@pytest.mark.parametrize("point", ["front", "rear", "near-end", "near-corner"])
+@pytest.mark.parametrize(
+    "point", [*(pytest.param(point, marks=pytest.mark.slow) for point in ("front", "rear", "near-end")), "near-corner"]
+)
 def test_boxes_by_another_point_seen_from_above(tmp_path: Path, point: BoxPoint) -> None:
     made = traffic(TURNS)
     other = by_point(made, point)
@@ -314,6 +316,7 @@ def test_another_point_is_named_where_a_turn_shows_it(tmp_path: Path) -> None:
     assert "--box-point near-corner" in ran.out + ran.err
 
 
+@pytest.mark.slow
 def test_only_boxes_have_another_point(tmp_path: Path) -> None:
     site = lay(tmp_path, by_point(traffic(TURNS), "rear"))
     rows = detection_rows(site.made)
