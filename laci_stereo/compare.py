@@ -183,12 +183,11 @@ def _track_of(stored: StoredCalibration, drives: Sequence[Passage]) -> FloatArra
 
 def _shared(some: Sequence[Passage], others: Sequence[Passage]) -> tuple[str, ...]:
     """Return in words the drives that are among both: of one station, at one time."""
-    found = []
-    for one, other in product(some, others):
-        (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
-        if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
-            found.append(f"station {one.station_id} at {utc(first_ns)} UTC")
-    return tuple(found)
+    return tuple(
+        f"station {one.station_id} at {utc(one.span_ns[0])} UTC"
+        for one, other in product(some, others)
+        if one.is_also(other)
+    )
 
 
 def compare_two(

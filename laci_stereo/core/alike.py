@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.core.errors import EvidenceError
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.frames import between
+from laci_stereo.core.frames import FloatArray, between
 
 
 def check_alike(passages: Sequence[Passage]) -> None:
@@ -32,15 +32,15 @@ def check_alike(passages: Sequence[Passage]) -> None:
                 f"{first.name}"
             )
     for one, other in combinations(passages, 2):
-        (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
         if one.station_id != other.station_id and _seen_apart_m(one, other) < _half_width_m(one, other):
             raise EvidenceError(
                 f"{other.name}: is the same drive as {one.name}, or a part of it, under another station number "
                 f"({other.station_id} and {one.station_id}): at the same times its vehicle is seen at the same place; "
                 "needed is each drive once"
             )
-        if one.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns:
-            both_s = (min(last_ns, end_ns) - max(first_ns, begin_ns)) / 1e9
+        if one.is_also(other):
+            begins_ns, ends_ns = zip(one.span_ns, other.span_ns, strict=True)
+            both_s = (min(ends_ns) - max(begins_ns)) / 1e9
             apart_m = _apart_m(one, other)
             if apart_m > max(one.vehicle.length_m, other.vehicle.length_m):
                 raise EvidenceError(
@@ -57,26 +57,30 @@ def check_alike(passages: Sequence[Passage]) -> None:
 def _apart_m(one: Passage, other: Passage) -> float:
     """Return the median distance between two vehicles while both send; 0 if they never do at the same time."""
     xy, other_xy = (each.world.to_utm(each.vehicle.xy) for each in (one, other))
-    there_s = one.vehicle.stamps_s + (one.vehicle.epoch_ns - other.vehicle.epoch_ns) / 1e9
-    other_s = other.vehicle.stamps_s
-    both = (other_s[0] <= there_s) & (there_s <= other_s[-1])
-    apart_m = np.linalg.norm(xy - between(there_s, other_s, other_xy), axis=1)[both]
+    apart_m = _at_once_m(one, other, (one.vehicle.stamps_s, xy), (other.vehicle.stamps_s, other_xy))
     return float(np.median(apart_m)) if len(apart_m) else 0.0
-
-
-def _half_width_m(one: Passage, other: Passage) -> float:
-    return min(one.vehicle.width_m, other.vehicle.width_m) / 2.0
 
 
 def _seen_apart_m(one: Passage, other: Passage) -> float:
     """Return the median distance between what is seen of two vehicles at the same times; infinite without any."""
-    there_s = one.track.stamps_s + (one.vehicle.epoch_ns - other.vehicle.epoch_ns) / 1e9
-    other_s = other.track.stamps_s
+    tracks = ((each.track.stamps_s, each.track.centres) for each in (one, other))
+    apart_m = _at_once_m(one, other, *tracks)
+    return float(np.median(apart_m)) if len(apart_m) else float("inf")
+
+
+def _at_once_m(
+    one: Passage, other: Passage, path: tuple[FloatArray, FloatArray], other_path: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Return the distances between two paths of times and places, (n,) and (n, 2), at the times of the first one."""
+    (stamps_s, xy), (other_s, other_xy) = path, other_path
+    there_s = stamps_s + (one.vehicle.epoch_ns - other.vehicle.epoch_ns) / 1e9
     both = (other_s[0] <= there_s) & (there_s <= other_s[-1])
-    if not both.any():
-        return float("inf")
-    centres, others = one.track.centres[both], between(there_s[both], other_s, other.track.centres)
-    return float(np.median(np.linalg.norm(centres - others, axis=1)))
+    apart_m: FloatArray = np.linalg.norm(xy - between(there_s, other_s, other_xy), axis=1)[both]
+    return apart_m
+
+
+def _half_width_m(one: Passage, other: Passage) -> float:
+    return min(one.vehicle.width_m, other.vehicle.width_m) / 2.0
 
 
 def _in_words(passage: Passage) -> str:

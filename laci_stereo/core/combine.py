@@ -99,8 +99,7 @@ def combine(passages: Sequence[Passage], settings: Settings | None = None) -> Co
     together = fit_together(laid, drives, alone, settings.joint)
     names = [each.name for each in together.passages]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
-    gone = {each.name for each in together.left_out}
-    fits = {each.name: fit for each, fit in zip(laid, alone, strict=True) if each.name not in gone}
+    fits = {each.name: fit for each, fit in zip(laid, alone, strict=True)}
     objections = (*merged.objections, *together.objections, *_repeated(together.passages, fits))
     placement = replace(placement, contradictions=(*placement.contradictions, *objections))
     calibration = conclude(together.passages, placement, settings)
@@ -129,10 +128,10 @@ def _refutes(other: Passage, one: Passage, alone: Mapping[str, JointFit]) -> boo
     (first_ns, last_ns), (begin_ns, end_ns) = one.span_ns, other.span_ns
     if max(begin_ns - last_ns, first_ns - end_ns) < IN_VIEW_NS:
         return False
-    fit, its = alone[one.name], alone[other.name]
-    place = (fit.centre_level + its.centre_level) / 2.0
-    off_m = float(np.linalg.norm(fit.match(place[None])[0] - its.match(place[None])[0]))
-    covariance = (fit.covariance_about(place) + its.covariance_about(place))[1:, 1:]
+    fit, others = alone[one.name], alone[other.name]
+    place = (fit.centre_level + others.centre_level) / 2.0
+    off_m = float(np.linalg.norm(fit.match(place[None])[0] - others.match(place[None])[0]))
+    covariance = (fit.covariance_about(place) + others.covariance_about(place))[1:, 1:]
     return off_m + 3.0 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) < LANE_M
 
 

@@ -76,3 +76,30 @@ def log_odds_between(one: Choice | None, other: Choice | None) -> float:
     if one is None:
         return -math.inf
     return math.inf if other is None else one.log_likelihood - other.log_likelihood
+
+
+def clearly_better(tried: Mapping[str, Case], case: Case, told: Choice | None, what: str) -> Alternative | None:
+    """Return the likeliest of some cases that is certainly chosen, and clearly likelier than what was told, or None.
+
+    Parameters
+    ----------
+    tried : mapping of str to Case
+        By the option for it.
+    case : Case
+        As it was told; where what is chosen is the same in it, nothing was tried.
+    told : Choice or None
+        What is chosen in that.
+    what : str
+        What the cases assume, in words.
+    """
+    log_searched = math.log(max(len(tried), 1))
+    found = []
+    for option, other in tried.items():
+        choice = other.chosen()
+        if choice is None or choice.doubt:
+            continue
+        same = other.tracks is case.tracks and other.vehicles[choice.station] is case.vehicles[choice.station]
+        if not same and log_odds_between(choice, told) > case.settings.least_log_odds + log_searched:
+            words = f"if {what}, station {choice.station} would match its messages: {option}"
+            found.append(Alternative(choice, words, log_searched))
+    return max(found, key=lambda each: each.log_odds, default=None)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from laci_stereo.core.association.case import Alternative, Case, log_odds_between
+from laci_stereo.core.association.case import Alternative, Case, clearly_better
 from laci_stereo.core.association.resemblance import FREE_LEVER_M
 from laci_stereo.core.frames import rotate_xy
 from laci_stereo.core.messages.cam import CENTRE, FRONT, ReferencePoint, VehicleTrack
@@ -23,20 +22,10 @@ def place_off(case: Case) -> Alternative | None:
     may be off by half its length.
     """
     as_told = replace(case, settings=case.settings.any_fit).chosen()
-    elsewhere = _elsewhere(case.vehicles)
-    log_searched = math.log(max(len(elsewhere), 1))
-    found = []
-    for option, moved in elsewhere.items():
-        choice = replace(case, vehicles=moved).chosen()
-        if choice is None or choice.doubt or moved[choice.station] is case.vehicles[choice.station]:
-            continue
-        if log_odds_between(choice, as_told) > case.settings.least_log_odds + log_searched:
-            words = (
-                f"if the messages' positions were of another point on the vehicle, station {choice.station} would "
-                f"match its messages: --cam-reference {option}"
-            )
-            found.append(Alternative(choice, words, log_searched))
-    return max(found, key=lambda each: each.log_odds, default=None)
+    tried = {
+        f"--cam-reference {place}": replace(case, vehicles=moved) for place, moved in _elsewhere(case.vehicles).items()
+    }
+    return clearly_better(tried, case, as_told, "the messages' positions were of another point on the vehicle")
 
 
 def _elsewhere(vehicles: Mapping[int, VehicleTrack]) -> dict[str, dict[int, VehicleTrack]]:

@@ -80,6 +80,11 @@ class Passage:
         first, last = (self.track.sightings[i].stamp_s for i in (0, -1))
         return self.vehicle.epoch_ns + round(1e9 * first), self.vehicle.epoch_ns + round(1e9 * last)
 
+    def is_also(self, other: Passage) -> bool:
+        """Tell whether another passage has the same sender at the same time: it is this drive, or a part of it."""
+        (first_ns, last_ns), (begin_ns, end_ns) = self.span_ns, other.span_ns
+        return self.station_id == other.station_id and begin_ns <= last_ns and first_ns <= end_ns
+
 
 def utc(unix_ns: int) -> str:
     """Return a Unix time, nanoseconds, as a date and a time of day in UTC, to the second."""
