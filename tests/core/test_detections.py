@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
+from laci_stereo.core.ground.box_heights import BENT_PER_M
 from scipy.stats import chi2
 
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, planar, rigid, transform
-from laci_stereo.core.ground.box_ground import BENT_PER_M
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.settings import GroundSettings, Settings
 from tests.detections import EXACT, Noise, Passing, Traffic, traffic
@@ -127,8 +127,8 @@ def test_boxes_that_err_together_count_for_less() -> None:
     shuffled = np.random.default_rng(0).permutation(bias)
     alike, mixed = (observe_detections(lifted(made, by), made.axes).ground for by in (bias, shuffled))
     assert alike.support_cells < mixed.support_cells / 5
-    tilts = [ground.covariance_level(made.axes)[0, 0] for ground in (alike, mixed)]
-    assert tilts[0] > 3 * tilts[1]
+    # What a vehicle's boxes share is told from a tilt along its way: it costs no accuracy.
+    assert np.linalg.norm(ground_errors(made, alike)[:2]) < np.radians(0.05)
 
 
 def test_detections_that_float_do_not_lift_the_ground() -> None:

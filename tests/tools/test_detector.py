@@ -8,7 +8,7 @@ from laci_stereo.core.frames import invert, transform
 from tools.scenes.detector import DetectorFlaws, detect
 from tools.scenes.scene import draw_scene
 
-EXACT = DetectorFlaws(0.0, 0.0, 0.0, 0.0)
+EXACT = DetectorFlaws(0.0, 0.0, 0.0, 0.0, 0.0)
 FLAT = {"uneven": 0.0, "density": 0.0, "parked": 0, "walkers": 0, "cyclists": 0}
 
 
@@ -38,7 +38,7 @@ def test_boxes_miss_and_scatter_as_stated():
     n = len(exact)
     assert n > 200
     assert len(flawed) == pytest.approx(0.8 * n, abs=5 * np.sqrt(0.16 * n))
-    some = detect(scene, DetectorFlaws(position_m=0.1, yaw_deg=0.0, size_m=0.0, missing=0.0))
+    some = detect(scene, DetectorFlaws(position_m=0.1, yaw_deg=0.0, size_m=0.0, missing=0.0, size_share=0.0))
     apart = some.points_sensor - exact.points_sensor
     assert apart.std() == pytest.approx(0.1, rel=5 / np.sqrt(6 * n))
     np.testing.assert_array_equal(some.stamps_ns, exact.stamps_ns)

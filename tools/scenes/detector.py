@@ -16,12 +16,16 @@ REACH_M = 60.0
 
 @dataclass(frozen=True)
 class DetectorFlaws:
-    """Errors of the boxes: standard deviations, and the fraction of boxes that are missing."""
+    """Errors of the boxes: standard deviations, and the fraction of boxes that are missing.
+
+    ``size_share`` is the error, as a fraction of the size, that all boxes of one object share.
+    """
 
     position_m: float = 0.1
     yaw_deg: float = 2.0
     size_m: float = 0.1
     missing: float = 0.2
+    size_share: float = 0.05
 
 
 def detect(scene: Scene, flaws: DetectorFlaws | None = None) -> DetectionLog:
@@ -51,7 +55,8 @@ def _boxes(
     seen = scene.sensor.sees(transform(invert(own_axes(scene)), points)) & (np.linalg.norm(points, axis=1) < REACH_M)
     seen &= rng.random(n) >= flaws.missing
     yaw = yaw_about(scene.axes, poses[:, :3, 0] @ scene.T_world_sensor[:3, :3])
-    size = np.array([mover.length_m, mover.width_m, height_m]) + flaws.size_m * rng.normal(size=(n, 3))
+    size = np.array([mover.length_m, mover.width_m, height_m]) * (1.0 + flaws.size_share * rng.normal(size=3))
+    size = size + flaws.size_m * rng.normal(size=(n, 3))
     points = points + flaws.position_m * rng.normal(size=(n, 3))
     yaw = yaw + np.radians(flaws.yaw_deg) * rng.normal(size=n)
     return np.flatnonzero(seen), np.column_stack([points, yaw, np.maximum(size, 0.05)])[seen]

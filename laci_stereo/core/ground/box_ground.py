@@ -10,12 +10,22 @@ from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 
 from laci_stereo.core.errors import GroundError
-from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray, transform
+from laci_stereo.core.frames import Axes, FloatArray, IntArray, transform
 from laci_stereo.core.ground.axes import ground_elsewhere
+from laci_stereo.core.ground.box_heights import (
+    BENT_PER_M,
+    BOX_HEIGHT_SIGMA_M,
+    EXACT_M,
+    HeightFit,
+    Heights,
+    counted,
+    fit_heights,
+    heights_above,
+)
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.ground.rays import GATE
 from laci_stereo.core.ground.start import can_be_ground, where_it_can_be
-from laci_stereo.core.robust import NORMAL, weighted_median
+from laci_stereo.core.robust import NORMAL
 from laci_stereo.core.settings import GroundSettings
 
 MIN_SPREAD_M = 0.9
@@ -38,13 +48,9 @@ HEIGHT_SIGMA_M = 0.05
 SLOPE_SIGMA = 0.03
 """Standard deviation of a road's slope relative to a level sensor: 6 % are two standard deviations."""
 
-BENT_PER_M = 1.0 / 2100.0
-"""Standard deviation of a road's vertical curvature along its course: the tightest crest for 50 km/h has a radius of
-700 m, which is taken as three standard deviations (AASHTO, A Policy on Geometric Design of Highways and Streets: 7 m
-for each percent of slope)."""
-
-BOX_HEIGHT_SIGMA_M = 0.15
-"""Standard deviation of the error of an object's height that persists in all of its boxes: a tenth of a car's."""
+LOOSER = 3.0
+"""Factor by which the tilt of a plane below boxes may be known less well than that of one through a cloud: a plane as
+unsure as that is no sign that something else was taken for the ground, and up to there the verdict is a warning."""
 
 FEWEST_BOXES = 10
 """With fewer boxes, the median height of an object has more than two fifths of the noise of one box."""
@@ -52,16 +58,9 @@ FEWEST_BOXES = 10
 CLEARLY = 100.0
 """Odds, to 1, beyond which a result is not given without a warning, as in `MatchSettings`."""
 
-_CELL_M = 1.0
-"""Side of the cells in which all boxes of one object count once, so that a waiting vehicle does not outweigh the
-rest."""
-
 _START_SCALE_M = 0.01
 """Scale of the robust loss of the start, less than any detector's noise, so that distances rather than squares are
 minimised."""
-
-_EXACT_M = 1e-3
-"""Least noise of a box's height: no detector is more exact, so a deviation of this size is never an outlier."""
 
 _STEPS = 20
 """Largest number of steps: each leaves a fraction of the error, the ratio of noise to spread, so a few reach any
@@ -127,7 +126,7 @@ def ground_by_heights(points: FloatArray, above_ground_m: FloatArray, axes: Axes
     value = np.array([np.median(below_m), 0.0, 0.0])
     for _ in range(_STEPS):
         off_m = np.abs(below_m - plan @ value)
-        noise_m = max(float(np.median(off_m)) * NORMAL, _EXACT_M)
+        noise_m = max(float(np.median(off_m)) * NORMAL, EXACT_M)
         near = off_m <= GATE * noise_m
         information = plan[near].T @ plan[near] / noise_m**2 + prior
         value = np.linalg.solve(information, plan[near].T @ below_m[near] / noise_m**2)
@@ -145,8 +144,10 @@ def plane_below(
     """Fit the plane on which the boxes stand.
 
     After a robust start, the heights of the boxes near the plane are fitted by a correction of the plane, step by step
-    until it converges. The errors of one object's boxes persist for a while, so the boxes are not independent; the
-    effective number of independent boxes is estimated from the correlation of the residuals along the tracks.
+    until it converges. The boxes of one object share an error of their own, as a detector errs about its height: where
+    each of two lanes has few objects, these errors look like a tilt, while along each object's path they change
+    nothing. They are random effects of the fit (see `fit_heights`). Other errors persist for a while along a path: the
+    effective number of independent boxes is estimated from the correlation of the residuals.
 
     Parameters
     ----------
@@ -166,13 +167,15 @@ def plane_below(
     """
     _check_count(points, settings)
     ground, heights = _fitted(points, above_ground_m, objects, axes)
-    _check(heights, ground, axes, settings)
-    covariance = heights.covariance(settings.shared_noise_share)
+    fit = fit_heights(heights)
+    _check(fit, ground, axes, settings)
+    covariance = fit.covariance(settings.shared_noise_share)
     tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
-    if tilt_deg > settings.max_tilt_sigma_deg:
+    largest_deg = LOOSER * settings.max_tilt_sigma_deg
+    if tilt_deg > largest_deg:
         raise GroundError(
             f"standard deviation of the tilt of the plane below the boxes: {tilt_deg:.2f} deg found, at most "
-            f"{settings.max_tilt_sigma_deg:g} deg needed; record more traffic, or say --level HEIGHT"
+            f"{largest_deg:g} deg needed; record more traffic, or say --level HEIGHT"
         )
     near = float(heights.near.mean())
     return replace(
@@ -181,7 +184,7 @@ def plane_below(
         inlier_share=near,
         support_cells=int(heights.stretches()),
         support_share=near,
-        support_area_m2=12 * float(np.prod(heights.spread_m())),  # of a rectangle with this spread
+        support_area_m2=12 * float(np.prod(fit.spread_m)),  # of a rectangle with this spread
         unevenness_m=heights.sigma_m(),
     )
 
@@ -239,7 +242,7 @@ def unlike_origin(
     (_, given_m), (ground, other_m) = (_scatter_m(points, above, objects, axes) for above in above_m)
     brought_m = BOX_HEIGHT_SIGMA_M / 2 if np.median(above_m[0]) > 0.0 else 0.0
     needed = float(fisher.ppf(1.0 - 1.0 / CLEARLY, freedom, freedom))
-    clearly = given_m**2 > needed * (other_m**2 + brought_m**2 + _EXACT_M**2)
+    clearly = given_m**2 > needed * (other_m**2 + brought_m**2 + EXACT_M**2)
     return Unlike(given_m, other_m) if clearly and _can_be_ground(ground, axes, settings) else None
 
 
@@ -254,7 +257,7 @@ def _scatter_m(
 
 
 def first_plane(points: FloatArray, above_ground_m: FloatArray, axes: Axes, settings: GroundSettings) -> GroundPlane:
-    """Fit the plane below boxes that are not linked to objects yet, whatever it is like; see `plane_below`.
+    """Return the robust start of `plane_below`, for boxes that are not linked to objects yet, whatever it is like.
 
     Raises
     ------
@@ -262,8 +265,7 @@ def first_plane(points: FloatArray, above_ground_m: FloatArray, axes: Axes, sett
         If there are too few boxes.
     """
     _check_count(points, settings)
-    alone = [np.array([row]) for row in range(len(points))]
-    return _fitted(points, above_ground_m, alone, axes)[0]
+    return _start(points, above_ground_m, axes)
 
 
 def elsewhere_below(
@@ -280,118 +282,13 @@ def elsewhere_below(
 
 def _fitted(
     points: FloatArray, above_m: FloatArray, objects: Sequence[IntArray], axes: Axes
-) -> tuple[GroundPlane, _Heights]:
+) -> tuple[GroundPlane, Heights]:
     """Return the plane below the boxes, whatever it is like, and the boxes' heights above it."""
     ground = _start(points, above_m, axes)
-    boxes = _counted(points, above_m, objects, ground, axes)
+    boxes = counted(points, above_m, objects, ground, axes)
     for _ in range(_STEPS):
-        ground = _turned(ground, _heights(boxes, ground, axes).correction(), axes)
-    return ground, _heights(boxes, ground, axes)
-
-
-@dataclass(frozen=True)
-class _Boxes:
-    """Boxes, ordered by object: point in the sensor frame, its height above ground, index of the object, weight."""
-
-    points: FloatArray
-    above_m: FloatArray
-    label: IntArray
-    weight: FloatArray
-
-
-@dataclass(frozen=True)
-class _Heights:
-    """Heights of the boxes above a plane on which they should stand, and their places on it (level frame)."""
-
-    xy: FloatArray
-    above_m: FloatArray
-    label: IntArray
-    weight: FloatArray
-    near: BoolArray
-
-    @property
-    def design(self) -> FloatArray:
-        """Derivative of the heights by small rotations about level x and y and a vertical shift, shape (n, 3)."""
-        return np.column_stack([self.xy[:, 1], -self.xy[:, 0], np.ones(len(self.xy))])
-
-    @property
-    def information(self) -> FloatArray:
-        """Information matrix for heights with a standard deviation of 1 m, shape (3, 3)."""
-        information: FloatArray = (self.design * self.weight[:, None]).T @ self.design
-        return information
-
-    def correction(self) -> FloatArray:
-        """Return the rotations and vertical shift, shape (3,), that move the plane below the boxes."""
-        found: FloatArray = -np.linalg.pinv(self.information) @ (self.design.T @ (self.weight * self.above_m))
-        return found
-
-    def spread_m(self) -> FloatArray:
-        """Return the standard deviations of the places across and along the line of largest spread, shape (2,)."""
-        return self._spread()[0]
-
-    def _spread(self) -> tuple[FloatArray, FloatArray]:
-        """Return the standard deviations of `spread_m`, and their directions as columns, shape (2, 2)."""
-        squares, axes = np.linalg.eigh(np.cov(self.xy.T, aweights=self.weight, ddof=0))
-        return np.sqrt(squares.clip(0.0)), axes
-
-    def sigma_m(self) -> float:
-        """Return the weighted root mean square of the heights."""
-        return float(np.sqrt(np.average(self.above_m**2, weights=self.weight)))
-
-    def stretches(self) -> float:
-        """Return the effective number of independent boxes, from the correlation of their heights along the tracks.
-
-        The sum over lags ends where the correlation is no longer positive (Geyer's initial positive sequence), since
-        with few tracks the degrees of freedom of the fit would otherwise count as correlation. Heights below `_EXACT_M`
-        count as independent noise.
-        """
-        weighted = self.weight * self.above_m
-        squares = float((weighted * self.above_m).sum() + self.weight.sum() * _EXACT_M**2)
-        total = squares
-        for lag in range(1, len(weighted)):
-            same = self.label[lag:] == self.label[:-lag]
-            pairs = float((weighted[lag:] * weighted[:-lag])[same].sum())
-            if pairs <= 0.0:
-                break
-            total += 2 * pairs
-        return float(self.weight.sum()) * squares / total
-
-    def covariance(self, shared_share: float) -> FloatArray:
-        """Return the covariance of (rotation about level x, about level y, height), shape (3, 3).
-
-        ``shared_share`` is the fraction of the heights' standard deviation that is an error shared by all boxes.
-        """
-        stretches = self.stretches()
-        inflation = self.weight.sum() / (stretches - 3)
-        variance = self.sigma_m() ** 2 * inflation
-        covariance: FloatArray = np.linalg.inv(self.information) * variance + self._bent(variance)
-        covariance[2, 2] += (shared_share * self.sigma_m()) ** 2
-        return covariance
-
-    def _bent(self, variance_m2: float) -> FloatArray:
-        """Return the covariance of the plane due to the road's curvature, shape (3, 3).
-
-        On a bent road the slope changes over one standard deviation of the boxes' places, along and across. The
-        curvature is estimated from the heights, with the prior for roads (`BENT_PER_M`).
-
-        Parameters
-        ----------
-        variance_m2 : float
-            Variance of a height with the weight 1.
-        """
-        middle = np.average(self.xy, axis=0, weights=self.weight)
-        spread_m, axes = self._spread()
-        along = (self.xy - middle) @ axes
-        design = np.column_stack([self.design, along**2 / 2.0])
-        prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * variance_m2 / BENT_PER_M**2
-        inverse = np.linalg.pinv((design * self.weight[:, None]).T @ design + prior)
-        bend = inverse @ (design.T @ (self.weight * self.above_m))
-        squared = bend[3:] ** 2 + variance_m2 * np.diag(inverse)[3:]
-        # A slope along (x, y) is a rotation about (-y, x).
-        about = np.stack([-axes[1], axes[0]])
-        unknown = np.zeros((3, 3))
-        unknown[:2, :2] = (about * squared * spread_m**2) @ about.T
-        return unknown
+        ground = _turned(ground, fit_heights(heights_above(boxes, ground, axes)).correction, axes)
+    return ground, heights_above(boxes, ground, axes)
 
 
 def _start(points: FloatArray, above_m: FloatArray, axes: Axes) -> GroundPlane:
@@ -410,27 +307,6 @@ def _start(points: FloatArray, above_m: FloatArray, axes: Axes) -> GroundPlane:
     a, b, c = fitted.x
     # z = a x + b y + c is rotated by b about x and by -a about y; c is the negative height.
     return _turned(level, np.array([-b, a, -c]), axes)
-
-
-def _counted(
-    points: FloatArray, above_m: FloatArray, objects: Sequence[IntArray], ground: GroundPlane, axes: Axes
-) -> _Boxes:
-    """Order boxes by object, with weights by which each object counts once in each cell of the road."""
-    rows = np.concatenate(objects)
-    label = np.repeat(np.arange(len(objects)), [len(one) for one in objects])
-    cells = np.floor(transform(ground.T_level_sensor(axes), points[rows])[:, :2] / _CELL_M).astype(np.int64)
-    _, where, counts = np.unique(np.column_stack([label, cells]), axis=0, return_inverse=True, return_counts=True)
-    return _Boxes(points[rows], above_m[rows], label, 1.0 / counts[where.reshape(-1)])
-
-
-def _heights(boxes: _Boxes, ground: GroundPlane, axes: Axes) -> _Heights:
-    """Return the boxes' heights above a plane; boxes far above or below it do not stand on it and get the weight 0."""
-    level = transform(ground.T_level_sensor(axes), boxes.points)
-    above_m = level[:, 2] - boxes.above_m
-    middle = weighted_median(above_m, boxes.weight)
-    sigma_m = NORMAL * weighted_median(np.abs(above_m - middle), boxes.weight)
-    near = np.abs(above_m - middle) <= GATE * sigma_m + _EXACT_M
-    return _Heights(level[:, :2], above_m, boxes.label, np.where(near, boxes.weight, 0.0), near)
 
 
 def _turned(ground: GroundPlane, by: FloatArray, axes: Axes) -> GroundPlane:
@@ -466,18 +342,17 @@ def _can_be_ground(ground: GroundPlane, axes: Axes, settings: GroundSettings) ->
     return bool(can_be_ground((-ground.normal / ground.height_m)[None], up / np.linalg.norm(up), settings)[0])
 
 
-def _check(heights: _Heights, ground: GroundPlane, axes: Axes, settings: GroundSettings) -> None:
-    spread_m = float(heights.spread_m()[0])
+def _check(fit: HeightFit, ground: GroundPlane, axes: Axes, settings: GroundSettings) -> None:
+    spread_m = float(fit.spread_m[0])
     if spread_m < MIN_SPREAD_M:
         raise GroundError(
             f"the boxes lie on one line: {spread_m:.2f} m of spread across it found, at least {MIN_SPREAD_M:g} m "
             "needed to tell how the ground is tilted; record traffic on other lanes or a turn, or say --level HEIGHT"
         )
-    stretches = heights.stretches()
-    if stretches < MIN_STRETCHES:
+    if fit.freedom < MIN_STRETCHES:
         raise GroundError(
-            f"independent stretches of road under the boxes: {stretches:.1f} found, at least {MIN_STRETCHES} needed to "
-            "find the ground; record more traffic, or say --level HEIGHT"
+            f"independent stretches of road under the boxes: {fit.freedom:.1f} found, at least {MIN_STRETCHES} needed "
+            "to find the ground; record more traffic, or say --level HEIGHT"
         )
     if not _can_be_ground(ground, axes, settings):
         up = np.asarray(axes.up, dtype=np.float64)

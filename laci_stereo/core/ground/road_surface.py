@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from scipy.special import k1
 
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.core.ground.box_ground import BENT_PER_M
+from laci_stereo.core.ground.box_heights import BENT_PER_M
 from laci_stereo.core.ground.road_cells import Cells, Patches
 from laci_stereo.core.ground.road_crowns import Crowns
 from laci_stereo.core.ground.road_edges import EDGES, LANES_M, NO_EDGE, ON_WAY_M, Edges, behind_edges, towards

@@ -8,13 +8,16 @@ from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
 
+from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, FloatArray, IntArray
 from laci_stereo.core.ground.box_ground import (
     BOX_HEIGHT_SIGMA_M,
     LEVEL_SIGMA_RAD,
+    OBJECT_SIGMA_M,
     Unlike,
     elsewhere_below,
     level_ground,
+    plane_below,
     unlike_origin,
 )
 from laci_stereo.core.settings import GroundSettings
@@ -45,6 +48,37 @@ class Parade:
 
     def unlike(self, points: FloatArray, *above_m: FloatArray) -> Unlike | None:
         return unlike_origin(points, (above_m[0], above_m[1]), self.objects, FORWARD_LEFT_UP_AXES, SETTINGS)
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Objects on two straight lanes 3.5 m apart, on a level road 5 m below the sensor, each with an error of its own.
+
+    With ``turns`` every second object turns off to the left, so that it drives across the lanes, too.
+    """
+
+    per_lane: int
+    error_m: float
+    turns: bool = False
+    noise_m: float = 0.05
+    boxes: int = 60
+
+    def fitted(self, seed: int) -> tuple[float, float, float]:
+        """Return the error of the slope across the lanes, rad, its standard deviation, and the error in height, m."""
+        rng = np.random.default_rng(seed)
+        points = np.concatenate([self._object(index, rng) for index in range(2 * self.per_lane)])
+        objects = np.split(np.arange(len(points)), 2 * self.per_lane)
+        plane = plane_below(points, np.zeros(len(points)), objects, FORWARD_LEFT_UP_AXES, SETTINGS)
+        sigma = float(np.sqrt(plane.covariance_level(FORWARD_LEFT_UP_AXES)[0, 0]))
+        return float(plane.normal[1]), sigma, plane.height_m - ABOVE_M
+
+    def _object(self, index: int, rng: np.random.Generator) -> FloatArray:
+        x = np.linspace(8.0, 48.0, self.boxes)
+        y = np.full(self.boxes, 3.5 * (index % 2))
+        if self.turns and index % 2:
+            y = y + (x - 28.0).clip(0.0)
+        z = -ABOVE_M + self.error_m * rng.normal() + self.noise_m * rng.normal(size=self.boxes)
+        return np.column_stack([x, y, z])
 
 
 def parade(heights: tuple[float, ...] = HEIGHTS, seed: int = 0, noise_m: float = 0.05, boxes: int = 30) -> Parade:
@@ -126,3 +160,32 @@ def test_the_doubt_of_a_vertical_axis_is_the_tilts() -> None:
         by_bubble, doubted = level_ground(5.0, axes), level_ground(5.0, axes, 0.05)
         assert np.sqrt(np.diag(by_bubble.covariance_level(axes))[:2]) == pytest.approx([LEVEL_SIGMA_RAD] * 2)
         assert np.sqrt(np.diag(doubted.covariance_level(axes))) == pytest.approx([0.05, 0.05, 0.05])
+
+
+@pytest.mark.parametrize("per_lane", [1, 2, 4])
+def test_errors_that_objects_keep_are_in_the_tilt_across_their_lanes(per_lane: int) -> None:
+    """Whatever they are, up to twice what is assumed: by detectors of their own, each of another error."""
+    errors_m = np.linspace(0.0, 2.0 * OBJECT_SIGMA_M, 60)
+    found = [Lanes(per_lane, error_m).fitted(seed)[:2] for seed, error_m in enumerate(errors_m.tolist())]
+    normalised = np.array([error / sigma for error, sigma in found])
+    assert np.sqrt((normalised**2).mean()) < 1.27  # the rms of 60 normal deviates exceeds it once in 500 times
+    assert np.mean(np.abs(normalised) > 3.0) < 0.05
+
+
+@pytest.mark.parametrize("per_lane", [1, 2, 4])
+def test_a_detector_without_such_errors_pays_at_most_what_is_assumed(per_lane: int) -> None:
+    sigma = np.median([Lanes(per_lane, 0.0).fitted(seed)[1] for seed in range(5)])
+    # The error of one lane's objects against the other's, a lane's width apart.
+    assumed = OBJECT_SIGMA_M * np.sqrt(2.0 / per_lane) / 3.5
+    assert sigma < 1.1 * assumed if per_lane == 1 else sigma < 0.7 * assumed
+
+
+def test_a_turn_tells_the_tilt_whatever_objects_keep() -> None:
+    found = np.array([Lanes(2, 0.3, turns=True).fitted(seed) for seed in range(20)])
+    assert np.degrees(np.abs(found[:, 0]).max()) < 0.3
+    assert np.sqrt(((found[:, 0] / found[:, 1]) ** 2).mean()) < 1.45  # of 20 normal deviates, once in 250 times
+
+
+def test_lanes_that_errors_of_objects_leave_untold_are_refused() -> None:
+    with pytest.raises(GroundError, match=r"standard deviation of the tilt .* at most 3 deg needed; record more"):
+        Lanes(2, 0.15).fitted(1)
