@@ -22,6 +22,12 @@ _NUMBER_IN_NAME = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 _SEPARATORS = (re.compile(","), re.compile(";"), re.compile(r"\t"), re.compile(r"\s+(?!\s*[0-9]{2}:)"))
 """Between the cells of a list; the time of day stays with its date."""
 
+_UTC_IN_NAME = re.compile(
+    r"(?<![0-9])([0-9]{4})[-_]?([0-9]{2})[-_]?([0-9]{2})[T_ -]([0-9]{2})[-_:]?([0-9]{2})[-_:]?([0-9]{2})"
+    r"(?:[.,_-]([0-9]{1,9}))?Z"
+)
+"""ISO 8601 in UTC, with what file systems allow instead of colons."""
+
 _DATE = re.compile(r"(?<![0-9])20[0-9]{2}([-_]?)[01][0-9]\1[0-3][0-9]")
 
 
@@ -112,7 +118,8 @@ def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[P
 def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
     """Return the times of the files in a folder.
 
-    They are read from ``timestamps.txt`` or ``timestamps.csv`` if there is one, else from the files' names.
+    They are read from ``timestamps.txt`` or ``timestamps.csv`` if there is one, else from the files' names; where these
+    hold no time, from such a file beside the folder, as in KITTI's recordings.
 
     Parameters
     ----------
@@ -138,9 +145,15 @@ def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArra
 
 
 def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
+    moments = [_utc_in(name) for name in names]
+    if None not in moments:
+        return np.array(moments, dtype=np.int64)
     numbers = _numbers_in(names)
     unit, place = _unit_and_place(numbers)
     if unit is None:
+        beside = next((path for name in STAMP_FILES if (path := folder.parent / name).is_file()), None)
+        if beside is not None:
+            return _listed_stamps(beside, names, kind)
         if all(numbers):
             are = "dates, of no time zone that is told" if _DATE.search(names[0]) else "frame numbers, not times"
             raise kind.error(
@@ -161,6 +174,15 @@ def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntA
                 "way of naming in the whole folder"
             )
     return np.array(stamps, dtype=np.int64)
+
+
+def _utc_in(name: str) -> int | None:
+    found = _UTC_IN_NAME.search(name)
+    if found is None:
+        return None
+    *clock, fraction = found.groups()
+    moment = iso_time("{}-{}-{}T{}:{}:{}".format(*clock) + f".{fraction or 0}Z")
+    return None if moment is None else moment.ns
 
 
 def _numbers_in(names: Sequence[str]) -> list[list[Decimal]]:

@@ -109,6 +109,23 @@ def test_frame_numbers_are_no_times(names: list[str]) -> None:
         folder_stamps(Path("left"), names, IMAGES)
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["{:%Y-%m-%dT%H-%M-%S}.{:09d}Z.png", "cam0_{:%Y%m%dT%H%M%S}.{:09d}Z.png", "{:%Y-%m-%d_%H-%M-%S}_{:09d}Z.png"],
+)
+def test_dates_in_utc_are_times(name: str) -> None:
+    clocks = [(datetime.fromtimestamp(stamp // 10**9, timezone.utc), stamp % 10**9) for stamp in CLOCKED]
+    assert folder_stamps(Path("left"), [name.format(*clock) for clock in clocks], IMAGES).tolist() == CLOCKED
+
+
+def test_times_listed_beside_the_folder_are_used_where_names_hold_none(tmp_path: Path) -> None:
+    (tmp_path / "timestamps.txt").write_text("\n".join(KITTI))
+    assert folder_stamps(tmp_path / "data", NAMES, IMAGES).tolist() == STAMPS
+    assert folder_stamps(tmp_path / "data", ["1500000000.png"], IMAGES).tolist() == [1500000000_000000000]
+    with pytest.raises(ImageError, match=r"timestamps\.txt holds 3 times; needed are 2, one for each image"):
+        folder_stamps(tmp_path / "data", NAMES[:2], IMAGES)
+
+
 @pytest.mark.parametrize("name", ["20260729130225.png", "2026-07-29T13-02-25.500.png", "cam_2026_07_29_13_02_25.png"])
 def test_dates_are_no_times_for_nobody_knows_of_which_zone(name: str) -> None:
     with pytest.raises(
