@@ -321,16 +321,18 @@ def _stamps_by_name(path: Path, names: Sequence[str], rows: list[_Row], kind: Fi
 
 def _row(line: int, text: str, by_name: Mapping[str, str]) -> _Row:
     """Split a row such as ``name stamp``, ``stamp,name`` or ``number;name;stamp;exposure``; names may have a folder."""
-    splits = [separator.split(text) for separator in _SEPARATORS]
+    splits = [cells for separator in _SEPARATORS if len(cells := separator.split(text)) > 1]
     # A name may contain spaces.
-    for cells in [*splits, text.split(None, 1), text.rsplit(None, 1)]:
-        cells = [cell.strip().strip('"') for cell in cells]
-        found = [by_name.get(Path(cell).name) if cell else None for cell in cells]
+    ends = [text.split(None, 1), text.rsplit(None, 1)] if " " in text else []
+    for split in [*splits, *ends]:
+        cells = [cell.strip().strip('"') for cell in split]
+        files = [re.split(r"[/\\]", cell)[-1] for cell in cells]
+        found = [by_name.get(file) for file in files]
         # A time may look like a name without its suffix.
-        place = max(range(len(cells)), key=lambda i: (found[i] is not None, found[i] == Path(cells[i]).name, -i))
-        if len(cells) > 1 and found[place] is not None:
+        place = max(range(len(cells)), key=lambda i: (found[i] is not None, found[i] == files[i], -i))
+        if found[place] is not None:
             return _Row(line, found[place], cells[:place] + cells[place + 1 :])
-    return _Row(line, None, [cell.strip().strip('"') for cell in max(splits, key=len)])
+    return _Row(line, None, [cell.strip().strip('"') for cell in max([[text], *splits], key=len)])
 
 
 def _times(path: Path, rows: list[_Row], kind: FileKind) -> IntArray:
