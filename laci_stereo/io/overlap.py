@@ -9,6 +9,7 @@ import numpy as np
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import IntArray
 from laci_stereo.core.messages.cam import MAX_GAP_S, STANDING_MPS, CamLog
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S
 from laci_stereo.io.epochs import OTHER_CLOCKS, epoch_notes
 from laci_stereo.io.stamps import iso_text
 
@@ -85,7 +86,7 @@ def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
 
 def _check_drives(log: CamLog, first_ns: int, last_ns: int) -> None:
     driving = log.speed_mps >= STANDING_MPS
-    margin_ns = round(MAX_GAP_S * _S)
+    margin_ns = round((MAX_GAP_S + 3.0 * UNKNOWN_CLOCK_S) * _S)
     unknown_or_driving = log.stamps_ns[driving | np.isnan(log.speed_mps)]
     if not driving.any() or _between(unknown_or_driving, first_ns - margin_ns, last_ns + margin_ns):
         return

@@ -59,15 +59,19 @@ class Column:
     def find(self, header: Sequence[str]) -> int | None:
         """Return the index of the column in a header, or None.
 
-        Titles may be paths, as where nested messages were flattened: ``its.latitude``, ``cam.heading.headingValue``.
-        Their last name counts where no whole title fits, and no other ends so.
+        Titles may be paths, as where nested messages were flattened: ``its.latitude``, ``heading.heading_value.value``.
+        Their last name but ``value`` counts where no whole title fits, and no other ends so.
         """
         names = (plain_name(self.name), *self.synonyms)
         plain = [plain_name(title) for title in header]
-        last = [plain_name(title.rpartition(".")[2]) if "." in title else "" for title in header]
+        last = [plain_name(_last_name(title)) if "." in title else "" for title in header]
         whole = (plain.index(name) for name in names if name in plain)
         ends = (last.index(name) for name in names if len(name) >= _SHORTEST_LAST and last.count(name) == 1)
         return next(whole, None) if any(name in plain for name in names) else next(ends, None)
+
+
+def _last_name(path: str) -> str:
+    return path.removesuffix(".value").rpartition(".")[2]
 
 
 TIMESTAMP = Column(

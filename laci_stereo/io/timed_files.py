@@ -24,7 +24,7 @@ _SEPARATORS = (re.compile(","), re.compile(";"), re.compile(r"\t"), re.compile(r
 
 _UTC_IN_NAME = re.compile(
     r"(?<![0-9])([0-9]{4})[-_]?([0-9]{2})[-_]?([0-9]{2})[T_ -]([0-9]{2})[-_:]?([0-9]{2})[-_:]?([0-9]{2})"
-    r"(?:[.,_-]([0-9]{1,9}))?Z"
+    r"(?:[.,_-]([0-9]{1,9}))?Z(?![a-zA-Z])"
 )
 """ISO 8601 in UTC, with what file systems allow instead of colons."""
 

@@ -282,11 +282,14 @@ def test_a_time_in_two_columns(tmp_path: Path, log: CamLog, columns: Columns) ->
     assert_same(read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns | others))).log, log)
 
 
-def test_titles_may_be_paths(tmp_path: Path, log: CamLog) -> None:
+@pytest.mark.parametrize("end", ["", ".value"])
+def test_titles_may_be_paths(tmp_path: Path, log: CamLog, end: str) -> None:
     titles = ("frame.time_epoch", "its.stationID", "its.latitude", "its.longitude", "cam.heading.headingValue")
     titles += ("its.speedValue", "its.vehicleLengthValue", "its.vehicleWidth", "a.b.altitudeValue")
     _, *rows = table(drive())
-    assert_same(read_cam_csv(write(tmp_path / "cam.csv", [list(titles), *rows])).log, log)
+    assert_same(
+        read_cam_csv(write(tmp_path / "cam.csv", [[titles[0], *(title + end for title in titles[1:])], *rows])).log, log
+    )
 
 
 def test_a_last_name_that_two_paths_share_is_not_guessed(tmp_path: Path) -> None:
