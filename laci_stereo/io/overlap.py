@@ -1,17 +1,22 @@
-"""Whether messages and recording overlap in time and, if not, which clock error is the likely cause."""
+"""Whether messages and recording, or its drives, overlap in time and, if not, which clock error is the likely cause."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from laci_stereo.core.errors import CamError
-from laci_stereo.core.messages.cam import CamLog
+import numpy as np
+
+from laci_stereo.core.errors import CamError, TrackError
+from laci_stereo.core.frames import IntArray
+from laci_stereo.core.messages.cam import MAX_GAP_S, STANDING_MPS, CamLog
+from laci_stereo.core.settings import UNKNOWN_CLOCK_S
 from laci_stereo.io.epochs import OTHER_CLOCKS, epoch_notes
 from laci_stereo.io.stamps import iso_text
 
 _S = 10**9
 _GPS_AHEAD_S = 18
 _TAI_AHEAD_S = 37
+_ETSI_AHEAD_S = 5
 _FARTHEST_ZONE_H = 14
 
 
@@ -28,6 +33,10 @@ _CLOCK_ERRORS = (
     _ClockError(-_GPS_AHEAD_S, "GPS time is 18 s ahead of UTC; subtract 18 s from the times of the recording"),
     _ClockError(_TAI_AHEAD_S, "TAI is 37 s ahead of UTC; subtract 37 s from the times of the messages"),
     _ClockError(-_TAI_AHEAD_S, "TAI is 37 s ahead of UTC; subtract 37 s from the times of the recording"),
+    _ClockError(
+        _ETSI_AHEAD_S,
+        "ETSI's clock is 5 s ahead of UTC, by the leap seconds since 2004; subtract 5 s from the times of the messages",
+    ),
     *(
         _ClockError(sign * 3600 * hours, f"a time zone of {hours} h; give the times of both in UTC")
         for hours in range(1, _FARTHEST_ZONE_H + 1)
@@ -43,7 +52,7 @@ _CLOCK_ERRORS = (
 
 
 def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
-    """Raise if no message was sent while the sensor recorded.
+    """Raise if no message was sent while the sensor recorded, or all that were are of vehicles that stood.
 
     Parameters
     ----------
@@ -56,9 +65,12 @@ def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
     ------
     CamError
         If none was; the message states both intervals, their difference, and the clock error that would explain it.
+    TrackError
+        If vehicles drove only before or after; the message states when, and the clock error that would explain it.
     """
     first_cam, last_cam = int(log.stamps_ns[0]), int(log.stamps_ns[-1])
     if first_cam <= last_ns and last_cam >= first_ns:
+        _check_drives(log, first_ns, last_ns)
         return
     after_s = (first_cam - first_ns) / _S
     side = "after" if after_s > 0 else "before"
@@ -70,6 +82,29 @@ def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
         f"{iso_text(last_ns)}) do not overlap: the log begins {abs(after_s):.1f} s {side} the recording; needed are "
         f"{needed}"
     )
+
+
+def _check_drives(log: CamLog, first_ns: int, last_ns: int) -> None:
+    driving = log.speed_mps >= STANDING_MPS
+    margin_ns = round((MAX_GAP_S + 3.0 * UNKNOWN_CLOCK_S) * _S)
+    unknown_or_driving = log.stamps_ns[driving | np.isnan(log.speed_mps)]
+    if not driving.any() or _between(unknown_or_driving, first_ns - margin_ns, last_ns + margin_ns):
+        return
+    driving_ns = log.stamps_ns[driving]
+    nearest = int(driving_ns[np.argmin(np.abs(driving_ns - (first_ns + last_ns) // 2))])
+    apart_s = (nearest - last_ns if nearest > last_ns else first_ns - nearest) / _S
+    side = "after" if nearest > last_ns else "before"
+    fitting = [error for error in _CLOCK_ERRORS if _between(driving_ns - error.ahead_s * _S, first_ns, last_ns)]
+    explained = min(fitting, key=lambda error: abs(error.ahead_s), default=None)
+    raise TrackError(
+        f"while the sensor records ({iso_text(first_ns)} to {iso_text(last_ns)}), every vehicle stands still by its "
+        f"CAMs; one drives at {iso_text(nearest)}, {apart_s:.1f} s {side}; needed is a drive that is recorded"
+        + (f"; likely: {explained.cause}" if explained is not None else "")
+    )
+
+
+def _between(stamps_ns: IntArray, first_ns: int, last_ns: int) -> bool:
+    return bool(((stamps_ns >= first_ns) & (stamps_ns <= last_ns)).any())
 
 
 def _explanation(first_cam: int, last_cam: int, first_ns: int, last_ns: int) -> _ClockError | None:

@@ -10,9 +10,12 @@ from decimal import Decimal
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 _ISO = re.compile(
-    r"([0-9]{4})-?([0-9]{2})-?([0-9]{2})[Tt ]+([0-9]{2}):?([0-9]{2}):?([0-9]{2})(?:[.,]([0-9]+))?"
-    r"\s*(?:([Zz])|([+-])([0-9]{2}):?([0-9]{2})?)?"
+    r"([0-9]{4})[-/]?([0-9]{2})[-/]?([0-9]{2})[Tt ]+([0-9]{2}):?([0-9]{2}):?([0-9]{2})(?:[.,]([0-9]+))?"
+    r"\s*(?:([Zz]|UTC|GMT)|([+-])([0-9]{2}):?([0-9]{2})?)?"
 )
+_DAY_FIRST = re.compile(r"([0-9]{2})\.([0-9]{2})\.([0-9]{4})(?= )")
+_SECONDS = re.compile(r"[0-9]{10}")
+_FRACTION = re.compile(r"[0-9]{1,9}")
 UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
@@ -55,6 +58,18 @@ def number(text: str) -> Decimal | None:
     return Decimal(text) if _NUMBER.fullmatch(text) else None
 
 
+def with_fractions(pairs: Sequence[tuple[str, str]]) -> list[str] | None:
+    """Return times whose seconds and milli-, micro- or nanoseconds are two numbers; None if they cannot be that.
+
+    The latter may lack their leading zeros: the longest of them tells which they are.
+    """
+    if not all(_SECONDS.fullmatch(before) and _FRACTION.fullmatch(after) for before, after in pairs):
+        return None
+    longest = max((len(after) for _, after in pairs), default=0)
+    digits = next(count for count in (3, 6, 9) if longest <= count)
+    return [f"{before}.{after:0>{digits}}" for before, after in pairs]
+
+
 def unit_of(values: Sequence[Decimal]) -> TimeUnit | None:
     """Return the unit of times by the magnitude of their median, or None if they are no Unix times."""
     if not values:
@@ -80,8 +95,11 @@ class IsoTime:
 
 
 def iso_time(text: str) -> IsoTime | None:
-    """Return the time of an ISO 8601 text such as ``2011-09-26 13:02:25.964389445``, exactly, or None."""
-    match = _ISO.fullmatch(text.strip())
+    """Return the time of an ISO 8601 text such as ``2011-09-26 13:02:25.964389445``, exactly, or None.
+
+    Dates may have slashes, or points with the day first, and the zone may be named UTC.
+    """
+    match = _ISO.fullmatch(_DAY_FIRST.sub(r"\3-\2-\1", text.strip(), count=1))
     if match is None:
         return None
     *clock, fraction, zulu, sign, hours, minutes = match.groups()

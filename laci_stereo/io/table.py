@@ -7,6 +7,8 @@ import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
+from itertools import pairwise
 from pathlib import Path
 from typing import Generic, TypeAlias, TypeVar
 
@@ -15,7 +17,7 @@ import numpy as np
 from laci_stereo.core.errors import InputError
 from laci_stereo.core.frames import FloatArray, IntArray
 from laci_stereo.io.epochs import OF_GPS_WEEK, WEEK_MS
-from laci_stereo.io.stamps import iso_time, number, unit_of
+from laci_stereo.io.stamps import iso_time, number, unit_of, with_fractions
 from laci_stereo.io.text_file import listed, quoted, read_text
 
 Array = TypeVar("Array", FloatArray, IntArray)
@@ -26,7 +28,15 @@ BAD_SHARE = 0.2
 """Largest fraction of bad values that is tolerated: more are no exceptions, but mean that the file is unsuitable or was
 misunderstood."""
 
+_SHORTEST_LAST = 3
+"""Fewest letters of the last name of a path: ``velocity.x`` is no x."""
+
+_DELIMITERS = ",;\t|"
+_DELIMITER_LINE = re.compile(r"sep=([,;\t|])\s*")
+"""First line by which spreadsheets tell each other the separator."""
+
 _MISSING = frozenset({"", "-", "na", "n/a", "nan", "none", "null", "unavailable"})
+_TIME_OF_DAY = re.compile(r"[0-9]{2}:[0-9]{2}:[0-9]{2}")
 _DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)")
 
 
@@ -47,18 +57,38 @@ class Column:
     synonyms: tuple[str, ...]
 
     def find(self, header: Sequence[str]) -> int | None:
-        """Return the index of the column in a header, or None."""
+        """Return the index of the column in a header, or None.
+
+        Titles may be paths, as where nested messages were flattened: ``its.latitude``, ``heading.heading_value.value``.
+        Their last name but ``value`` counts where no whole title fits, and no other ends so.
+        """
+        names = (plain_name(self.name), *self.synonyms)
         plain = [plain_name(title) for title in header]
-        return next((plain.index(name) for name in (plain_name(self.name), *self.synonyms) if name in plain), None)
+        last = [plain_name(_last_name(title)) if "." in title else "" for title in header]
+        whole = (plain.index(name) for name in names if name in plain)
+        ends = (last.index(name) for name in names if len(name) >= _SHORTEST_LAST and last.count(name) == 1)
+        return next(whole, None) if any(name in plain for name in names) else next(ends, None)
+
+
+def _last_name(path: str) -> str:
+    return path.removesuffix(".value").rpartition(".")[2]
 
 
 TIMESTAMP = Column(
     "timestamp",
     (
+        *("timeepoch", "unixtimestamp", "times", "timesec", "timestampsec"),
         *("timestamputc", "timestampunix", "timestamps", "time", "ts", "t", "stamp", "unixtime", "utc", "utctime"),
         *("datetime", "epoch", "timestampns", "timestampus", "timestampms", "timens", "timeus", "timems"),
         *("gpstime", "timestampits", "referencetime", "generationtime"),
     ),
+)
+
+
+_DATE = Column("date", ("dateutc", "utcdate", "datum"))
+_SECONDS = Column("sec", ("secs", "stampsec", "stampsecs", "headerstampsec", "headerstampsecs", "tvsec"))
+_NANOSECONDS = Column(
+    "nanosec", ("nsec", "nsecs", "stampnanosec", "stampnsec", "stampnsecs", "headerstampnanosec", "headerstampnsecs")
 )
 
 
@@ -126,9 +156,9 @@ class Table:
 
 
 def read_table(path: Path, required: Sequence[Column], error: type[InputError], row_noun: str) -> Table:
-    """Read a CSV file with a header row and cells separated by commas, semicolons or tabs.
+    """Read a CSV file with a header row and cells separated by commas, semicolons, tabs or bars.
 
-    Numbers may have decimal commas.
+    Numbers may have decimal commas. Comments, lines that begin with ``#``, may go before the header.
 
     Parameters
     ----------
@@ -150,32 +180,79 @@ def read_table(path: Path, required: Sequence[Column], error: type[InputError], 
         raise error(f"{path} holds no header row; needed is one that names the columns")
     (_, titles), *found = lines
     header = [title.lstrip("# ") for title in titles]
-    _check_header(path, header, required, error)
-    if not found:
-        raise error(f"{path} holds a header but no rows; needed is at least one {row_noun}")
+    rows = [(line_number, [_with_point(cell) for cell in cells]) for line_number, cells in found]
+    return table_of(path, header, rows, required, error, row_noun)
+
+
+def table_of(
+    path: Path,
+    header: list[str],
+    found: Sequence[tuple[int, list[str]]],
+    required: Sequence[Column],
+    error: type[InputError],
+    row_noun: str,
+) -> Table:
+    """Return a table of rows, each with its number in the file; parameters and errors are those of `read_table`."""
     width = len(header)
+    rows = [(cells + [""] * width)[:width] for _, cells in found]
     too_long = {
         i: f"it has {len(cells)} fields; needed are {width}" for i, (_, cells) in enumerate(found) if any(cells[width:])
     }
-    rows = [[_with_point(cell) for cell in (cells + [""] * width)[:width]] for _, cells in found]
+    if TIMESTAMP in required:
+        header, rows = _with_whole_times(header, rows)
+    _check_header(path, header, required, error)
+    if not found:
+        raise error(f"{path} holds a header but no rows; needed is at least one {row_noun}")
     return Table(path, header, rows, [line_number for line_number, _ in found], too_long, error)
 
 
+def _with_whole_times(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Join the columns of seconds and nanoseconds to one, and those of date and time of day."""
+    place, date = TIMESTAMP.find(header), _DATE.find(header)
+    seconds, nanoseconds = _SECONDS.find(header), _NANOSECONDS.find(header)
+    if place is not None and date is not None:
+        joined = [f"{row[date]} {row[place]}" if _TIME_OF_DAY.match(row[place]) else row[place] for row in rows]
+        rows = [[*row[:place], text, *row[place + 1 :]] for row, text in zip(rows, joined, strict=True)]
+    elif place is None and seconds is not None and nanoseconds is not None:
+        rows = [[*row, f"{row[seconds]}.{row[nanoseconds]:0>9}"] for row in rows]
+        header = [*header, TIMESTAMP.name]
+    return header, rows
+
+
 def _lines(path: Path, error: type[InputError]) -> list[tuple[int, list[str]]]:
-    """Return the line number and the cells of each line that is not empty."""
-    text = read_text(path, error)
-    first_line = next(line for line in text.splitlines() if line.strip())
-    separator = max(",;\t", key=first_line.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    lines = []
+    """Return the line number and the cells of each line that is not empty, from the header on."""
+    lines = read_text(path, error).splitlines(keepends=True)
+    filled = [i for i, line in enumerate(lines) if line.strip()]
+    told = _DELIMITER_LINE.fullmatch(lines[filled[0]])
+    if told:
+        filled = filled[1:]
+    head = _header_at(lines, filled)
+    delimiter = told[1] if told else _delimiter(lines[head]) if filled else ","
+    reader = csv.reader(io.StringIO("".join(lines[head:]), newline=""), delimiter=delimiter)
+    found = []
     try:
         for row in reader:
             cells = [cell.strip() for cell in row]
             if any(cells):
-                lines.append((reader.line_num, cells))
+                found.append((head + reader.line_num, cells))
     except csv.Error as problem:
-        raise error(f"{path}, row {reader.line_num}: {problem}; needed is a CSV file") from problem
-    return lines
+        raise error(f"{path}, row {head + reader.line_num}: {problem}; needed is a CSV file") from problem
+    return found
+
+
+def _delimiter(line: str) -> str:
+    return max(_DELIMITERS, key=line.count)
+
+
+def _header_at(lines: Sequence[str], filled: Sequence[int]) -> int:
+    """Return the index of the header: the last comment before the rows, if it has as many cells, or what follows."""
+    comments = next((i for i, place in enumerate(filled) if not lines[place].lstrip().startswith("#")), len(filled))
+    if comments in (0, len(filled)):
+        return filled[0] if filled else len(lines)
+    last, first = lines[filled[comments - 1]], lines[filled[comments]]
+    delimiter = _delimiter(last)
+    is_header = 0 < last.count(delimiter) == first.count(delimiter)
+    return filled[comments - 1] if is_header else filled[comments]
 
 
 def _check_header(path: Path, header: list[str], required: Sequence[Column], error: type[InputError]) -> None:
@@ -184,20 +261,25 @@ def _check_header(path: Path, header: list[str], required: Sequence[Column], err
         return
     if any(number(_with_point(title)) is not None or iso_time(title) is not None for title in header):
         raise error(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
+    alone = "" if len(header) != 1 else ", as one column: needed are commas, semicolons or tabs between the columns"
     raise error(
         f"{path} lacks the column {', '.join(lacking)}; needed are {', '.join(column.name for column in required)}, "
-        f"it holds {listed(header)}"
+        f"it holds {listed(header)}{alone}"
     )
 
 
 def stamps_ns(table: Table) -> Parsed[IntArray]:
     """Return the rows' Unix times in nanoseconds; the unit of numbers follows from the magnitude of their median."""
-    texts = table.texts(TIMESTAMP) or []
+    texts, padding_notes = _padded(table.texts(TIMESTAMP) or [])
     numbers = [number(text) for text in texts]
     moments = [iso_time(text) if value is None else None for text, value in zip(texts, numbers, strict=True)]
     known = sorted(value for value in numbers if value is not None)
     unit = unit_of(known)
-    needed = f"a Unix time in {unit.name}" if unit is not None else "a Unix time or an ISO 8601 time"
+    needed = (
+        f"a Unix time in {unit.name}"
+        if unit is not None
+        else "a Unix time or an ISO 8601 time such as 2025-10-09T08:53:22.237Z"
+    )
     if unit is None and known and 0 <= known[len(known) // 2] < WEEK_MS:
         needed += f"; if it is of a GPS week, add to its seconds {OF_GPS_WEEK}"
     stamps: list[int] = []
@@ -209,13 +291,30 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
         if stamp is None:
             problems[i] = f"timestamp is {quoted(text)}; needed is {needed}"
         stamps.append(stamp or 0)
-    notes = []
+    notes = list(padding_notes)
     if unit is not None and unit.ns != 10**9:
         notes.append(f"timestamp: Unix time in {unit.name}")
     without_zone = sum(moment is not None and not moment.has_zone for moment in moments)
     if without_zone:
         notes.append(f"timestamp: {without_zone} times without a zone, taken for UTC")
     return Parsed(np.array(stamps, dtype=np.int64), problems, tuple(notes))
+
+
+def _padded(texts: list[str]) -> tuple[list[str], list[str]]:
+    """Return times with the leading zeros that nanoseconds lack behind the point, as in ``1760000002.5`` for 5 ns.
+
+    They lack them where times are in order with these zeros, and not without.
+    """
+    pairs = [text.partition(".")[::2] for text in texts]
+    whole = with_fractions(pairs)
+    if whole is None or not _descends(texts) or _descends(whole):
+        return texts, []
+    return whole, ["timestamp: parts of seconds without leading zeros behind the point, by the order of the rows"]
+
+
+def _descends(times: Sequence[str]) -> bool:
+    values = [Decimal(time) for time in times]
+    return any(after < before for before, after in pairwise(values))
 
 
 def skip_notes(path: Path, problems: Problems, noun: str, places: Sequence[int], error: type[InputError]) -> list[str]:

@@ -11,11 +11,17 @@ from laci_stereo.io.file_content import read_content
 
 _LONGEST_QUOTE = 60
 _LONGEST_LIST = 500
+_MOST_LETTERS = 0.1
+"""Largest fraction of a text that is not ASCII, but taken for text nevertheless."""
+
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_text(path: Path, error: type[InputError]) -> str:
     """Return the text of a UTF-8 file, or a UTF-16 file with a byte order mark, without that mark; gzip is unpacked.
+
+    A few other letters, such as degree signs and umlauts of spreadsheets, are read as those of Windows-1252.
 
     Raises
     ------
@@ -26,6 +32,8 @@ def read_text(path: Path, error: type[InputError]) -> str:
     try:
         text = content.decode("utf-16" if content.startswith(_UTF16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as problem:
+        if _is_windows_text(content):
+            return content.decode("cp1252", errors="replace")
         byte = f"byte {problem.start} is 0x{content[problem.start]:02x}"
         raise error(f"{path} is not a text file: {byte}; needed is UTF-8 text") from problem
     if not text.strip():
@@ -33,6 +41,11 @@ def read_text(path: Path, error: type[InputError]) -> str:
     if "\0" in text:
         raise error(f"{path} is not a text file: character {text.index(chr(0))} is NUL; needed is UTF-8 text")
     return text
+
+
+def _is_windows_text(content: bytes) -> bool:
+    letters = sum(byte >= 0x80 for byte in content)
+    return letters <= _MOST_LETTERS * len(content) and not _CONTROL.search(content)
 
 
 def quoted(text: str) -> str:

@@ -12,14 +12,22 @@ import numpy as np
 
 from laci_stereo.core.errors import InputError
 from laci_stereo.core.frames import IntArray
-from laci_stereo.io.stamps import TimeUnit, iso_text, iso_time, number, unit_of
+from laci_stereo.io.stamps import TimeUnit, iso_text, iso_time, number, unit_of, with_fractions
 from laci_stereo.io.text_file import quoted, read_text
 
 STAMP_FILES = ("timestamps.txt", "timestamps.csv")
 
 _NUMBER_IN_NAME = re.compile(r"[0-9]+(?:\.[0-9]+)?")
-_SECONDS = re.compile(r"[0-9]{10}")
-_NANOSECONDS = re.compile(r"[0-9]{1,9}")
+
+_SEPARATORS = (re.compile(","), re.compile(";"), re.compile(r"\t"), re.compile(r"\s+(?!\s*[0-9]{2}:)"))
+"""Between the cells of a list; the time of day stays with its date."""
+
+_UTC_IN_NAME = re.compile(
+    r"(?<![0-9])([0-9]{4})[-_]?([0-9]{2})[-_]?([0-9]{2})[T_ -]([0-9]{2})[-_:]?([0-9]{2})[-_:]?([0-9]{2})"
+    r"(?:[.,_-]([0-9]{1,9}))?Z(?![a-zA-Z])"
+)
+"""ISO 8601 in UTC, with what file systems allow instead of colons."""
+
 _DATE = re.compile(r"(?<![0-9])20[0-9]{2}([-_]?)[01][0-9]\1[0-3][0-9]")
 
 
@@ -110,7 +118,8 @@ def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[P
 def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
     """Return the times of the files in a folder.
 
-    They are read from ``timestamps.txt`` or ``timestamps.csv`` if there is one, else from the files' names.
+    They are read from ``timestamps.txt`` or ``timestamps.csv`` if there is one, else from the files' names; where these
+    hold no time, from such a file beside the folder, as in KITTI's recordings.
 
     Parameters
     ----------
@@ -136,9 +145,15 @@ def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArra
 
 
 def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
+    moments = [_utc_in(name) for name in names]
+    if None not in moments:
+        return np.array(moments, dtype=np.int64)
     numbers = _numbers_in(names)
     unit, place = _unit_and_place(numbers)
     if unit is None:
+        beside = next((path for name in STAMP_FILES if (path := folder.parent / name).is_file()), None)
+        if beside is not None:
+            return _listed_stamps(beside, names, kind)
         if all(numbers):
             are = "dates, of no time zone that is told" if _DATE.search(names[0]) else "frame numbers, not times"
             raise kind.error(
@@ -161,35 +176,45 @@ def _stamps_in_names(folder: Path, names: Sequence[str], kind: FileKind) -> IntA
     return np.array(stamps, dtype=np.int64)
 
 
+def _utc_in(name: str) -> int | None:
+    found = _UTC_IN_NAME.search(name)
+    if found is None:
+        return None
+    *clock, fraction = found.groups()
+    moment = iso_time("{}-{}-{}T{}:{}:{}".format(*clock) + f".{fraction or 0}Z")
+    return None if moment is None else moment.ns
+
+
 def _numbers_in(names: Sequence[str]) -> list[list[Decimal]]:
-    """Return the numbers in each name, with numbers of seconds and of nanoseconds joined to one."""
-    texts = [_NUMBER_IN_NAME.findall(Path(name).stem) for name in names]
+    """Return the numbers in each name, with numbers of seconds and of their fraction joined to one."""
+    return _whole_numbers([_NUMBER_IN_NAME.findall(Path(name).stem) for name in names])
+
+
+def _whole_numbers(texts: list[list[str]]) -> list[list[Decimal]]:
     joined = (_joined(texts, place) for place in range(min(map(len, texts))))
     texts = next((found for found in joined if found is not texts), texts)
     return [[Decimal(text) for text in found] for found in texts]
 
 
 def _joined(texts: list[list[str]], place: int) -> list[list[str]]:
-    """Join seconds and nanoseconds: ``sec_nsec``, or ``sec.nsec`` if the latter is not padded to nine digits.
+    """Join seconds and parts of them: ``sec_nsec``, ``sec_usec`` or ``sec_msec``, or with a point if not padded.
 
-    Without padding, 1.5 means either five nanoseconds or half a second after second 1. It is read as nanoseconds if
-    that makes the intervals less than half as irregular.
+    Without padding, 1.5 means either five nanoseconds or half a second after second 1; and what follows seconds may be
+    a counter. Both are read as parts of a second if that makes the intervals less than half as irregular. Nine digits
+    are no counter.
     """
-    dotted = ["." in found[place] for found in texts]
-    if all(dotted):
-        pairs = [found[place].split(".") for found in texts]
-        rest = place + 1
-    elif not any(dotted) and all(len(found) > place + 1 for found in texts):
-        pairs = [found[place : place + 2] for found in texts]
-        rest = place + 2
+    alone = [found[place] for found in texts]
+    dotted = all("." in text for text in alone)
+    if dotted:
+        pairs, rest = [text.partition(".")[::2] for text in alone], place + 1
+    elif all(len(found) > place + 1 for found in texts):
+        pairs, rest = [(found[place], found[place + 1]) for found in texts], place + 2
     else:
         return texts
-    lengths = {len(after) for _, after in pairs}
-    fit = all(_SECONDS.fullmatch(before) and _NANOSECONDS.fullmatch(after) for before, after in pairs)
-    if not fit or max(lengths) < 9 or len({after for _, after in pairs}) < 2:
+    whole, lengths = with_fractions(pairs), {len(after) for _, after in pairs}
+    if whole is None or len({after for _, after in pairs}) < 2 or (dotted and len(lengths) == 1):
         return texts
-    whole = [f"{before}.{after:>09}" for before, after in pairs]
-    if all(dotted) and (len(lengths) == 1 or 2 * _unevenness(whole) > _unevenness([found[place] for found in texts])):
+    if (dotted or max(lengths) < 9) and 2 * _unevenness(whole) >= _unevenness(alone):
         return texts
     return [[*found[:place], one, *found[rest:]] for found, one in zip(texts, whole, strict=True)]
 
@@ -202,46 +227,89 @@ def _unevenness(times: Sequence[str]) -> float:
 
 
 def _unit_and_place(numbers: list[list[Decimal]]) -> tuple[TimeUnit | None, int]:
-    """Return the unit of the times in the names, and the index of the number in each name that is the time."""
+    """Return the unit of the times among several numbers each, and the index of the one that is the time."""
     fits = []
-    for place in range(max(len(found) for found in numbers)):
+    for place in range(max(map(len, numbers), default=0)):
         column = [found[place] for found in numbers if len(found) > place]
         unit = unit_of(column)
         if unit is not None:
-            # If the names hold two times, the one with the finer unit is used.
-            fits.append((sum(unit.to_ns(value) is not None for value in column), -unit.ns, -place, unit))
+            # A serial number is the same everywhere; of two times, the one with the finer unit is used.
+            varies = len(set(column)) > 1
+            fits.append((sum(unit.to_ns(value) is not None for value in column), varies, -unit.ns, -place, unit))
     if not fits:
         return None, 0
-    *_, minus_place, unit = max(fits, key=lambda fit: fit[:3])
+    *_, minus_place, unit = max(fits, key=lambda fit: fit[:4])
     return unit, -minus_place
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A row of a list of times.
+
+    Attributes
+    ----------
+    line : int
+        Its line of the file, counted from 1.
+    name : str or None
+        The file that it names, if any.
+    cells : list of str
+        The others.
+    """
+
+    line: int
+    name: str | None
+    cells: list[str]
+
+    @property
+    def moment_ns(self) -> int | None:
+        """The time in ISO 8601, if there is one."""
+        return next((moment.ns for cell in self.cells if (moment := iso_time(cell)) is not None), None)
+
+    @property
+    def numbers(self) -> list[str]:
+        """The numbers, as they are written."""
+        return [cell for cell in self.cells if number(cell) is not None]
+
+    @property
+    def may_have_time(self) -> bool:
+        """Whether there is anything that may be a time, as there is not in a header."""
+        return self.moment_ns is not None or bool(self.numbers)
 
 
 def _listed_stamps(path: Path, names: Sequence[str], kind: FileKind) -> IntArray:
     lines = [line.strip() for line in read_text(path, kind.error).splitlines()]
-    rows = [(i, line) for i, line in enumerate(lines, start=1) if line and not line.startswith("#")]
     by_name = {Path(name).stem: name for name in names} | {name: name for name in names}
-    split = [_named(line, by_name) for _, line in rows]
-    if any(name is not None for name, _ in split[:2]):
-        return _stamps_by_name(path, names, rows, split, kind)
-    if rows and not _is_time(rows[0][1]):
+    rows = [_row(i, line, by_name) for i, line in enumerate(lines, start=1) if line and not line.startswith("#")]
+    if any(row.name is not None for row in rows):
+        return _stamps_by_name(path, names, [row for row in rows if row.name is not None and row.may_have_time], kind)
+    if rows and not rows[0].may_have_time:
         rows = rows[1:]
     if len(rows) != len(names):
         raise kind.error(
             f"{path} holds {len(rows)} times; needed are {len(names)}, one for each {kind.noun} in the folder"
         )
-    return _times(path, rows, kind)
+    return _in_order_of_counters(names, _times(path, rows, kind))
 
 
-def _stamps_by_name(
-    path: Path, names: Sequence[str], rows: list[tuple[int, str]], split: list[tuple[str | None, str]], kind: FileKind
-) -> IntArray:
-    known = [
-        (i, name, stamp)
-        for (i, _), (name, stamp) in zip(rows, split, strict=True)
-        if name is not None and _is_time(stamp)
-    ]
-    stamps = _times(path, [(i, stamp) for i, _, stamp in known], kind)
-    of_name = {name: stamp for (_, name, _), stamp in zip(known, stamps, strict=True)}
+def _in_order_of_counters(names: Sequence[str], stamps: IntArray) -> IntArray:
+    """Return the times of files that are listed in the order of the counters in their names, shape (n,).
+
+    By the alphabet, ``frame10`` goes before ``frame2``. That order is kept only if times ascend with the counters so.
+    """
+    order = sorted(range(len(names)), key=lambda i: _with_counters(names[i]))
+    if (np.diff(stamps) < 0).any() and (np.diff(stamps[order]) >= 0).all():
+        return stamps
+    ordered = np.empty_like(stamps)
+    ordered[order] = stamps
+    return ordered
+
+
+def _with_counters(name: str) -> list[str | int]:
+    return [int(part) if i % 2 else part for i, part in enumerate(re.split("([0-9]+)", name))]
+
+
+def _stamps_by_name(path: Path, names: Sequence[str], rows: list[_Row], kind: FileKind) -> IntArray:
+    of_name = dict(zip([row.name for row in rows], _times(path, rows, kind), strict=True))
     missing = [name for name in names if name not in of_name]
     if missing:
         raise kind.error(
@@ -251,32 +319,34 @@ def _stamps_by_name(
     return np.array([of_name[name] for name in names], dtype=np.int64)
 
 
-def _named(line: str, by_name: Mapping[str, str]) -> tuple[str | None, str]:
-    """Split a row such as ``name stamp``, ``name,stamp`` or ``stamp,name`` into the file's name and the rest."""
-    for separator in (",", ";", "\t", None):
-        for fields in (line.split(separator, 1), line.rsplit(separator, 1)):
-            if len(fields) == 2:
-                first, second = (field.strip().strip('"') for field in fields)
-                if first in by_name:
-                    return by_name[first], second
-                if second in by_name:
-                    return by_name[second], first
-    return None, line
+def _row(line: int, text: str, by_name: Mapping[str, str]) -> _Row:
+    """Split a row such as ``name stamp``, ``stamp,name`` or ``number;name;stamp;exposure``; names may have a folder."""
+    splits = [cells for separator in _SEPARATORS if len(cells := separator.split(text)) > 1]
+    # A name may contain spaces.
+    ends = [text.split(None, 1), text.rsplit(None, 1)] if " " in text else []
+    for split in [*splits, *ends]:
+        cells = [cell.strip().strip('"') for cell in split]
+        files = [re.split(r"[/\\]", cell)[-1] for cell in cells]
+        found = [by_name.get(file) for file in files]
+        # A time may look like a name without its suffix.
+        place = max(range(len(cells)), key=lambda i: (found[i] is not None, found[i] == files[i], -i))
+        if found[place] is not None:
+            return _Row(line, found[place], cells[:place] + cells[place + 1 :])
+    return _Row(line, None, [cell.strip().strip('"') for cell in max([[text], *splits], key=len)])
 
 
-def _is_time(text: str) -> bool:
-    return number(text) is not None or iso_time(text) is not None
-
-
-def _times(path: Path, rows: list[tuple[int, str]], kind: FileKind) -> IntArray:
-    numbers = [value for value in (number(text) for _, text in rows) if value is not None]
-    unit = unit_of(numbers)
+def _times(path: Path, rows: list[_Row], kind: FileKind) -> IntArray:
+    numbers = _whole_numbers([row.numbers for row in rows if row.moment_ns is None] or [[]])
+    unit, place = _unit_and_place(numbers)
+    numbered = iter(numbers)
     stamps = []
-    for i, text in rows:
-        value, moment = number(text), iso_time(text)
-        ns = unit.to_ns(value) if unit is not None and value is not None else moment.ns if moment is not None else None
+    for row in rows:
+        ns = row.moment_ns
+        if ns is None:
+            found = next(numbered)
+            ns = unit.to_ns(found[place]) if unit is not None and len(found) > place else None
         if ns is None:
             counted = f"a Unix time in {unit.name}" if unit is not None else "a Unix time or an ISO 8601 time"
-            raise kind.error(f"{path}, line {i}: the time is {quoted(text)}; needed is {counted}")
+            raise kind.error(f"{path}, line {row.line}: the time is {quoted(' '.join(row.cells))}; needed is {counted}")
         stamps.append(ns)
     return np.array(stamps, dtype=np.int64)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from typing import Any
 
 import numpy as np
@@ -12,15 +9,10 @@ import numpy.typing as npt
 
 from laci_lidar.columns import Columns
 from laci_lidar.errors import ScanError
-from laci_stereo.io.text_file import listed, quoted
+from laci_stereo.io.numpy_file import archived, array_in
+from laci_stereo.io.text_file import listed
 
 KITTI = ("x", "y", "z", "intensity")
-LARGEST_RATIO = 1100
-"""Deflate compresses data by a factor of at most 1032."""
-
-_HEADER_AT = 12
-"""Offset of the header, after magic number, version and length."""
-
 _POINTS = ("points", "xyz", "points_xyz", "pointcloud", "point_cloud", "cloud", "pcd", "data", "arr_0")
 
 
@@ -54,7 +46,7 @@ def read_npy(content: bytes, what: str) -> Columns:
     ScanError
         If it is any other array, damaged, or a pickle.
     """
-    return _columns("points", _array(content, what), what)
+    return _columns("points", array_in(content, what, ScanError), what)
 
 
 def read_npz(content: bytes, what: str) -> Columns:
@@ -65,21 +57,7 @@ def read_npz(content: bytes, what: str) -> Columns:
     ScanError
         If the points are missing, an array does not fit them, or the archive is damaged.
     """
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            arrays = {
-                member.filename.removesuffix(".npy"): _member(archive, member, what) for member in archive.infolist()
-            }
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        OSError,
-        NotImplementedError,
-        ValueError,
-        RuntimeError,
-    ) as problem:
-        raise ScanError(f"{what} is damaged: {quoted(str(problem))}; needed is a whole archive of arrays") from problem
+    arrays = archived(content, what, ScanError)
     main = next((name for name in _POINTS if name in arrays), None)
     if main is None and len(arrays) == 1:
         main = next(iter(arrays))
@@ -91,42 +69,6 @@ def read_npz(content: bytes, what: str) -> Columns:
         raise ScanError(f"{what} has the arrays {listed(list(columns)) or '(none)'}; needed is 'points', or x, y and z")
     points = len(axes["x"]) if axes["x"].ndim else 0
     return {name: column for name, column in columns.items() if column.shape == (points,)}
-
-
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> npt.NDArray[Any]:
-    if member.file_size > LARGEST_RATIO * max(member.compress_size, 1):
-        raise ScanError(
-            f"{what}: {quoted(member.filename)} promises {member.file_size} bytes from {member.compress_size}; "
-            "needed is an archive that NumPy wrote"
-        )
-    return _array(archive.read(member), f"{what}, array {quoted(member.filename)}")
-
-
-def _array(content: bytes, what: str) -> npt.NDArray[Any]:
-    stream = io.BytesIO(content)
-    if b"\\" in content[_HEADER_AT : content.find(b"\n", _HEADER_AT)]:  # NumPy would parse it as Python, with a warning
-        raise ScanError(f"{what} is no array: its header holds a backslash; needed is a file that NumPy wrote")
-    try:
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read_header(stream)
-    except Exception as problem:  # exceptions of many types: a header is parsed as Python
-        raise ScanError(f"{what} is no array: {quoted(str(problem))}; needed is a file that NumPy wrote") from problem
-    if dtype.hasobject:
-        raise ScanError(
-            f"{what} is a pickle (type {quoted(str(dtype))}), which is never loaded; needed is an array of numbers"
-        )
-    count = 1
-    for length in shape:
-        count *= max(int(length), 0)
-    following = len(content) - stream.tell()
-    if dtype.itemsize == 0 or count * dtype.itemsize > following:
-        raise ScanError(
-            f"{what} is cut off: its header promises {quoted(str(shape))} values of {dtype.itemsize} bytes, and "
-            f"{following} bytes follow"
-        )
-    values: npt.NDArray[Any] = np.frombuffer(content, dtype, count, stream.tell())
-    return values.reshape(shape, order="F" if fortran else "C")
 
 
 def _columns(name: str, array: npt.NDArray[Any], what: str) -> Columns:

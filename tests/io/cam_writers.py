@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from functools import reduce
 from operator import xor
@@ -419,6 +419,70 @@ def ros_fixes(log: CamLog) -> dict[str, tuple[str, Sent]]:
         }
         fixes.append((ns + 3_000_000, fix))
     return {"/gps/fix": ("sensor_msgs/msg/NavSatFix", fixes)}
+
+
+def asn1_values(log: CamLog, i: int) -> dict[str, Any]:
+    """Return a message with the names of the standard, as ASN.1 compilers write it."""
+    vehicle = {
+        "heading": {"headingValue": raw(log.heading_deg[i], 10), "headingConfidence": 10},
+        "speed": {"speedValue": raw(log.speed_mps[i], 100), "speedConfidence": 5},
+        "driveDirection": "forward",
+        "vehicleLength": {"vehicleLengthValue": raw(log.length_m[i], 10)},
+        "vehicleWidth": raw(log.width_m[i], 10),
+    }
+    position = {
+        "latitude": raw(log.latitude_deg[i], 1e7),
+        "longitude": raw(log.longitude_deg[i], 1e7),
+        "positionConfidenceEllipse": {
+            "semiMajorConfidence": raw(log.semi_major_95_m[i], 100),
+            "semiMinorConfidence": raw(log.semi_minor_95_m[i], 100),
+            "semiMajorOrientation": raw(log.ellipse_orientation_deg[i], 10),
+        },
+        "altitude": {"altitudeValue": raw(log.altitude_m[i], 100), "altitudeConfidence": "unavailable"},
+    }
+    path = [{"pathPosition": {"deltaLatitude": 10, "deltaLongitude": 20, "deltaAltitude": 12800}}] * 3
+    containers = {
+        "basicContainer": {"stationType": 5, "referencePosition": position},
+        "highFrequencyContainer": ("basicVehicleContainerHighFrequency", vehicle),
+        "lowFrequencyContainer": ("basicVehicleContainerLowFrequency", {"pathHistory": path}),
+    }
+    delta_ms = (int(log.stamps_ns[i]) - EPOCH_NS + LEAP_NS) // 10**6 % 65536
+    header = {"protocolVersion": 2, "messageID": 2, "stationID": int(log.station_id[i])}
+    return {"header": header, "cam": {"generationDeltaTime": delta_ms, "camParameters": containers}}
+
+
+def write_json_lines(folder: Path, log: CamLog) -> Path:
+    lines = [
+        json.dumps({"timestamp": ns / 1e9, "rssi": -70, "fields": asn1_values(log, i)}) for i, ns in records_of(log)
+    ]
+    (folder / "a.jsonl").write_text("\n".join(lines) + "\n")
+    return folder / "a.jsonl"
+
+
+def write_json_list(folder: Path, log: CamLog) -> Path:
+    """Write packets as tshark dissects them: numbers as text, and each name with its protocol's."""
+    packets = []
+    for i, ns in records_of(log):
+        flat = dict(leaves(asn1_values(log, i)))
+        its = {f"its.{name}": str(value) for name, value in flat.items() if name != "generationDeltaTime"}
+        cam = {"cam.generationDeltaTime": str(flat["generationDeltaTime"]), "cam.camParameters_element": its}
+        layers = {"frame": {"frame.time_epoch": f"{ns // 10**9}.{ns % 10**9:09d}"}, "its": cam}
+        packets.append({"_index": "packets", "_source": {"layers": layers}})
+    (folder / "a.json").write_text(json.dumps(packets))
+    return folder / "a.json"
+
+
+def records_of(log: CamLog) -> list[tuple[int, int]]:
+    return list(enumerate(received(log)))
+
+
+def leaves(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        inner = value[1] if isinstance(value, tuple) else value
+        if isinstance(inner, dict):
+            yield from leaves(inner)
+        elif not isinstance(inner, list):
+            yield name, inner
 
 
 def write_json(folder: Path, log: CamLog) -> Path:

@@ -57,6 +57,13 @@ def opencv(suffix: str) -> Write:
     return lambda folder, rig: (write_storage(folder / f"stereo.{suffix}", opencv_entries(rig)),)
 
 
+def opencv_npz(folder: Path, rig: StereoRig) -> tuple[Path, ...]:
+    """Write what Python users keep of ``cv2.stereoCalibrate``, with the corners that they do not need any more."""
+    path = folder / "stereo.npz"
+    np.savez_compressed(path, corners=np.zeros((40, 54, 2)), rms=0.3, **opencv_entries(rig))
+    return (path,)
+
+
 def opencv_two(folder: Path, rig: StereoRig) -> tuple[Path, ...]:
     entries = opencv_entries(rig)
     outer = {name: entries.pop(name) for name in ("R", "T")}
@@ -308,6 +315,7 @@ FORMATS: dict[str, Format] = {
     "opencv yaml": Format(opencv("yaml"), ANY),
     "opencv json": Format(opencv("json"), ("five", "fisheye")),
     "opencv xml": Format(opencv("xml"), ("five", "fisheye")),
+    "opencv npz": Format(opencv_npz, ("five", "eight", "askew")),
     "opencv two files": Format(opencv_two, ANY),
     "opencv sections": Format(opencv_sections, ("five", "fisheye")),
     "ros": Format(ros(None), ("five", "eight", "mirrored askew", "fisheye")),

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.core.errors import CamError
+from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.overlap import check_overlap
 
@@ -52,6 +54,51 @@ def test_both_intervals_and_their_difference_are_named() -> None:
     assert "likely" not in message
     assert "the log begins 998.0 s before the recording" in refusal(-1000.0)
     assert len(message.splitlines()) == 1
+
+
+def drive_in_a_long_log(ahead_s: float, speed_mps: float = 8.0) -> CamLog:
+    """Return an hour of messages at 10 Hz of a vehicle that drives from the 2nd to the 9th second of the recording."""
+    stamps = FIRST_NS + np.arange(-18_000, 18_000) * S // 10
+    drives = (stamps >= FIRST_NS + 2 * S) & (stamps <= FIRST_NS + 9 * S)
+    unknown = np.full(len(stamps), np.nan)
+    shifted = stamps + round(ahead_s * S)
+    motion = (unknown, np.where(drives, speed_mps, 0.1))
+    return CamLog(shifted, np.zeros(len(stamps), dtype=np.int64), unknown, unknown, *motion, *[unknown] * 6)
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "words"),
+    [
+        (
+            18,
+            "one drives at 2025-10-09T08:53:40.000Z, 9.0 s after; .* likely: GPS time is 18 s ahead of UTC; subtract",
+        ),
+        (
+            -37,
+            "drives at 2025-10-09T08:52:52.000Z, 28.0 s before; .* likely: TAI is 37 s .* the times of the recording",
+        ),
+        (1200, "drives at 2025-10-09T09:13:22.000Z, 1191.0 s after; needed is a drive that is recorded$"),
+    ],
+)
+def test_a_drive_before_or_after_the_recording_is_told_with_the_clock_that_would_explain_it(
+    ahead_s: float, words: str
+) -> None:
+    with pytest.raises(TrackError, match=rf"every vehicle stands still by its CAMs; .*{words}") as refused:
+        check_overlap(drive_in_a_long_log(ahead_s), FIRST_NS, LAST_NS)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(("ahead_s", "speed_mps"), [(0, 8.0), (-9, 8.0), (10, 8.0), (18, 0.2), (18, np.nan)])
+def test_what_drives_or_may_drive_while_it_is_recorded_is_left_to_the_calibration(
+    ahead_s: float, speed_mps: float
+) -> None:
+    check_overlap(drive_in_a_long_log(ahead_s, speed_mps), FIRST_NS, LAST_NS)
+
+
+def test_a_vehicle_of_unknown_speed_may_drive() -> None:
+    log = drive_in_a_long_log(18)
+    still = np.where(log.speed_mps > 1.0, log.speed_mps, np.nan)
+    check_overlap(replace(log, speed_mps=still), FIRST_NS, LAST_NS)
 
 
 @pytest.mark.parametrize(

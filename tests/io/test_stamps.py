@@ -31,6 +31,27 @@ def test_an_offset_only_says_where_the_clock_hangs(ns: int, minutes: int) -> Non
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "2011-09-26 13:02:25.5 UTC",
+        "2011-09-26 13:02:25.5 GMT",
+        "2011/09/26 13:02:25.5Z",
+        "26.09.2011 13:02:25,5Z",
+        "26.09.2011 15:02:25,5 +02:00",
+    ],
+)
+def test_dates_and_zones_in_other_words(text: str) -> None:
+    found = iso_time(text)
+    assert found is not None
+    assert (found.ns, found.has_zone) == (1317042145_500000000, True)
+
+
+@pytest.mark.parametrize("text", ["09/26/2011 13:02:25", "26.09.11 13:02:25", "2011-09-26 13:02:25 CEST"])
+def test_what_may_be_another_date_or_zone_is_no_time(text: str) -> None:
+    assert iso_time(text) is None
+
+
+@pytest.mark.parametrize(
     "text", ["2011-13-26 13:02:25", "2011-09-26", "13:02:25", "1200-01-01T00:00:00Z", "٢٠١١-09-26T13:02:25"]
 )
 def test_what_is_no_iso_time(text: str) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laci_stereo.io.text_file import listed, quoted, shortened
+from laci_stereo.core.errors import CamError
+from laci_stereo.io.text_file import listed, quoted, read_text, shortened
 
 LONG = st.one_of(st.text(), st.text(min_size=1).map(lambda text: 5000 * text))
 
@@ -25,3 +29,15 @@ def test_short_words_stay_as_they_are() -> None:
     assert shortened("a" * 400, 10) == "aaaaaaa..."
     assert listed(["x", "y z"]) == "x, y z"
     assert listed(["x"] * 22) == ", ".join(["x"] * 20) + " and 2 more"
+
+
+def test_letters_of_windows_are_read_and_bytes_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "cam.csv"
+    text = "Zeit;Länge [m];Richtung [°]\r\n1;4,70;90\r\n"
+    for encoding in ("cp1252", "utf-8", "utf-8-sig", "utf-16"):
+        path.write_bytes(text.encode(encoding))
+        assert read_text(path, CamError) == text
+    for content in (b"\xe4\xf6\xfc", b"a lot of text with a byte of control \x01 and \xe4", b"\x00\xe4" + 99 * b"a"):
+        path.write_bytes(content)
+        with pytest.raises(CamError, match=r"cam\.csv is not a text file: byte .* needed is UTF-8 text"):
+            read_text(path, CamError)

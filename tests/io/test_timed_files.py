@@ -65,6 +65,28 @@ def test_seconds_whose_zeros_at_the_end_are_left_out() -> None:
     assert folder_stamps(Path("left"), names, IMAGES)[:25].tolist() == CLOCKED
 
 
+@pytest.mark.parametrize(("name", "unit"), [("{}_{:06d}.png", 10**3), ("{}-{}.png", 10**3), ("{}_{:03d}.png", 10**6)])
+def test_seconds_and_micro_or_milliseconds_in_names(name: str, unit: int) -> None:
+    names = [name.format(stamp // 10**9, stamp % 10**9 // unit) for stamp in CLOCKED]
+    assert folder_stamps(Path("left"), names, IMAGES).tolist() == [stamp // unit * unit for stamp in CLOCKED]
+
+
+def test_two_decimal_times_are_not_taken_for_nanoseconds_without_zeros() -> None:
+    names = ["1760000000.5.png", "1760000000.600000001.png"]
+    assert folder_stamps(Path("left"), names, IMAGES).tolist() == [1760000000_500000000, 1760000000_600000001]
+
+
+def test_a_serial_number_that_looks_like_a_time_is_none() -> None:
+    names = [f"1722341234_{fixed(stamp)}.png" for stamp in CLOCKED]
+    assert folder_stamps(Path("left"), names, IMAGES).tolist() == CLOCKED
+
+
+def test_a_counter_that_begins_anew_each_second_is_no_part_of_it() -> None:
+    names = [f"{1760000000 + i // 10}_{i % 10:06d}.png" for i in range(30)]
+    with pytest.raises(ImageError, match=r"1760000000_000000\.png and 1760000000_000001\.png have the same time"):
+        in_time(Path("left"), names, IMAGES)
+
+
 def test_a_counter_behind_seconds_is_no_part_of_a_second() -> None:
     names = [f"{1760000000 + i}_{i:06d}.png" for i in range(5)]
     assert np.diff(folder_stamps(Path("left"), names, IMAGES)).tolist() == [10**9] * 4
@@ -85,6 +107,23 @@ def test_of_two_times_in_every_name_the_finer_one_counts() -> None:
 def test_frame_numbers_are_no_times(names: list[str]) -> None:
     with pytest.raises(ImageError, match=r"left: the names .* are frame numbers, not times; put a timestamps\.txt"):
         folder_stamps(Path("left"), names, IMAGES)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["{:%Y-%m-%dT%H-%M-%S}.{:09d}Z.png", "cam0_{:%Y%m%dT%H%M%S}.{:09d}Z.png", "{:%Y-%m-%d_%H-%M-%S}_{:09d}Z.png"],
+)
+def test_dates_in_utc_are_times(name: str) -> None:
+    clocks = [(datetime.fromtimestamp(stamp // 10**9, timezone.utc), stamp % 10**9) for stamp in CLOCKED]
+    assert folder_stamps(Path("left"), [name.format(*clock) for clock in clocks], IMAGES).tolist() == CLOCKED
+
+
+def test_times_listed_beside_the_folder_are_used_where_names_hold_none(tmp_path: Path) -> None:
+    (tmp_path / "timestamps.txt").write_text("\n".join(KITTI))
+    assert folder_stamps(tmp_path / "data", NAMES, IMAGES).tolist() == STAMPS
+    assert folder_stamps(tmp_path / "data", ["1500000000.png"], IMAGES).tolist() == [1500000000_000000000]
+    with pytest.raises(ImageError, match=r"timestamps\.txt holds 3 times; needed are 2, one for each image"):
+        folder_stamps(tmp_path / "data", NAMES[:2], IMAGES)
 
 
 @pytest.mark.parametrize("name", ["20260729130225.png", "2026-07-29T13-02-25.500.png", "cam_2026_07_29_13_02_25.png"])
@@ -122,12 +161,36 @@ KITTI = [f"{datetime.fromtimestamp(ns // 10**9, timezone.utc):%Y-%m-%d %H:%M:%S}
         ["stamp;name", *(f'{stamp};"{name}"' for name, stamp in zip(NAMES, SECONDS, strict=True))],
         [f"{name}\t{stamp}" for name, stamp in reversed(list(zip(NAMES, STAMPS, strict=True)))],
         [f"{Path(name).stem},{stamp}" for name, stamp in zip([*NAMES, "other.png"], [*STAMPS, 7], strict=True)],
+        ["#timestamp [ns],filename", *(f"{stamp},left/{name}" for name, stamp in zip(NAMES, STAMPS, strict=True))],
+        [f"{name} {stamp} 5.2" for name, stamp in zip(NAMES, SECONDS, strict=True)],
+        ["n;file;stamp;gain", *(f"{i};{NAMES[i]};{STAMPS[i]};1.5" for i in (2, 0, 1))],
+        [f"{i} {stamp}" for i, stamp in enumerate(SECONDS)],
+        ["seq,stamp,exposure", *(f"{i + 7},{stamp},0.01" for i, stamp in enumerate(STAMPS))],
+        ["sec nsec", *(f"{stamp // 10**9} {stamp % 10**9}" for stamp in STAMPS)],
+        [f"{stamp // 10**9},{stamp % 10**9:09d}" for stamp in STAMPS],
     ],
 )
 @pytest.mark.parametrize("file", ["timestamps.txt", "timestamps.csv"])
 def test_times_listed_in_a_file(tmp_path: Path, file: str, lines: list[str]) -> None:
     (tmp_path / file).write_text("\n".join(lines) + "\n")
     assert folder_stamps(tmp_path, NAMES, IMAGES).tolist() == STAMPS
+
+
+@pytest.mark.parametrize("line", ["{}.{}", "{} {}", "7 {}.{:09d} 1"])
+def test_nanoseconds_in_a_list_may_lack_their_zeros(tmp_path: Path, line: str) -> None:
+    (tmp_path / "timestamps.txt").write_text("\n".join(line.format(*divmod(stamp, 10**9)) for stamp in CLOCKED))
+    names = [f"{i:06d}.png" for i in range(len(CLOCKED))]
+    assert folder_stamps(tmp_path, names, IMAGES).tolist() == CLOCKED
+
+
+@pytest.mark.parametrize("by_alphabet", [False, True])
+def test_a_list_without_names_goes_by_the_counters_in_these(tmp_path: Path, by_alphabet: bool) -> None:
+    stamp_of = {f"frame{i}.png": stamp for i, stamp in enumerate(CLOCKED)}
+    listed = sorted(stamp_of) if by_alphabet else list(stamp_of)
+    (tmp_path / "timestamps.txt").write_text("\n".join(str(stamp_of[name]) for name in listed))
+    files, stamps = in_time(tmp_path, sorted(stamp_of), IMAGES)
+    assert stamps.tolist() == CLOCKED
+    assert [file.name for file in files] == list(stamp_of)
 
 
 def test_listed_times_go_before_those_in_the_names(tmp_path: Path) -> None:

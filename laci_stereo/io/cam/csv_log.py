@@ -10,7 +10,7 @@ from laci_stereo.io.cam.columns import ANTENNA, POSITION_OF, QUANTITIES, REQUIRE
 from laci_stereo.io.cam.gnss import OF_ANTENNA
 from laci_stereo.io.cam.recording import CamRecording, Messages, recorded
 from laci_stereo.io.cam.table import backwards, column_notes, generated, numbers_of, station_ids
-from laci_stereo.io.table import merged, read_table, stamps_ns
+from laci_stereo.io.table import Table, merged, read_table, stamps_ns
 
 
 def read_cam_csv(path: Path) -> CamRecording:
@@ -29,7 +29,17 @@ def read_cam_csv(path: Path) -> CamRecording:
         If the file cannot be read or lacks a required column, more than a fifth of its rows or of a column's values are
         bad, it has no position at all, or latitude and longitude are exchanged.
     """
-    table = read_table(path, REQUIRED, CamError, "message")
+    return recorded_table(read_table(path, REQUIRED, CamError, "message"), "row", "CSV")
+
+
+def recorded_table(table: Table, noun: str, file_format: str) -> CamRecording:
+    """Return the log of the messages in a table; ``noun`` is what its format calls a row.
+
+    Raises
+    ------
+    CamError
+        As in `read_cam_csv`, except for files that cannot be read.
+    """
     stations = station_ids(table)
     stamps = generated(table, stamps_ns(table), stations.values)
     numbers = {quantity: numbers_of(table, quantity) for quantity in QUANTITIES}
@@ -42,8 +52,10 @@ def read_cam_csv(path: Path) -> CamRecording:
     code_notes = [note for parsed in numbers.values() for note in parsed.notes]
     backward, direction_notes = backwards(table)
     understood = [*column_notes(table), *stamps.notes, *stations.notes, *unit_notes, *code_notes, *direction_notes]
-    messages = Messages(path, "row", table.line_numbers, stamps.values, stations.values, values, problems, backward)
+    messages = Messages(
+        table.path, noun, table.line_numbers, stamps.values, stations.values, values, problems, backward
+    )
     of_antenna = ANTENNA in (table.texts(POSITION_OF) or [])
     return replace(
-        recorded(messages, [*understood, *([OF_ANTENNA] if of_antenna else [])], "CSV"), is_receiver=of_antenna
+        recorded(messages, [*understood, *([OF_ANTENNA] if of_antenna else [])], file_format), is_receiver=of_antenna
     )

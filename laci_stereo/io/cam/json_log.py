@@ -1,8 +1,7 @@
-"""Topics of messages in JSON, as in the V2AIX data set: CAMs with ROS's element names, or GNSS fixes."""
+"""Logs in JSON: topics as in the V2AIX data set, of CAMs with ROS's element names or of GNSS fixes; or records."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE, Quantity
 from laci_stereo.io.cam.etsi import Cam, DamagedError, OtherKindError
 from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
+from laci_stereo.io.cam.json_records import parsed, read_cam_records
 from laci_stereo.io.cam.received import Packet, Source, read_received
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.stamps import POSSIBLE_NS
@@ -49,19 +49,19 @@ def looks_like_json(text: str) -> bool:
 
 
 def read_cam_json(path: Path, text: str) -> CamRecording:
-    """Read an object of topics, each a list of messages with their recording times.
+    """Read an object of topics, each a list of messages with their recording times; or records as of other stacks.
 
     Raises
     ------
     CamError
-        If it is no JSON of this structure, or as in `read_received` and `recorded_drive`.
+        If it is no JSON, or as in `read_received`, `recorded_drive` and `read_cam_records`.
     """
     try:
-        topics = json.loads(text)
+        topics = parsed(text)
     except (ValueError, RecursionError) as problem:
         raise CamError(f"{path} cannot be read: {quoted(str(problem))}; needed is JSON") from problem
-    if not isinstance(topics, dict) or not any(isinstance(records, list) for records in topics.values()):
-        raise CamError(f"{path} is JSON, but no object of topics; needed is one such as {{'/v2x/cam': [...]}}")
+    if not isinstance(topics, dict) or not any(name.startswith("/") for name in topics):
+        return read_cam_records(path, topics)
     cams = [name for name, records in topics.items() if isinstance(records, list) and any(map(_is_cam, records))]
     fixes = [name for name, records in topics.items() if isinstance(records, list) and any(map(_is_fix, records))]
     if cams or len(fixes) != 1:

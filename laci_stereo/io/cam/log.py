@@ -26,7 +26,7 @@ _TEXTS = (
 
 
 def read_cam_log(path: Path) -> CamRecording:
-    """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, V2AIX's JSON, NMEA or GPX.
+    """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, JSON, NMEA or GPX.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.io.cam.columns import COLUMNS, DRIVE_DIRECTION, GENERATION_DELTA, MOTION, STATION_ID, Quantity
 from laci_stereo.io.cam.its_time import DELTA_PERIOD_MS, generation_times
 from laci_stereo.io.stamps import number
-from laci_stereo.io.table import Parsed, Table, is_missing
+from laci_stereo.io.table import Column, Parsed, Table, is_missing
 from laci_stereo.io.text_file import quoted
 
 _DIRECTIONS = {"forward": False, "backward": True, "unavailable": False, "0": False, "1": True, "2": False}
@@ -34,6 +34,9 @@ def station_ids(table: Table) -> Parsed[IntArray]:
         note = "no station_id; all rows are taken for those of one station, 0"
         return Parsed(np.zeros(len(table.rows), dtype=np.int64), {}, (note,))
     ids = [_whole(text) for text in texts]
+    if "station" not in _title(table, STATION_ID).lower() and len(set(ids)) == len(ids) > 1:
+        note = f"column {_title(table, STATION_ID)} numbers the rows, so it is no station_id: all are of one station, 0"
+        return Parsed(np.zeros(len(table.rows), dtype=np.int64), {}, (note,))
     problems = {
         i: f"station_id is {quoted(text)}; needed is a whole number below 2^63"
         for i, (text, station) in enumerate(zip(texts, ids, strict=True))
@@ -101,6 +104,11 @@ def numbers_of(table: Table, quantity: Quantity) -> Parsed[FloatArray]:
             least = f"{quantity.least_beyond:g} {quantity.unit}"
             notes.append(f'{quantity.name}: {times}, ETSI\'s "out of range"; taken as {least}, the least that it means')
     return Parsed(known, found.problems, tuple(notes))
+
+
+def _title(table: Table, column: Column) -> str:
+    place = column.find(table.header)
+    return "" if place is None else table.header[place]
 
 
 def _whole(text: str) -> int | None:

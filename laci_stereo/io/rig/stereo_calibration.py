@@ -32,7 +32,7 @@ from laci_stereo.io.rig.syntax import read_document
 from laci_stereo.io.text_file import listed
 
 CALIBRATION_FILES: tuple[tuple[str, ...], ...] = (
-    *((f"stereo.{suffix}",) for suffix in ("yaml", "yml", "json", "xml", "txt", "mat")),
+    *((f"stereo.{suffix}",) for suffix in ("yaml", "yml", "json", "xml", "txt", "mat", "npz")),
     *((f"left.{suffix}", f"right.{suffix}") for suffix in ("yaml", "yml")),
     *((f"intrinsics.{suffix}", f"extrinsics.{suffix}") for suffix in ("yml", "yaml", "xml", "json")),
     ("*camchain*.yaml",),

@@ -1,4 +1,4 @@
-"""The syntaxes of calibration files, recognised by content: FileStorage, KITTI's and Middlebury's lines, MATLAB's."""
+"""The syntaxes of calibration files, recognised by content: FileStorage, lines as KITTI's, MATLAB's, NumPy's."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import re
 from pathlib import Path
 
 from laci_stereo.core.errors import RigError
+from laci_stereo.io.file_content import begins_with, read_content
 from laci_stereo.io.file_storage import Node, StorageError, parse_file_storage
+from laci_stereo.io.numpy_file import ARCHIVE_MAGIC, archived
 from laci_stereo.io.rig.document import Document
 from laci_stereo.io.rig.mat_file import is_mat, parse_mat
 from laci_stereo.io.text_file import read_text
 
 LARGEST_FILE = 1 << 23
 """Bytes: a calibration with all corners that were detected for it has a tenth of that."""
+
+_LARGEST_ARRAY = 10_000
+"""Bytes: the rotation vectors of a hundred images are not needed."""
 
 _KITTI = re.compile(r"^(?:K_0\d|P_rect_0\d|P\d):\s+[-+.\d]+e?[-+\d]*(?:\s|$)", re.MULTILINE)
 _KITTI_LINE = re.compile(r"(\w+):\s*(.*)")
@@ -36,12 +41,24 @@ def read_document(path: Path) -> Document:
         raise RigError(f"{path} has {length} bytes; needed is a stereo calibration, of at most {LARGEST_FILE}")
     if length and is_mat(path):
         return Document(str(path), parse_mat(path))
+    if begins_with(path, (ARCHIVE_MAGIC,)):
+        return Document(str(path), _arrays(path))
     text = read_text(path, RigError)
     if len(text) > LARGEST_FILE:
         raise RigError(
             f"{path} unpacks to {len(text)} letters; needed is a stereo calibration, of at most {LARGEST_FILE}"
         )
     return Document(str(path), _parsed(path, text))
+
+
+def _arrays(path: Path) -> dict[str, Node]:
+    """Return the numbers of NumPy's ``.npz``, without large arrays such as corners."""
+    arrays = archived(read_content(path, RigError), str(path), RigError, _LARGEST_ARRAY)
+    return {name: _node(array.tolist()) for name, array in arrays.items() if array.dtype.kind in "fiu"}
+
+
+def _node(values: object) -> Node:
+    return [_node(value) for value in values] if isinstance(values, list) else float(str(values))
 
 
 def _parsed(path: Path, text: str) -> dict[str, Node]:

@@ -245,6 +245,88 @@ def test_times_in_their_ways(tmp_path: Path, log: CamLog, stamp: Callable[[int],
     assert_same(read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns))).log, log)
 
 
+@pytest.mark.parametrize("digits", [9, 6, 3])
+def test_parts_of_seconds_without_their_zeros_are_known_by_the_order_of_the_rows(
+    tmp_path: Path, log: CamLog, digits: int
+) -> None:
+    unit = 10 ** (9 - digits)
+    stamps = {"timestamp": lambda m: f"{m.ns // 10**9}.{m.ns % 10**9 // unit}"}
+    recording = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), CANONICAL | stamps)))
+    assert_same(recording.log, log)
+    padded = "timestamp: parts of seconds without leading zeros behind the point, by the order of the rows"
+    assert padded in recording.notes
+
+
+def test_decimal_seconds_out_of_order_stay_decimal(tmp_path: Path, log: CamLog) -> None:
+    head, *rows = table(drive(), CANONICAL | {"timestamp": lambda m: seconds(m.ns).rstrip("0")})
+    recording = read_cam_csv(write(tmp_path / "cam.csv", [head, *rows[5:], *rows[:5]]))
+    assert_same(recording.log, log)
+
+
+def iso_parts(m: Message) -> tuple[str, str]:
+    day, time = datetime.fromtimestamp(m.ns // 10**9, timezone.utc).strftime("%Y-%m-%d %H:%M:%S").split()
+    return day, f"{time}.{m.ns % 10**9:09d}"
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"header.stamp.sec": lambda m: str(m.ns // 10**9), "header.stamp.nanosec": lambda m: str(m.ns % 10**9)},
+        {"sec": lambda m: str(m.ns // 10**9), "nsec": lambda m: str(m.ns % 10**9)},
+        {"Date": lambda m: iso_parts(m)[0], "Time": lambda m: iso_parts(m)[1] + "Z"},
+        {"UTC time": lambda m: iso_parts(m)[1] + "Z", "date": lambda m: iso_parts(m)[0].replace("-", "/")},
+    ],
+)
+def test_a_time_in_two_columns(tmp_path: Path, log: CamLog, columns: Columns) -> None:
+    others = {title: cell for title, cell in CANONICAL.items() if title != "timestamp"}
+    assert_same(read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns | others))).log, log)
+
+
+@pytest.mark.parametrize("end", ["", ".value"])
+def test_titles_may_be_paths(tmp_path: Path, log: CamLog, end: str) -> None:
+    titles = ("frame.time_epoch", "its.stationID", "its.latitude", "its.longitude", "cam.heading.headingValue")
+    titles += ("its.speedValue", "its.vehicleLengthValue", "its.vehicleWidth", "a.b.altitudeValue")
+    _, *rows = table(drive())
+    assert_same(
+        read_cam_csv(write(tmp_path / "cam.csv", [[titles[0], *(title + end for title in titles[1:])], *rows])).log, log
+    )
+
+
+def test_a_last_name_that_two_paths_share_is_not_guessed(tmp_path: Path) -> None:
+    head, *rows = table(drive())
+    paths = ["ego.latitude" if title == "latitude" else title for title in head]
+    with pytest.raises(CamError, match=r"lacks the column latitude; .* ego\.latitude, .* rsu\.latitude"):
+        read_cam_csv(write(tmp_path / "cam.csv", [[*paths, "rsu.latitude"], *([*row, "48.0"] for row in rows)]))
+
+
+@pytest.mark.parametrize(
+    "head", [["sep=;"], ["# a log; of, Ulm", "# UTC"], ["# a log, of Ulm"], ["", "#", "# UTC", ""]], ids=str
+)
+@pytest.mark.parametrize("mark", ["", "# "])
+def test_lines_before_the_header_are_left_out(tmp_path: Path, log: CamLog, head: list[str], mark: str) -> None:
+    commas = [";".join(cell.replace(".", ",") for cell in row) for row in table(drive())]
+    path = tmp_path / "cam.csv"
+    path.write_text("\n".join([*head, mark + commas[0], *commas[1:]]))
+    assert_same(read_cam_csv(path).log, log)
+    path.write_text("\n".join([*head, *commas[:4], commas[4].replace("4711", "x"), *commas[5:]]))
+    assert f"the first of them row {len(head) + 5}: station_id is 'x'" in read_cam_csv(path).notes[0]
+
+
+def test_one_column_is_told_what_separates_columns(tmp_path: Path) -> None:
+    with pytest.raises(CamError, match=r"it holds timestamp station_id .* as one column: needed are commas"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive()), " "))
+
+
+def test_numbers_of_rows_are_no_stations(tmp_path: Path) -> None:
+    head, *rows = table(drive())
+    numbered = [
+        [str(i) if head[k] == "station_id" else cell for k, cell in enumerate(row)] for i, row in enumerate(rows)
+    ]
+    recording = read_cam_csv(write(tmp_path / "cam.csv", [[{"station_id": "id"}.get(t, t) for t in head], *numbered]))
+    assert set(recording.log.station_id.tolist()) == {0}
+    assert "column id numbers the rows, so it is no station_id: all are of one station, 0" in recording.notes
+
+
 def test_a_time_without_a_zone_is_noted(tmp_path: Path) -> None:
     columns: Columns = {
         **CANONICAL,

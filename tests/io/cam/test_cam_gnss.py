@@ -261,6 +261,12 @@ def test_other_json_is_refused(tmp_path: Path):
     assert "needed is JSON" in refusal(tmp_path, '{"a": ' + "9" * 10_000 + "}")
     assert "no object of topics" in refusal(tmp_path, "[1, 2]")
     assert "no object of topics" in refusal(tmp_path, '{"type": "FeatureCollection"}')
+    assert (
+        "records lack timestamp; needed are timestamp, latitude and longitude in each, and they hold cam.latitude, "
+        in (refusal(tmp_path, '{"cam": {"latitude": 1, "longitude": 2}}'))
+    )
+    assert "needed is JSON" in refusal(tmp_path, '{"timestamp": 1760000000}\n{"timestamp": 17')
+    assert "no object of topics" in refusal(tmp_path, '{"a": ' * 900 + "[1]" + "}" * 900)
     assert "holds no CAM of a vehicle, but 2 x message of '/x'" in refusal(tmp_path, '{"/x": [1, {"message": null}]}')
 
 

@@ -34,6 +34,8 @@ COMPLETE: dict[str, Callable[[Path, CamLog], Path]] = {
     ),
     "MCAP": lambda folder, log: writers.write_bag2(folder / "a", writers.ros_cams(log)) / "a.mcap",
     "V2AIX JSON": writers.write_json,
+    "JSON lines": writers.write_json_lines,
+    "JSON list": writers.write_json_list,
 }
 """Formats that carry all of a log."""
 
