@@ -194,8 +194,8 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
         likely.append(Mistake(APART_OFF, apart, least_log_odds=CLEARLY))
     if not problem.turn.possible and (boxes or _seem_apart(problem, solved)):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
-        wider = unset.clock_sigma_s / settings.clock_sigma_s
-        likely.append(Mistake(frozenset({"clock"}), unset, len(drives) * np.log(wider), alone=True))
+        before, after = (problem.recordings.log_clock_volume(each.clock_sigma_s) for each in (settings, unset))
+        likely.append(Mistake(frozenset({"clock"}), unset, after - before, alone=True))
     return likely
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from laci_stereo.core.estimation.drive_model import DriveModel
 from laci_stereo.core.frames import FloatArray
@@ -64,18 +65,24 @@ class Recordings:
             begins_s = np.array([(each.epoch_ns - vehicles[0].epoch_ns) / 1e9 for each in vehicles])
         self.stations = range(len(models)) if stations is None else tuple(stations)
         self._together = stations is not None
-        # Sizes that nobody reports are no sign.
-        sizes = [(each.length_m, each.width_m) if stations and not any(each.guessed_m) else None for each in vehicles]
+        # Sizes that nobody reports are no sign. Widths are corrected for mirrors, which those of one model are alike.
+        sizes = [(each.length_m, each.width_m) if stations and not each.guessed_m[0] else None for each in vehicles]
         self._sizes = [i if size is None else sizes.index(size) for i, size in enumerate(sizes)]
         self._models = models
         self._knots_s = [begin_s + model.knots.at_s for begin_s, model in zip(begins_s, models, strict=True)]
 
     @property
     def senders(self) -> FloatArray:
-        """The correlation of the senders' own parameters between drives, shape (drives, drives)."""
+        """The correlation of the senders' own parameters between drives, shape (drives, drives).
+
+        Vehicles count as of one size also by way of a third one: a station that reports two sizes is alike to those of
+        either, and only with classes of this kind the matrix is positive definite.
+        """
         others = SENDERS if self._together else 0.0
-        alike: FloatArray = np.where(np.equal.outer(self._sizes, self._sizes), SAME_SIZE, others)
-        alike[np.equal.outer(self.stations, self.stations)] = SAME
+        same = np.equal.outer(self.stations, self.stations)
+        _, size = connected_components(same | np.equal.outer(self._sizes, self._sizes), directed=False)
+        alike: FloatArray = np.where(np.equal.outer(size, size), SAME_SIZE, others)
+        alike[same] = SAME
         np.fill_diagonal(alike, 1.0)
         return alike
 
@@ -95,6 +102,11 @@ class Recordings:
         covariance = sensors * _outer(np.sqrt(variance - own)) + self.senders * _outer(np.sqrt(own))
         tied: FloatArray = np.linalg.inv(np.asarray(covariance, dtype=np.float64))
         return tied
+
+    def log_clock_volume(self, sigma_s: float) -> float:
+        """Return the log of the volume of the drives' clock offsets a priori, each with this standard deviation."""
+        precision = self.clocks(np.full(len(self._models), sigma_s**-2))
+        return -float(np.linalg.slogdet(precision)[1]) / 2
 
     def drifts(self, settings: JointSettings) -> FloatArray:
         """Return the prior precision of the position errors at all drives' knots, (k, k), for x as for y."""

@@ -482,14 +482,15 @@ def _check_folding(track: VehicleTrack, station: int) -> str:
 
 
 def _position_sigma(log: CamLog) -> float:
-    """Return the standard deviation of the positions along each axis, from their 95 % ellipses; NaN without one.
+    """Return the standard deviation of the positions, RMS over both axes of their 95 % ellipses; NaN without one.
 
-    An axis that is not reported is assumed to be as long as the other.
+    Along the major axis it is too small, by a factor of at most the square root of 2, and the error of a place, which
+    is the RMS over both axes, is as it is reported. An axis that is not reported is assumed to be as long as the other.
     """
     major, minor = log.semi_major_95_m, log.semi_minor_95_m
-    area = np.where(np.isfinite(major), major, minor) * np.where(np.isfinite(minor), minor, major)
-    known = area[np.isfinite(area)]
-    return float(np.sqrt(np.median(known))) / ELLIPSE_SIGMAS if len(known) else float("nan")
+    squares = np.where(np.isfinite(major), major, minor) ** 2 + np.where(np.isfinite(minor), minor, major) ** 2
+    known = squares[np.isfinite(squares)]
+    return float(np.sqrt(np.median(known) / 2.0)) / ELLIPSE_SIGMAS if len(known) else float("nan")
 
 
 def _body_yaw(log: CamLog, world: World, xy: FloatArray) -> FloatArray:

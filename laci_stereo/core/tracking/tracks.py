@@ -360,7 +360,7 @@ def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
 
 
 def _states(sightings: Sequence[Sighting], settings: TrackSettings) -> list[Moving]:
-    """Return the filtered track as of each of its sightings."""
+    """Return the state of the track as of each of its sightings, which is all that it holds of them."""
     moving = Moving(sightings[0], settings)
     states = [_copied(moving)]
     for one in sightings[1:]:
@@ -371,7 +371,7 @@ def _states(sightings: Sequence[Sighting], settings: TrackSettings) -> list[Movi
 
 def _copied(moving: Moving) -> Moving:
     state = copy(moving)
-    state.sightings = list(moving.sightings)
+    state.sightings = moving.sightings[-1:]
     return state
 
 

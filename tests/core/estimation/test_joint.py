@@ -237,6 +237,24 @@ def test_a_clock_that_looks_like_wrong_optics_is_in_the_covariance(offset_s: flo
     assert fit.perhaps_unset.value == pytest.approx(offset_s, abs=0.03)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_senders_of_one_recording_tell_its_clock_together(seed: int) -> None:
+    """Three that drive straight on, faster or slower, each of which alone tells little of it."""
+    ways = (((-20.0, 30.0), (9.0, 6.0)), ((-22.0, 31.0), (8.0, 8.0)), ((-18.0, 29.0), (7.0, 9.0)))
+    drives = [Drive(at, -60.0, speeds=((0.0, before), (5.0, after))) for at, (before, after) in ways]
+
+    def fitted(offset_s: float) -> JointFit:
+        noisy = [evidence(one, 10 * seed + i, 0.2, offset_s, per_frame=15) for i, one in enumerate(drives)]
+        return fit_jointly(noisy, TRUTH, stations=[1, 2, 3])
+
+    assert fitted(0.0).settings.clock_sigma_s == JointSettings.clock_sigma_s
+    fit = fitted(0.08)
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 9.0
+    assert np.array(fit.time_offsets_s) == pytest.approx(0.08, abs=0.03)
+
+
 def filtered(yaw_rad: FloatArray, time_s: float, step_s: float) -> FloatArray:
     """Return headings that follow the given ones as a first-order low-pass filter does."""
     kept = list(yaw_rad[:1])

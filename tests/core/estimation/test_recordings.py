@@ -84,6 +84,33 @@ def test_vehicles_of_one_size_may_be_one(guessed: bool) -> None:
     assert np.linalg.eigvalsh(senders).min() > 0.0
 
 
+def test_a_width_that_was_corrected_for_mirrors_is_a_size_nevertheless() -> None:
+    models = [model(length_m=4.5) for _ in range(2)]
+    for each in models:
+        each.drive = replace(each.drive, vehicle=replace(each.drive.vehicle, guessed_m=(0.0, 0.02)))
+    assert Recordings(models, [1, 2]).senders[0, 1] == SAME_SIZE
+
+
+def test_a_station_that_reports_two_sizes_is_alike_to_those_of_either() -> None:
+    models = [model(length_m=length_m) for length_m in (6.9, 7.0, 6.9, 7.0, 4.5)]
+    senders = Recordings(models, [1, 1, 2, 3, 4]).senders
+    assert senders[0, 1] == SAME
+    assert senders[np.ix_([0, 1], [2, 3])] == pytest.approx(SAME_SIZE)
+    assert senders[4, :4] == pytest.approx(SENDERS)
+    assert np.linalg.eigvalsh(senders).min() > 0.0
+
+
+def test_the_clock_of_one_recording_is_one_unknown_whoever_sends() -> None:
+    """A hundred times the prior is a hundred times the volume, and not that for each sender."""
+    together = Recordings([model(length_m=4.0 + 0.1 * one) for one in range(3)], [1, 2, 3])
+    apart = Recordings([model(FAR_S * one, length_m=4.0 + 0.1 * one) for one in range(3)], [1, 2, 3])
+    alone = Recordings([model()], [1])
+    wider = [each.log_clock_volume(1.0) - each.log_clock_volume(0.01) for each in (alone, together, apart)]
+    assert wider[0] == pytest.approx(np.log(100.0))
+    assert wider[0] <= wider[1] < 1.2 * wider[0]
+    assert wider[2] == pytest.approx(3 * np.log(100.0), rel=0.1)
+
+
 def test_no_number_of_drives_is_more_certain_than_what_they_have_in_common() -> None:
     models = [model(day * FAR_S, 0.3) for day in range(20)]
     mean = np.zeros(sum(len(each.knots) for each in models))

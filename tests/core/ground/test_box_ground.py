@@ -11,15 +11,14 @@ from hypothesis import strategies as st
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, FloatArray, IntArray
 from laci_stereo.core.ground.box_ground import (
-    BOX_HEIGHT_SIGMA_M,
     LEVEL_SIGMA_RAD,
-    OBJECT_SIGMA_M,
     Unlike,
     elsewhere_below,
     level_ground,
     plane_below,
     unlike_origin,
 )
+from laci_stereo.core.ground.box_heights import BOX_HEIGHT_SIGMA_M, OBJECT_SIGMA_M
 from laci_stereo.core.settings import GroundSettings
 
 SETTINGS = GroundSettings()

@@ -188,6 +188,15 @@ def test_an_axis_that_is_not_told_is_as_long_as_the_other() -> None:
     assert np.isnan(track_of(replace(log, semi_major_95_m=nothing, semi_minor_95_m=nothing)).position_sigma_m)
 
 
+@pytest.mark.parametrize("minor", [1.0, 0.5, 0.1])
+def test_the_error_of_a_place_is_that_of_the_reported_ellipse(minor: float) -> None:
+    log = cam_log(ULM, car(TURN), 6.0)
+    axes = np.full(len(log), ELLIPSE_SIGMAS), np.full(len(log), minor * ELLIPSE_SIGMAS)
+    track = track_of(replace(log, semi_major_95_m=axes[0], semi_minor_95_m=axes[1]))
+    drawn = np.random.default_rng(0).normal(size=(100_000, 2)) * [1.0, minor]
+    assert np.sqrt(2.0) * track.position_sigma_m == pytest.approx(np.sqrt((drawn**2).sum(axis=1).mean()), rel=0.01)
+
+
 def test_accuracy_is_said_only_of_positions_whose_messages_do_not_tell_it() -> None:
     log = cam_log(ULM, car(TURN), 6.0)
     told, nothing = np.full(len(log), 0.6 * ELLIPSE_SIGMAS), np.full(len(log), np.nan)

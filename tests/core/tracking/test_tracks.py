@@ -111,6 +111,19 @@ def test_strays_that_nothing_links_cost_little_memory() -> None:
     assert peak < 60e6  # a table of all pairs has 72 MB, and there were three
 
 
+@pytest.mark.slow
+def test_memory_grows_with_a_tracks_length_and_not_with_its_square() -> None:
+    """What waits at a light is one track for minutes."""
+    peaks = []
+    for last_s in (50.0, 200.0):
+        frames = frames_of(driven(Drive((0.0, 20.0), 0.0, speeds=((0.0, 0.1),)), 20.0, last_s, jitter_m=0.05))
+        tracemalloc.start()
+        assert len(link_tracks(frames)) == 1
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 6 * peaks[0]  # four times as many sightings
+
+
 def test_what_was_lost_for_too_long_is_another_track() -> None:
     true = driven(DRIVE, 10.0)
     seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 3.5))
