@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.tracking.reframing import moved_vehicle, reported_on_map
 from laci_stereo.report.page.charts import Series, chart
 from laci_stereo.report.page.residuals import Fit, centres_apart, fit_drive, median_by_frame
 from laci_stereo.report.topdown import position_covariance
@@ -70,6 +71,15 @@ def test_late_messages_are_told_by_the_clock(late_s: float) -> None:
     loose = JointSettings(clock_sigma_s=1.0)
     before = correction(fitted(settings=loose), "clock")
     assert correction(fitted(settings=loose, vehicle=late), "clock") == pytest.approx(before + late_s, abs=0.01)
+
+
+@pytest.mark.parametrize("off_deg", [-8.0, 8.0])
+def test_wrong_headings_are_told(off_deg: float) -> None:
+    """Heavy tails of the priors let the points prevail."""
+    passage = recorded()[0][1].passages[0]
+    xy, yaw_rad = reported_on_map(passage.vehicle)
+    turned = moved_vehicle(passage.vehicle, xy, yaw_rad - np.radians(off_deg), None)
+    assert correction(fitted(vehicle=turned), "heading") == pytest.approx(np.radians(off_deg), abs=np.radians(1.0))
 
 
 def test_boxes_without_points_have_corrections_but_no_outline() -> None:

@@ -191,7 +191,7 @@ def fit_jointly(
     if not used:
         raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
-    begin = _around(start, centre)
+    begin = start_at(start, centre)
     turn = turn_of(drives)
     least = MATCHED_ROWS if any(drive.window_rad for drive in drives) else HELD_ROWS
     most = max(FINE_ROWS // len(drives), least)
@@ -270,7 +270,7 @@ def fit_roughly(
         raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
     settings, turn = settings or JointSettings(), turn_of([drive])
-    problem = Problem([drive.thinned(ROUGH_ROWS)], _around(start, centre), centre, settings, turn)
+    problem = Problem([drive.thinned(ROUGH_ROWS)], start_at(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     at, prior = slice(own.stop - 2 * len(model.knots), own.stop), np.kron(np.eye(2), model.prior.drift)
@@ -287,7 +287,8 @@ def fit_roughly(
     )
 
 
-def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
+def start_at(start: PlanarMatch, centre: FloatArray) -> FloatArray:
+    """Return the first parameters at a start: yaw, x and y of ``centre``, and range bias."""
     return np.array([start.yaw_rad, *start(centre[None])[0], 0.0])
 
 

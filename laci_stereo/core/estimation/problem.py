@@ -49,8 +49,9 @@ COMPARED = 1e-2
 """The same limit where only likelihoods are compared, or another descent follows: a tenth of the standard deviation
 that is reported."""
 
-FREE_M = 100.0
-"""A priori standard deviation of the position about the start, which only keeps the equations regular."""
+FREE, HELD = (1.0, 100.0), (1e-6, 1e-6)
+"""A priori standard deviations of yaw, rad, and position, m, about the start: of a transform that is sought, which only
+keep the equations regular, and of one that is given."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class _Descent:
 class Problem:
     """The models of all drives over one parameter vector: the sensor's parameters, followed by each drive's own.
 
-    The sensor's are those of `drive_rows`.
+    The sensor's are those of `drive_rows`. Yaw and position are sought, or `HELD` at ``begin``.
     """
 
     def __init__(
@@ -103,9 +104,10 @@ class Problem:
         settings: JointSettings,
         turn: Turn,
         stations: Sequence[int] | None = None,
+        pose_sigmas: tuple[float, float] = FREE,
     ) -> None:
         self.settings, self.turn = settings, turn
-        self._given = drives, begin, centre, stations
+        self._given = drives, begin, centre, stations, pose_sigmas
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         self.recordings = Recordings(self.models, stations)
         ends = FIRST_OWN + np.cumsum([0, *(len(model.prior.mean) for model in self.models)])
@@ -117,18 +119,19 @@ class Problem:
         self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
         self.drifts = self.recordings.drifts(settings)
         self.senders = np.linalg.inv(self.recordings.senders)
-        # Yaw and position are practically free; the range bias is the error that the noise of all points shares.
+        # The range bias is the error that the noise of all points shares.
+        yaw_rad, place_m = pose_sigmas
+        sigmas = [yaw_rad, place_m, place_m, settings.bias_noise_share, turn.sigma]
+        sigmas += [settings.optics_sigma, settings.optics_sigma, settings.apart_sigma_s]
         self._sensors = np.zeros((self.size, self.size))
-        first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
-        first += [settings.optics_sigma**-2, settings.optics_sigma**-2, settings.apart_sigma_s**-2]
-        self._sensors[range(FIRST_OWN), range(FIRST_OWN)] = first
+        self._sensors[range(FIRST_OWN), range(FIRST_OWN)] = np.array(sigmas) ** -2.0
         self.mean = np.concatenate([begin, [turn.mean, 0.0, 0.0, 0.0], *(model.prior.mean for model in self.models)])
         self._precision = self.precision_at(None)
 
     def expecting(self, settings: JointSettings) -> Problem:
         """Return the same problem with other priors."""
-        drives, begin, centre, stations = self._given
-        return Problem(drives, begin, centre, settings, self.turn, stations)
+        drives, begin, centre, stations, pose_sigmas = self._given
+        return Problem(drives, begin, centre, settings, self.turn, stations, pose_sigmas)
 
     def precision_at(self, x: FloatArray | None) -> FloatArray:
         """Return the precision of the priors at ``x``, on which their heavy tails depend; None: within these limits."""
