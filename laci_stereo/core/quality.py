@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtri
 
-from laci_stereo.core.estimation.drive_prior import Correction
+from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.messages.cam import VehicleTrack
@@ -64,22 +64,12 @@ class Placement:
 
     Attributes
     ----------
-    match : PlanarMatch
-    middle_level : ndarray, shape (2,)
-        The track's middle in the level frame, to which the uncertainty refers.
+    fit : JointFit
+        By the paper's method its clock offset is 0, and it has no corrections.
     doubt : Doubt
-        Its uncertainty.
-    residual_rms_m : float
-    frames_used : int
+        Its uncertainty, of which a part is not in the fit's covariance.
     left_out : dict of str to int
         Numbers of frames that were not used, by reason.
-    time_offset_s, time_sigma_s : float
-        To be added to the sensor's stamps to get the CAMs' time, and its standard deviation; 0 where it is taken as
-        known.
-    turn : float
-        Rotation of the scanner, see `JointFit`.
-    nearer : Correction or None
-        See `JointFit`.
     remarks : tuple of str
         Other findings.
     advice : str
@@ -87,24 +77,14 @@ class Placement:
     contradictions : tuple of str
         Objections: what the points contradict in the messages or in what was stated about them, either of which may be
         wrong.
-    bodies : tuple of VehicleTrack
-        One per drive, see `JointFit`; empty where they were not estimated.
     """
 
-    match: PlanarMatch
-    middle_level: FloatArray
+    fit: JointFit
     doubt: Doubt
-    residual_rms_m: float
-    frames_used: int
     left_out: dict[str, int] = field(default_factory=dict)
-    time_offset_s: float = 0.0
-    time_sigma_s: float = 0.0
-    turn: float = 0.0
-    nearer: Correction | None = None
     remarks: tuple[str, ...] = ()
     advice: str = ""
     contradictions: tuple[str, ...] = ()
-    bodies: tuple[VehicleTrack, ...] = ()
 
 
 def doubt_of(
@@ -219,8 +199,8 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
         yaw_sigma_deg=yaw_deg,
         tilt_sigma_deg=tilt_deg,
         height_sigma_m=height,
-        residual_rms_m=placement.residual_rms_m,
-        frames_used=placement.frames_used,
+        residual_rms_m=placement.fit.residual_rms_m,
+        frames_used=placement.fit.frames,
         frames_seen=frames_seen,
         left_out=placement.left_out,
     )

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.quality import Doubt, Placement, covariance_of, doubt_of, judge
@@ -59,7 +60,7 @@ def doubt(track: Track, drive: Drive = DRIVE) -> Doubt:
 
 def verdict(value: Doubt, ground: FloatArray = SURE, track: Track | None = None) -> Quality:
     track = track or seen()
-    placement = Placement(TRUTH, np.zeros(2), value, 0.1, 31)
+    placement = Placement(JointFit(TRUTH, (0.0,), value.covariance, np.zeros(2), (0.0,), ((),), 0.1, 31), value)
     return judge(placement, ground, len(track.sightings), QualitySettings())
 
 

@@ -109,7 +109,7 @@ class JointFit:
     corrections: tuple[tuple[Correction, ...], ...]
     residual_rms_m: float
     frames: int
-    explained: float
+    explained: float = 1.0
     bodies: tuple[VehicleTrack, ...] = ()
     turn: float = 0.0
     turn_probability: float = 1.0

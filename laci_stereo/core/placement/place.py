@@ -67,20 +67,12 @@ def place(
     bare = max(0, known - fit.standing - fit.frames)
     left_out = {"unknown": sightings - known, "standing": fit.standing, "bare": bare}
     return Placement(
-        match=fit.match,
-        middle_level=fit.centre_level,
+        fit=fit,
         doubt=doubt,
-        residual_rms_m=fit.residual_rms_m,
-        frames_used=fit.frames,
         left_out={reason: count for reason, count in left_out.items() if count},
-        time_offset_s=fit.time_offsets_s[0],
-        time_sigma_s=fit.time_sigmas_s[0],
-        turn=fit.turn,
-        nearer=fit.nearer,
         remarks=tuple(remarks_on(fit, drives, names, settings.joint)),
         advice=advice(fit, doubt, drives[0], min(each.lacking_m for each in lengths)),
         contradictions=(*against_messages(fit, drives, lengths, names), *against_sensor(fit, settings.joint)),
-        bodies=fit.bodies,
     )
 
 
