@@ -134,10 +134,10 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
 
 @in_one_thread
 def _fitted(calibration: Calibration, config: Mapping[str, Any]) -> list[DrivePage]:
-    known = {**config.get("joint", {}), "clock_sigma_s": calibration.drive.clock_sigma_s}
+    settings = JointSettings(**config.get("joint", {}))
     several = bool(calibration.others)
     return [
-        _drive_page(calibration, passage, JointSettings(**known), f"Drive {number}" if several else "")
+        _drive_page(calibration, passage, settings, f"Drive {number}" if several else "")
         for number, passage in enumerate(calibration.passages, start=1)
     ]
 
