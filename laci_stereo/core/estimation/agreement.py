@@ -144,9 +144,9 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
         If no majority agrees, another selection would agree as well, or so many others agree with one another that it
         is not clear which group is right.
     """
-    if all_agree(alone):
-        return list(range(len(alone))), ()
     estimates = estimates_of(alone)
+    if _agree(estimates, range(len(alone))):
+        return list(range(len(alone))), ()
     groups = sorted(_groups(estimates), key=lambda group: _cost(estimates, group))
     kept = groups[0]
     gone = [i for i in range(len(alone)) if i not in kept]
