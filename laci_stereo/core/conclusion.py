@@ -42,7 +42,7 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
         passages=(own, *others),
         T_world_sensor=planar(fit.match.yaw_rad, fit.match.shift) @ T_level_sensor,
         T_level_sensor=T_level_sensor,
-        covariance=covariance_of(placement.doubt, ground_covariance, fit.match, fit.centre_level),
+        covariance=covariance_of(placement.uncertainty, ground_covariance, fit.match, fit.centre_level),
         centre_world=np.append(fit.match(fit.centre_level), 0.0),
         time_sigma_s=fit.time_sigmas_s[0],
         paper=_by_paper(own, settings),

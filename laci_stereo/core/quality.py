@@ -18,7 +18,7 @@ from laci_stereo.core.tracking.tracks import Track
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Uncertainty:
     """The uncertainty of a transform in the plane.
 
     Attributes
@@ -66,7 +66,7 @@ class Placement:
     ----------
     fit : JointFit
         By the paper's method its clock offset is 0, and it has no corrections.
-    doubt : Doubt
+    uncertainty : Uncertainty
         Its uncertainty, of which a part is not in the fit's covariance.
     left_out : dict of str to int
         Numbers of frames that were not used, by reason.
@@ -80,16 +80,16 @@ class Placement:
     """
 
     fit: JointFit
-    doubt: Doubt
+    uncertainty: Uncertainty
     left_out: dict[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     advice: str = ""
     contradictions: tuple[str, ...] = ()
 
 
-def doubt_of(
+def uncertainty_by_paper(
     match: PlanarMatch, track: Track, vehicle: VehicleTrack, used: BoolArray, settings: MatchSettings
-) -> Doubt:
+) -> Uncertainty:
     """Estimate the uncertainty of the paper's match.
 
     A sensor sees the near sides of a vehicle, so that its boxes lack the sides that face away. The match is repeated
@@ -117,7 +117,7 @@ def doubt_of(
     lengths = np.linalg.norm(xy_world[:-1] - xy_world[-1], axis=1)
     position = float(np.hypot(remains, np.sqrt((shifted**2).mean())))
     yaw = float(np.hypot(wrap(regrown.yaw_rad - match.yaw_rad), np.sqrt(2) * remains / np.sqrt((lengths**2).mean())))
-    return Doubt(np.diag([yaw, position, position]) ** 2, xy_world - xy_world.mean(axis=0))
+    return Uncertainty(np.diag([yaw, position, position]) ** 2, xy_world - xy_world.mean(axis=0))
 
 
 def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> FloatArray:
@@ -139,13 +139,13 @@ def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> Floa
 
 
 def covariance_of(
-    doubt: Doubt, ground_covariance: FloatArray, match: PlanarMatch, middle_level: FloatArray
+    uncertainty: Uncertainty, ground_covariance: FloatArray, match: PlanarMatch, middle_level: FloatArray
 ) -> FloatArray:
     """Return the covariance of (rotation vector, translation) in the world, about the track's middle, shape (6, 6).
 
     Parameters
     ----------
-    doubt : Doubt
+    uncertainty : Uncertainty
     ground_covariance : ndarray, shape (3, 3)
         Of (rotation about level x, about level y, height), see `GroundPlane.covariance_level`.
     match : PlanarMatch
@@ -156,7 +156,7 @@ def covariance_of(
     to_world[:2, :2] = rotate_xy(match.yaw_rad, np.eye(2)).T
     to_world[5] = [middle_level[1], -middle_level[0], 1.0]
     covariance: FloatArray = to_world @ ground_covariance @ to_world.T
-    covariance[2:5, 2:5] += doubt.covariance
+    covariance[2:5, 2:5] += uncertainty.covariance
     return covariance
 
 
@@ -171,12 +171,12 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
         Number of frames in which the vehicles were seen.
     settings : QualitySettings
     """
-    doubt = placement.doubt
-    yaw_deg = float(np.degrees(doubt.yaw_rad))
+    uncertainty = placement.uncertainty
+    yaw_deg = float(np.degrees(uncertainty.yaw_rad))
     tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(ground_covariance[:2, :2])[-1])))
     height = float(np.sqrt(ground_covariance[2, 2]))
     checks = [
-        ("position along the track", doubt.track_xy_m, "m", settings.max_sigma_m),
+        ("position along the track", uncertainty.track_xy_m, "m", settings.max_sigma_m),
         ("yaw", yaw_deg, "deg", settings.max_sigma_deg),
         ("tilt", tilt_deg, "deg", 2.0 * settings.max_sigma_deg),
     ]
@@ -188,11 +188,11 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
     worst = max(value / limit for _, value, _, limit in checks)
     reasons += placement.contradictions
     verdict: Verdict = "pass" if worst <= 1 and not reasons else "warn" if worst <= settings.fail_factor else "fail"
-    weakest_m, weakest_rad = doubt.weakest
+    weakest_m, weakest_rad = uncertainty.weakest
     return Quality(
         verdict=verdict,
         reasons=reasons,
-        track_xy_sigma_m=doubt.track_xy_m,
+        track_xy_sigma_m=uncertainty.track_xy_m,
         weakest_sigma_m=weakest_m,
         weakest_yaw_deg=float(np.degrees(weakest_rad)) % 180.0,
         advice=placement.advice,

@@ -77,7 +77,7 @@ def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | N
     return Apart(off, sigmas, sightings[middle].stamp_s) if sigmas > SURELY else None
 
 
-def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
+def with_difference(fit: JointFit, apart: Apart) -> JointFit:
     """Return a fit whose covariance includes its halves' difference: it lies between them, and either may be right."""
     return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
 
