@@ -268,7 +268,7 @@ class DriveModel:
 
         Where something occludes a border, the visible part ends inside it, as a point behind the surface lies inside.
         """
-        borders = self.drive.outermost
+        borders = self.drive.borders
         frame, side = np.nonzero(np.isfinite(borders[:, :, 0]) & poses.known[:, None])
         at, z = borders[frame, side, :2], borders[frame, side, 2]
         arm = (at - self.centre) * _scale(x)

@@ -20,6 +20,7 @@ from laci_stereo.core.estimation.drive_rows import APART, BIAS, BY_OPTICS
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, Rival, likely_mistakes
 from laci_stereo.core.estimation.problem import COMPARED, CONVERGED, Problem, Solved
+from laci_stereo.core.estimation.residual_scatter import without_prior
 from laci_stereo.core.estimation.scanner_turn import FIXED, Turn, turn_of
 from laci_stereo.core.estimation.turn_hypotheses import among, clock_sigmas_s, turns_of
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -283,17 +284,16 @@ def fit_roughly(
     problem = Problem([drive.thinned(ROUGH_ROWS)], start_at(start, centre), centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
-    at, prior = slice(own.stop - 2 * len(model.knots), own.stop), np.kron(np.eye(2), model.prior.drift)
-    after = np.linalg.inv(solved.covariance[at, at])
-    # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
-    values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
-    told = vectors[:, values > 0.0]
+    knots = slice(own.stop - 2 * len(model.knots), own.stop)
+    prior = np.asarray(np.linalg.inv(np.kron(np.eye(2), model.prior.drift)), dtype=np.float64)
+    posterior = np.asarray(np.linalg.inv(solved.covariance[knots, knots]), dtype=np.float64)
+    information, pull = without_prior(posterior - prior, posterior @ solved.x[knots])
     return RoughFit(
         match=_match(solved, centre),
         corrections=model.prior.corrections(solved.x[own], solved.covariance[own, own]),
         knots_s=model.knots.at_s,
-        information=(vectors * np.maximum(values, 0.0)) @ vectors.T,
-        pull=told @ (told.T @ (after @ solved.x[at])),
+        information=information,
+        pull=pull,
     )
 
 

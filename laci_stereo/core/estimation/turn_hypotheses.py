@@ -12,6 +12,7 @@ from laci_stereo.core.estimation.drive_rows import SWEEP
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.mistakes import CLEARLY, MISTAKEN, others_agree
 from laci_stereo.core.estimation.problem import Problem, Solved
+from laci_stereo.core.estimation.residual_scatter import without_prior
 from laci_stereo.core.estimation.scanner_turn import FIXED, TURNS
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, with_turn
@@ -60,11 +61,7 @@ def _turned(problem: Problem, solved: Solved, turn: float, known_s: float) -> Tu
     index = np.array([SWEEP, *problem.clocks])
     covariance = solved.covariance[np.ix_(index, index)]
     before, found = solved.precision[np.ix_(index, index)], np.linalg.inv(covariance)
-    # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
-    values, vectors = np.linalg.eigh(found - before)
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    told = vectors[:, values > 0.0]
-    pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
+    information, pull = without_prior(found - before, found @ solved.x[index] - before @ problem.mean[index])
     clocks = clock_sigmas_s([model.drive for model in problem.models], known_s, turn)
     prior = block_diag(FIXED**-2.0, problem.recordings.clocks(np.array(clocks) ** -2.0))
     mean = np.array([turn, *np.zeros(len(clocks))])
