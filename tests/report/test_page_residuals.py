@@ -10,7 +10,7 @@ import pytest
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.tracking.reframing import moved_vehicle, reported_on_map
 from laci_stereo.report.page.charts import Series, chart
-from laci_stereo.report.page.residuals import Fit, centres_apart, fit_drive, median_by_frame
+from laci_stereo.report.page.residuals import Fit, centre_offsets, fit_drive, median_by_frame
 from laci_stereo.report.topdown import position_covariance
 from tests.passages import DRIVES, recorded
 from tests.report.page_support import points_of
@@ -107,7 +107,7 @@ def test_centres_are_compared_in_the_vehicles_axes() -> None:
         shift = ahead_m * np.column_stack([np.cos(yaw), np.sin(yaw)]) + left_m * np.column_stack(
             [-np.sin(yaw), np.cos(yaw)]
         )
-        apart = centres_apart(replace(exact, vehicle=replace(exact.vehicle, xy=exact.vehicle.xy - shift)))
+        apart = centre_offsets(replace(exact, vehicle=replace(exact.vehicle, xy=exact.vehicle.xy - shift)))
         still = np.abs(apart.stamps_s - 2.5) > 0.3  # at the corner the yaw jumps
         np.testing.assert_allclose(apart.ahead_m[still], ahead_m, atol=1e-6)
         np.testing.assert_allclose(apart.left_m[still], left_m, atol=1e-6)

@@ -35,7 +35,7 @@ def objected(
         *([_part_of_it(choice.beside)] if choice.beside else []),
         *repeats_of(own.track, own.vehicle, own.time_offset_s),
     )
-    kept, objections = [], [*([choice.doubt] if choice.doubt else []), *by_choice]
+    kept, objections = [], [*([choice.by_chance] if choice.by_chance else []), *by_choice]
     for passage, frames in zip(passages, ridden_frames(passages, tracks, match), strict=True):
         is_own = passage.station_id == choice.station
         lasting = by_choice if is_own else ()
@@ -43,7 +43,7 @@ def objected(
             ridden = _part_of_it(frames)
             lasting = (*lasting, ridden)
             objections.append(f"{passage.name}: {ridden}" if len(passages) > 1 else ridden)
-        by_chance = choice.doubt if is_own else passage.by_chance
+        by_chance = choice.by_chance if is_own else passage.by_chance
         kept.append(replace(passage, by_chance=by_chance, objections=(*passage.objections, *lasting)))
     return kept, tuple(objections)
 

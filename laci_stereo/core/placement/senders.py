@@ -60,9 +60,9 @@ def place_jointly(
         raise MatchError(f"{besides(choice.beside)}, and {length.lacks}: which of them is the vehicle cannot be told")
     check_registered(fit, [drive], settings)
     objections = []
-    if apart := compare_halves(own, fit, settings):
-        fit = with_difference(fit, apart)
-        objections.append(str(apart))
+    if difference := compare_halves(own, fit, settings):
+        fit = with_difference(fit, difference)
+        objections.append(str(difference))
     registered, remarks, contradictions = _registered(own, drive, fit, others, settings)
     objections += contradictions
     seen, drives, alone = zip(*registered, strict=True)

@@ -109,7 +109,7 @@ def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
 
 
 @dataclass(frozen=True)
-class Apart:
+class CentreOffsets:
     """Offsets of the sensor's box centres from the vehicle's centres by the messages.
 
     Attributes
@@ -124,12 +124,12 @@ class Apart:
     left_m: FloatArray
 
 
-def centres_apart(passage: Passage) -> Apart:
+def centre_offsets(passage: Passage) -> CentreOffsets:
     """Compare the box centres with the messages, both without corrections other than the clock offset."""
     stamps_s = passage.track.stamps_s
     xy, yaw, known = passage.vehicle.at(stamps_s + passage.time_offset_s)
-    apart = rotate_xy(-yaw, passage.match(passage.track.centres) - xy)[known]
-    return Apart(stamps_s[known], apart[:, 0], apart[:, 1])
+    offsets = rotate_xy(-yaw, passage.match(passage.track.centres) - xy)[known]
+    return CentreOffsets(stamps_s[known], offsets[:, 0], offsets[:, 1])
 
 
 def median_by_frame(stamps_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
