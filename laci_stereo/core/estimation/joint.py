@@ -270,9 +270,7 @@ class RoughFit:
     pull: FloatArray
 
 
-def fit_roughly(
-    drive: Evidence, start: PlanarMatch, time_offset_s: float = 0.0, settings: JointSettings | None = None
-) -> RoughFit:
+def fit_roughly(drive: Evidence, start: PlanarMatch, time_offset_s: float, settings: JointSettings) -> RoughFit:
     """Return the estimate of `fit_jointly` for one drive from a subset of its points and few starts.
 
     It takes a tenth of the time. Parameters and errors are those of `fit_jointly`.
@@ -280,8 +278,8 @@ def fit_roughly(
     if not len(drive):
         raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
-    settings, turn = settings or JointSettings(), turn_of([drive])
-    problem = Problem([drive.thinned(ROUGH_ROWS)], start_at(start, centre), centre, settings, turn)
+    begin, turn = start_at(start, centre), turn_of([drive])
+    problem = Problem([drive.thinned(ROUGH_ROWS)], begin, centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
     knots = slice(own.stop - 2 * len(model.knots), own.stop)

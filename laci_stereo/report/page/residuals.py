@@ -48,11 +48,6 @@ class Laid:
     face: IntArray
     surface: FloatArray
 
-    @property
-    def rms_m(self) -> float:
-        """Root mean square distance of the points from the outline, weighted by `surface`."""
-        return float(np.sqrt((self.surface * self.distance_m**2).sum() / max(float(self.surface.sum()), 1e-9)))
-
 
 @dataclass(frozen=True)
 class Fit:
