@@ -21,7 +21,7 @@ from laci_stereo.io.output import EVIDENCE_FILE, RESULT_FILE
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.io.result.evidence_file import Kept, read_evidence
 from laci_stereo.io.result.stored_calibration import read_calibration
-from laci_stereo.io.text_file import listed
+from laci_stereo.io.text_file import listed, read_text
 from laci_stereo.job import Result, sha256
 from laci_stereo.report.page import Photographs
 
@@ -179,15 +179,13 @@ def _failed(evidence: Path, kept: Kept) -> bool:
 
 
 def _read_as(evidence: Path) -> dict[str, object]:
-    """Return the settings by which a result's frames were read, if kept: checks and monitors read others by them."""
+    """Return the settings by which a result's frames were read, if kept: checks and monitors read others by them.
+
+    `_failed` has checked that the result can be read.
+    """
     result = evidence.with_name(RESULT_FILE)
-    if not result.is_file():
-        return {}
-    try:
-        config = json.loads(result.read_bytes())["config"]
-        return {name: config[name] for name in ("stereo", "lidar") if name in config}
-    except (ValueError, KeyError, TypeError, RecursionError) as problem:
-        raise EvidenceError(f"{result} does not say how frames were read; needed is a {RESULT_FILE}") from problem
+    config = json.loads(read_text(result, EvidenceError))["config"] if result.is_file() else {}
+    return {name: config[name] for name in ("stereo", "lidar") if name in config}
 
 
 def _check_kind(runs: Sequence[Path | str], kept: Sequence[Kept]) -> None:

@@ -95,25 +95,25 @@ class LaneCheck:
     judgement : Judgement
     lines : tuple of LineCheck
         The lines in view.
+    hidden : Sections
+        Sections that the background hides.
     error : PlanarError or None
         None if nothing was found.
     residual_m, residual_px : float or None
         Root mean square of the offsets of all sections that were found, without those of astray lines.
     offsets : Offsets or None
         Of all sections that were found, astray lines included.
-    hidden : Sections
-        Sections that the background hides.
     astray : frozenset of int
         Indices of the astray lines.
     """
 
     judgement: Judgement
     lines: tuple[LineCheck, ...]
-    error: PlanarError | None
-    residual_m: float | None
-    residual_px: float | None
-    offsets: Offsets | None
     hidden: Sections
+    error: PlanarError | None = None
+    residual_m: float | None = None
+    residual_px: float | None = None
+    offsets: Offsets | None = None
     astray: frozenset[int] = frozenset()
 
     @property
@@ -186,7 +186,7 @@ def check_lanes(
     """
     view = _look(lines, placed, see, map_sigma_m, kinds)
     if len(view.sections) == 0:
-        return LaneCheck(judge(Evidence(0, 0, 0.0), None), (), None, None, None, None, view.hidden)
+        return LaneCheck(judge(Evidence(0, 0, 0.0), None), (), view.hidden)
     alignment = align(view.traces.evidence, view.alone_m, view.sections)
     fitted = _fit(view, alignment.offsets(view.sections), placed, map_sigma_m)
     checked = tuple(
@@ -200,17 +200,17 @@ def check_lanes(
     )
     judgement = judge(Evidence(_sought(checked), together, rival, astray), None if fitted is None else fitted.error)
     if fitted is None:
-        return LaneCheck(judgement, checked, None, None, None, None, view.hidden)
+        return LaneCheck(judgement, checked, view.hidden)
     left_m = fitted.offsets.left_m[fitted.together]
     residual_px = _rms(left_m / fitted.offsets.cell_m[fitted.together]) if view.traces.in_image else None
     return LaneCheck(
         judgement,
         checked,
-        fitted.error,
+        view.hidden,
+        error=fitted.error,
         residual_m=_rms(left_m),
         residual_px=residual_px,
         offsets=fitted.offsets,
-        hidden=view.hidden,
         astray=fitted.astray,
     )
 

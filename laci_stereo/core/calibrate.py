@@ -104,10 +104,10 @@ def locate(
     own, *others = along_ground(_passages(choice, seen, vehicles, world, settings))
     if settings.method == "paper":
         placement = place_by_paper(own.track, own.vehicle, settings.match)
-        passages: tuple[Passage, ...] = (replace(own, time_offset_s=placement.time_offset_s),)
+        passages: tuple[Passage, ...] = (replace(own, time_offset_s=placement.fit.time_offsets_s[0]),)
     else:
         placement, passages = place_jointly(own, others, choice, settings)
-    kept, objections = objected(passages, own, choice, tracks, placement.match)
+    kept, objections = objected(passages, own, choice, tracks, placement.fit.match)
     placement = replace(placement, contradictions=(*placement.contradictions, *objections))
     return conclude(kept, placement, settings)
 

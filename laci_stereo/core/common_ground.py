@@ -126,7 +126,7 @@ class _Grounds(Estimates):
         together = super().chance(chosen)
         if len(chosen) <= 2:
             return together
-        steps = [self.apart(*halves)[1] for halves in self.halves(chosen)]
+        steps = [self.difference(*halves)[1] for halves in self.halves(chosen)]
         contrasts = np.append(self.distances(chosen), steps)
         return min(1.0, 2.0 * min(together, len(contrasts) * float(chdtrc(3, contrasts.max() ** 2))))
 
@@ -243,7 +243,7 @@ def _check_majority(grounds: _Grounds, kept: list[int], gone: list[int]) -> None
 
 
 def _off(grounds: _Grounds, some: list[int], others: list[int], named: str) -> str:
-    off, sigmas = grounds.apart(some, others)
+    off, sigmas = grounds.difference(some, others)
     turned_deg = np.degrees(np.arcsin(min(1.0, float(np.linalg.norm(off[:2])))))
     return f"tilt is {turned_deg:.2f} deg and its height {off[2]:+.3f} m off {named} ({sigmas:.1f} sigma)"
 

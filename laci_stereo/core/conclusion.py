@@ -24,36 +24,30 @@ def conclude(passages: Sequence[Passage], placement: Placement, settings: Settin
     Parameters
     ----------
     passages : sequence of Passage
-        In one level frame and along one ground; the result's own drive first.
+        In one level frame and along one ground, with the estimate's clock offsets; the result's own drive first.
     placement : Placement
     settings : Settings
     """
     passages, placement = _agreeing_with_the_map(passages, placement)
-    bodies = placement.bodies or [None] * len(passages)
-    match, middle, turn, method = placement.match, placement.middle_level, placement.turn, settings.method
+    fit = placement.fit
     own, *others = (
-        replace(each, match=match, method=method, turn=turn, body=body)
-        for each, body in zip(passages, bodies, strict=True)
+        replace(passage, match=fit.match, method=settings.method, turn=fit.turn, body=body)
+        for passage, body in zip(passages, fit.bodies or [None] * len(passages), strict=True)
     )
-    own = replace(
-        own,
-        time_offset_s=placement.time_offset_s,
-        clock_sigma_s=settings.joint.clock_sigma_s,
-        apart_sigma_s=settings.joint.apart_sigma_s,
-    )
+    own = replace(own, clock_sigma_s=settings.joint.clock_sigma_s, apart_sigma_s=settings.joint.apart_sigma_s)
     T_level_sensor = own.ground.T_level_sensor(own.axes)
     ground_covariance = own.ground.covariance_level(own.axes)
     frames_seen = sum(len(each.track.sightings) for each in passages)
     return Calibration(
         passages=(own, *others),
-        T_world_sensor=planar(match.yaw_rad, match.shift) @ T_level_sensor,
+        T_world_sensor=planar(fit.match.yaw_rad, fit.match.shift) @ T_level_sensor,
         T_level_sensor=T_level_sensor,
-        covariance=covariance_of(placement.doubt, ground_covariance, match, middle),
-        centre_world=np.append(match(middle), 0.0),
-        time_sigma_s=placement.time_sigma_s,
+        covariance=covariance_of(placement.uncertainty, ground_covariance, fit.match, fit.centre_level),
+        centre_world=np.append(fit.match(fit.centre_level), 0.0),
+        time_sigma_s=fit.time_sigmas_s[0],
         paper=_by_paper(own, settings),
         quality=judge(placement, ground_covariance, frames_seen, settings.quality),
-        nearer=placement.nearer,
+        nearer=fit.nearer,
         found=placement.remarks,
     )
 
@@ -66,22 +60,21 @@ def _agreeing_with_the_map(passages: Sequence[Passage], placement: Placement) ->
     slope = passages[0].vehicle.slope
     if slope is None:
         return passages, placement
-    middle = placement.match(placement.middle_level)
+    fit = placement.fit
+    middle = fit.match(fit.centre_level)
     pivot = slope.on_map(middle[None])[0]
     shift, slope = pivot - middle, replace(slope, pivot=pivot)
 
     def moved(vehicle: VehicleTrack) -> VehicleTrack:
         return replace(vehicle, xy=vehicle.xy + shift, slope=slope)
 
-    return [replace(each, vehicle=moved(each.vehicle)) for each in passages], replace(
-        placement,
-        match=replace(placement.match, shift=placement.match.shift + shift),
-        bodies=tuple(map(moved, placement.bodies)),
-    )
+    match = replace(fit.match, shift=fit.match.shift + shift)
+    fit = replace(fit, match=match, bodies=tuple(map(moved, fit.bodies)))
+    return [replace(each, vehicle=moved(each.vehicle)) for each in passages], replace(placement, fit=fit)
 
 
 def _by_paper(own: Passage, settings: Settings) -> PlanarMatch | None:
     try:
-        return place_by_paper(own.track, own.vehicle, settings.match).match
+        return place_by_paper(own.track, own.vehicle, settings.match).fit.match
     except MatchError:
         return None

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtri
 
-from laci_stereo.core.estimation.drive_prior import Correction
+from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import BoolArray, FloatArray, rotate_xy, wrap
 from laci_stereo.core.matching import PlanarMatch, match_track
 from laci_stereo.core.messages.cam import VehicleTrack
@@ -18,7 +18,7 @@ from laci_stereo.core.tracking.tracks import Track
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Uncertainty:
     """The uncertainty of a transform in the plane.
 
     Attributes
@@ -64,22 +64,12 @@ class Placement:
 
     Attributes
     ----------
-    match : PlanarMatch
-    middle_level : ndarray, shape (2,)
-        The track's middle in the level frame, to which the uncertainty refers.
-    doubt : Doubt
-        Its uncertainty.
-    residual_rms_m : float
-    frames_used : int
+    fit : JointFit
+        By the paper's method its clock offset is 0, and it has no corrections.
+    uncertainty : Uncertainty
+        Its uncertainty, of which a part is not in the fit's covariance.
     left_out : dict of str to int
         Numbers of frames that were not used, by reason.
-    time_offset_s, time_sigma_s : float
-        To be added to the sensor's stamps to get the CAMs' time, and its standard deviation; 0 where it is taken as
-        known.
-    turn : float
-        Rotation of the scanner, see `JointFit`.
-    nearer : Correction or None
-        See `JointFit`.
     remarks : tuple of str
         Other findings.
     advice : str
@@ -87,29 +77,19 @@ class Placement:
     contradictions : tuple of str
         Objections: what the points contradict in the messages or in what was stated about them, either of which may be
         wrong.
-    bodies : tuple of VehicleTrack
-        One per drive, see `JointFit`; empty where they were not estimated.
     """
 
-    match: PlanarMatch
-    middle_level: FloatArray
-    doubt: Doubt
-    residual_rms_m: float
-    frames_used: int
+    fit: JointFit
+    uncertainty: Uncertainty
     left_out: dict[str, int] = field(default_factory=dict)
-    time_offset_s: float = 0.0
-    time_sigma_s: float = 0.0
-    turn: float = 0.0
-    nearer: Correction | None = None
     remarks: tuple[str, ...] = ()
     advice: str = ""
     contradictions: tuple[str, ...] = ()
-    bodies: tuple[VehicleTrack, ...] = ()
 
 
-def doubt_of(
+def uncertainty_by_paper(
     match: PlanarMatch, track: Track, vehicle: VehicleTrack, used: BoolArray, settings: MatchSettings
-) -> Doubt:
+) -> Uncertainty:
     """Estimate the uncertainty of the paper's match.
 
     A sensor sees the near sides of a vehicle, so that its boxes lack the sides that face away. The match is repeated
@@ -137,7 +117,7 @@ def doubt_of(
     lengths = np.linalg.norm(xy_world[:-1] - xy_world[-1], axis=1)
     position = float(np.hypot(remains, np.sqrt((shifted**2).mean())))
     yaw = float(np.hypot(wrap(regrown.yaw_rad - match.yaw_rad), np.sqrt(2) * remains / np.sqrt((lengths**2).mean())))
-    return Doubt(np.diag([yaw, position, position]) ** 2, xy_world - xy_world.mean(axis=0))
+    return Uncertainty(np.diag([yaw, position, position]) ** 2, xy_world - xy_world.mean(axis=0))
 
 
 def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> FloatArray:
@@ -159,13 +139,13 @@ def _lacking(track: Track, vehicle: VehicleTrack, yaw_level: FloatArray) -> Floa
 
 
 def covariance_of(
-    doubt: Doubt, ground_covariance: FloatArray, match: PlanarMatch, middle_level: FloatArray
+    uncertainty: Uncertainty, ground_covariance: FloatArray, match: PlanarMatch, middle_level: FloatArray
 ) -> FloatArray:
     """Return the covariance of (rotation vector, translation) in the world, about the track's middle, shape (6, 6).
 
     Parameters
     ----------
-    doubt : Doubt
+    uncertainty : Uncertainty
     ground_covariance : ndarray, shape (3, 3)
         Of (rotation about level x, about level y, height), see `GroundPlane.covariance_level`.
     match : PlanarMatch
@@ -176,7 +156,7 @@ def covariance_of(
     to_world[:2, :2] = rotate_xy(match.yaw_rad, np.eye(2)).T
     to_world[5] = [middle_level[1], -middle_level[0], 1.0]
     covariance: FloatArray = to_world @ ground_covariance @ to_world.T
-    covariance[2:5, 2:5] += doubt.covariance
+    covariance[2:5, 2:5] += uncertainty.covariance
     return covariance
 
 
@@ -191,12 +171,12 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
         Number of frames in which the vehicles were seen.
     settings : QualitySettings
     """
-    doubt = placement.doubt
-    yaw_deg = float(np.degrees(doubt.yaw_rad))
+    uncertainty = placement.uncertainty
+    yaw_deg = float(np.degrees(uncertainty.yaw_rad))
     tilt_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(ground_covariance[:2, :2])[-1])))
     height = float(np.sqrt(ground_covariance[2, 2]))
     checks = [
-        ("position along the track", doubt.track_xy_m, "m", settings.max_sigma_m),
+        ("position along the track", uncertainty.track_xy_m, "m", settings.max_sigma_m),
         ("yaw", yaw_deg, "deg", settings.max_sigma_deg),
         ("tilt", tilt_deg, "deg", 2.0 * settings.max_sigma_deg),
     ]
@@ -208,19 +188,19 @@ def judge(placement: Placement, ground_covariance: FloatArray, frames_seen: int,
     worst = max(value / limit for _, value, _, limit in checks)
     reasons += placement.contradictions
     verdict: Verdict = "pass" if worst <= 1 and not reasons else "warn" if worst <= settings.fail_factor else "fail"
-    weakest_m, weakest_rad = doubt.weakest
+    weakest_m, weakest_rad = uncertainty.weakest
     return Quality(
         verdict=verdict,
         reasons=reasons,
-        track_xy_sigma_m=doubt.track_xy_m,
+        track_xy_sigma_m=uncertainty.track_xy_m,
         weakest_sigma_m=weakest_m,
         weakest_yaw_deg=float(np.degrees(weakest_rad)) % 180.0,
         advice=placement.advice,
         yaw_sigma_deg=yaw_deg,
         tilt_sigma_deg=tilt_deg,
         height_sigma_m=height,
-        residual_rms_m=placement.residual_rms_m,
-        frames_used=placement.frames_used,
+        residual_rms_m=placement.fit.residual_rms_m,
+        frames_used=placement.fit.frames,
         frames_seen=frames_seen,
         left_out=placement.left_out,
     )

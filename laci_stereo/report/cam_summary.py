@@ -93,8 +93,8 @@ def _found(log: CamLog) -> tuple[bool, list[str]]:
         track = vehicle_track(log, world_around(log), int(log.stamps_ns[0]))
     except LaciError as error:
         return bool(part), [f"of no use{part}: {error}"]
-    found = [*dict.fromkeys((*track.doubts, *track.remarks))]
-    if not track.doubts:
+    found = [*dict.fromkeys((*track.objections, *track.remarks))]
+    if not track.objections:
         found.append(f"{len(track.stamps_s)} of {len(log)} messages follow from one another by speed and heading")
     return True, [f"{words}{part}" for words in found]
 

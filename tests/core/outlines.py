@@ -100,6 +100,8 @@ def evidence(
         sigma_z_m=np.full(len(stamps) * per_frame, 0.005),
         height_m=HEIGHT_M,
         vehicle=told(drive, last_s, bias_m, reference),
+        borders=np.full((len(stamps), 2, 3), np.nan),
+        begins_rad=np.full(len(stamps), np.pi),
     )
 
 
@@ -178,16 +180,4 @@ def lasting(xy: FloatArray, over_m: float, rng: np.random.Generator, columns: in
 def lacking(drive: Evidence, first_s: float, last_s: float) -> Evidence:
     """Return what a drive tells whose messages between two times were lost."""
     vehicle = without_messages(drive.vehicle, first_s, last_s)
-    known = vehicle.at(drive.stamps_s)[2]
-    points = known[drive.frame]
-    per_point = ("points", "sigma_along_m", "sigma_across_m", "sigma_z_m")
-    return replace(
-        drive,
-        stamps_s=drive.stamps_s[known],
-        middles=drive.middles[known],
-        lacking_m=drive.lacking_m[known],
-        borders=None if drive.borders is None else drive.borders[known],
-        frame=(np.cumsum(known) - 1)[drive.frame[points]],
-        vehicle=vehicle,
-        **{name: getattr(drive, name)[points] for name in per_point},
-    )
+    return replace(drive.of_frames(vehicle.at(drive.stamps_s)[2]), vehicle=vehicle)

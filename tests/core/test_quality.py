@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import FloatArray, rotate_xy
 from laci_stereo.core.matching import PlanarMatch, match_track
-from laci_stereo.core.quality import Doubt, Placement, covariance_of, doubt_of, judge
+from laci_stereo.core.quality import Placement, Uncertainty, covariance_of, judge, uncertainty_by_paper
 from laci_stereo.core.result import Quality
 from laci_stereo.core.settings import MatchSettings, QualitySettings
 from laci_stereo.core.tracking.tracks import Track
@@ -42,24 +43,24 @@ def seen(
     )
 
 
-def of(position_m: float, yaw_rad: float, spread_m: float) -> Doubt:
+def of(position_m: float, yaw_rad: float, spread_m: float) -> Uncertainty:
     """A doubt that is alike in all directions, over a track that reaches so far from its middle."""
-    return Doubt(np.diag([yaw_rad, position_m, position_m]) ** 2, np.array([[spread_m, 0.0], [-spread_m, 0.0]]))
+    return Uncertainty(np.diag([yaw_rad, position_m, position_m]) ** 2, np.array([[spread_m, 0.0], [-spread_m, 0.0]]))
 
 
-def position_m(doubt: Doubt) -> float:
+def position_m(doubt: Uncertainty) -> float:
     return float(np.sqrt(doubt.covariance[1, 1]))
 
 
-def doubt(track: Track, drive: Drive = DRIVE) -> Doubt:
+def doubt(track: Track, drive: Drive = DRIVE) -> Uncertainty:
     told = vehicle(drive)
     match = match_track(track.centres, told.at(track.stamps_s)[0])
-    return doubt_of(match, track, told, np.ones(len(track.usable), dtype=bool), MatchSettings())
+    return uncertainty_by_paper(match, track, told, np.ones(len(track.usable), dtype=bool), MatchSettings())
 
 
-def verdict(value: Doubt, ground: FloatArray = SURE, track: Track | None = None) -> Quality:
+def verdict(value: Uncertainty, ground: FloatArray = SURE, track: Track | None = None) -> Quality:
     track = track or seen()
-    placement = Placement(TRUTH, np.zeros(2), value, 0.1, 31)
+    placement = Placement(JointFit(TRUTH, (0.0,), value.covariance, np.zeros(2), (0.0,), ((),), 0.1, 31), value)
     return judge(placement, ground, len(track.sightings), QualitySettings())
 
 
@@ -89,7 +90,7 @@ def test_the_error_that_lacking_boxes_cause_is_known(lacking: float) -> None:
     match = match_track(track.centres, world)
     true_level = rotate_xy(-TRUTH.yaw_rad, world - TRUTH.shift)
     error = np.sqrt(((match(true_level) - world) ** 2).sum(axis=1).mean())
-    claimed = doubt_of(match, track, told, np.ones(len(track.usable), dtype=bool), MatchSettings())
+    claimed = uncertainty_by_paper(match, track, told, np.ones(len(track.usable), dtype=bool), MatchSettings())
     assert error == pytest.approx(claimed.track_xy_m, rel=0.3)
     assert abs(match.yaw_rad - TRUTH.yaw_rad) < 1.5 * claimed.yaw_rad
 
@@ -204,7 +205,7 @@ def test_the_weakest_direction_is_that_of_the_least_known_axis() -> None:
     turn = rotate_xy(0.4, np.eye(2)).T
     covariance = np.zeros((3, 3))
     covariance[1:, 1:] = turn @ np.diag([0.25, 0.01]) @ turn.T
-    quality = verdict(Doubt(covariance, np.zeros((1, 2))))
+    quality = verdict(Uncertainty(covariance, np.zeros((1, 2))))
     assert quality.weakest_sigma_m == pytest.approx(0.5)
     assert quality.weakest_yaw_deg == pytest.approx(np.degrees(0.4))
 

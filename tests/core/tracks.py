@@ -193,11 +193,6 @@ class Traffic:
     def owner(self) -> dict[int, int]:
         return {}
 
-    def car_of(self, found: Track) -> int:
-        """The car of most sightings of a track."""
-        owners = [self.owner[id(one)] for one in found.sightings]
-        return max(set(owners), key=owners.count)
-
 
 def lane(points: Sequence[tuple[float, float]]) -> FloatArray:
     """A polyline with rounded corners, a point every half metre."""

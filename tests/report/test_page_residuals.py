@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from laci_stereo.core.settings import JointSettings
+from laci_stereo.core.tracking.reframing import moved_vehicle, reported_on_map
 from laci_stereo.report.page.charts import Series, chart
-from laci_stereo.report.page.residuals import Fit, centres_apart, fit_drive, median_by_frame
+from laci_stereo.report.page.residuals import Fit, centre_offsets, fit_drive, median_by_frame
 from laci_stereo.report.topdown import position_covariance
 from tests.passages import DRIVES, recorded
 from tests.report.page_support import points_of
@@ -32,7 +33,8 @@ def correction(fit: Fit, what: str) -> float:
 def test_the_residuals_are_the_estimates_own(number: int) -> None:
     laid = fitted(number).laid
     assert laid is not None
-    assert laid.rms_m == pytest.approx(recorded()[number][1].quality.residual_rms_m, rel=0.02)
+    rms_m = np.sqrt(np.average(laid.distance_m**2, weights=laid.surface))
+    assert rms_m == pytest.approx(recorded()[number][1].quality.residual_rms_m, rel=0.02)
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -72,6 +74,15 @@ def test_late_messages_are_told_by_the_clock(late_s: float) -> None:
     assert correction(fitted(settings=loose, vehicle=late), "clock") == pytest.approx(before + late_s, abs=0.01)
 
 
+@pytest.mark.parametrize("off_deg", [-8.0, 8.0])
+def test_wrong_headings_are_told(off_deg: float) -> None:
+    """Heavy tails of the priors let the points prevail."""
+    passage = recorded()[0][1].passages[0]
+    xy, yaw_rad = reported_on_map(passage.vehicle)
+    turned = moved_vehicle(passage.vehicle, xy, yaw_rad - np.radians(off_deg), None)
+    assert correction(fitted(vehicle=turned), "heading") == pytest.approx(np.radians(off_deg), abs=np.radians(1.0))
+
+
 def test_boxes_without_points_have_corrections_but_no_outline() -> None:
     passage = recorded()[0][1].passages[0]
     none = np.zeros((0, 3))
@@ -97,7 +108,7 @@ def test_centres_are_compared_in_the_vehicles_axes() -> None:
         shift = ahead_m * np.column_stack([np.cos(yaw), np.sin(yaw)]) + left_m * np.column_stack(
             [-np.sin(yaw), np.cos(yaw)]
         )
-        apart = centres_apart(replace(exact, vehicle=replace(exact.vehicle, xy=exact.vehicle.xy - shift)))
+        apart = centre_offsets(replace(exact, vehicle=replace(exact.vehicle, xy=exact.vehicle.xy - shift)))
         still = np.abs(apart.stamps_s - 2.5) > 0.3  # at the corner the yaw jumps
         np.testing.assert_allclose(apart.ahead_m[still], ahead_m, atol=1e-6)
         np.testing.assert_allclose(apart.left_m[still], left_m, atol=1e-6)

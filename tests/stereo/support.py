@@ -108,3 +108,7 @@ def swapped(rig: StereoRig) -> StereoRig:
     """Return the rig whose first camera is the second one of another."""
     R = rig.R_right_left.T
     return StereoRig(rig.right, rig.left, R, -R @ rig.t_right_left_m)
+
+
+def robust_std(values: FloatArray) -> float:
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))

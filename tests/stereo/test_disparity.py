@@ -17,7 +17,7 @@ from laci_stereo.stereo.disparity import Disparity, Region, check_matched, match
 from laci_stereo.stereo.settings import StereoSettings
 from tests.stereo.render import NOTHING, ROAD, Box, expose
 from tests.stereo.rigs import RIGS
-from tests.stereo.support import FAR, NEAR, STATIC, Truth, rectification, truth, views
+from tests.stereo.support import FAR, NEAR, STATIC, Truth, rectification, robust_std, truth, views
 
 SETTINGS = StereoSettings()
 LARGEST = 31
@@ -76,10 +76,6 @@ def usable(name: str, found: Matched) -> BoolArray:
     u_right = np.rint(np.arange(width) - found.truth.disparity).astype(int).clip(0, width - 1)
     both: BoolArray = plane.left.inner & plane.right.inner[np.arange(height)[:, None], u_right] & found.truth.seen
     return both
-
-
-def robust_std(values: FloatArray) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 @every_rig

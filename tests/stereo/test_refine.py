@@ -17,7 +17,7 @@ from laci_stereo.stereo.refine import Refined, refine
 from laci_stereo.stereo.settings import StereoSettings
 from tests.stereo.render import ROAD, View, expose
 from tests.stereo.rigs import lens, rig
-from tests.stereo.support import FAR, STATIC, truth, views
+from tests.stereo.support import FAR, STATIC, robust_std, truth, views
 
 WALL, CAR = 1, 3
 SIDE = 11
@@ -69,10 +69,6 @@ def seen(owner: int) -> BoolArray:
     mine = known.seen & (known.owner == owner)
     inner: BoolArray = cv2.erode(mine.astype(np.uint8), np.ones((SIDE, SIDE), np.uint8)) > 0
     return inner
-
-
-def robust_std(values: FloatArray) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 @pytest.mark.parametrize("owner", [ROAD, WALL, CAR], ids=["road", "wall", "car"])

@@ -30,7 +30,7 @@ from laci_stereo.core.frames import (
     transform,
 )
 from laci_stereo.core.messages.cam import CamLog
-from laci_stereo.core.quality import Doubt
+from laci_stereo.core.quality import Uncertainty
 from laci_stereo.core.result import Calibration, Quality
 from laci_stereo.stereo.recording import surveyed
 from tools.scenes.cams import EPOCH_NS, CamFlaws, ReceiverName, Rounding, cam_log, together
@@ -393,7 +393,7 @@ def errors_of(calibration: Calibration, scene: Scene) -> Errors:
 def _claimed_xy_m(calibration: Calibration, track_utm: FloatArray) -> float:
     """Return the root mean square error in the plane that a calibration predicts for ground points."""
     arms = calibration.world.from_utm(track_utm) - calibration.centre_world[:2]
-    return Doubt(calibration.covariance[2:5, 2:5], arms).track_xy_m
+    return Uncertainty(calibration.covariance[2:5, 2:5], arms).track_xy_m
 
 
 def _rotation_ratio(R_error: FloatArray, quality: Quality) -> float:

@@ -96,7 +96,7 @@ def clearly_better(tried: Mapping[str, Case], case: Case, told: Choice | None, w
     found = []
     for option, other in tried.items():
         choice = other.chosen()
-        if choice is None or choice.doubt:
+        if choice is None or choice.by_chance:
             continue
         same = other.tracks is case.tracks and other.vehicles[choice.station] is case.vehicles[choice.station]
         if not same and log_odds_between(choice, told) > case.settings.least_log_odds + log_searched:

@@ -54,7 +54,7 @@ class Choice:
         Log odds against the second-best hypothesis that contradicts this one; infinite if there is none.
     second_is : str
         Description of that hypothesis.
-    doubt : str
+    by_chance : str
         Objection: why the track may be a stranger's; empty where that is out of the question.
     beside : int
         Number of frames in which another object moves as one with it; see `companion`.
@@ -73,7 +73,7 @@ class Choice:
     log_likelihood: float
     log_likelihood_margin: float
     second_is: str
-    doubt: str = ""
+    by_chance: str = ""
     beside: int = 0
     better: str = ""
     others: tuple[Other, ...] = ()

@@ -32,7 +32,7 @@ def mirrored(case: Case, choice: Choice | None) -> Alternative | None:
     if log_odds_between(boxes.by_boxes.chosen(), case.by_boxes.chosen()) < case.settings.least_log_odds:
         return None
     other = replace(case, tracks=[mirrored_track(track) for track in case.tracks]).chosen()
-    if other is None or other.doubt or log_odds_between(other, choice) < case.settings.clear_log_odds:
+    if other is None or other.by_chance or log_odds_between(other, choice) < case.settings.clear_log_odds:
         return None
     size = math.exp(min(log_odds_between(other, choice), math.log(MOST_ODDS)))
     odds = f"by odds of {two_digits(size)} to 1 " if choice else ""

@@ -209,16 +209,16 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
     if second is not None and margin < least:
         tied = tie(scene, best.account, second, margin)
         raise MatchError(f"{tied}; needed are {odds(least)}{towing(scene)}")
-    even, doubt = best.value - math.log(objects), ""
+    even, objection = best.value - math.log(objects), ""
     needed = scene.settings.least_seen_log_odds - SILENT
     if even < needed:
         chance = by_chance(scene, best.account, objects, even)
         raise MatchError(f"{chance}; needed are {odds(needed)}{lingering(scene)}{towing(scene)}")
     # A result without any objection must hold even at prior odds of one to one that the sender was seen at all.
     if second is not None and margin < min(even, scene.settings.clear_log_odds):
-        doubt = tie(scene, best.account, second, margin)
+        objection = tie(scene, best.account, second, margin)
     elif even < scene.settings.clear_log_odds:
-        doubt = by_chance(scene, best.account, objects, even)
+        objection = by_chance(scene, best.account, objects, even)
     return Choice(
         station=best.account.station,
         track=track,
@@ -229,7 +229,7 @@ def _decide(scene: Scene, hypotheses: Sequence[_Hypothesis], candidates: Set[int
         log_likelihood=best.value,
         log_likelihood_margin=margin,
         second_is="nothing else" if second is None else named(scene, best.account, second),
-        doubt=doubt,
+        by_chance=objection,
         others=_others(scene, best, agreeing),
     )
 

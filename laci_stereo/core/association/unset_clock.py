@@ -29,9 +29,9 @@ def clocks_apart(case: Case, choice: Choice | None, by_any_clock: Likeness) -> A
     if known_s >= UNKNOWN_CLOCK_S:
         return None
     loose = replace(case, settings=replace(case.settings, clock_sigma_s=UNKNOWN_CLOCK_S), likeness=by_any_clock)
-    if choice is None or choice.doubt:
+    if choice is None or choice.by_chance:
         other = loose.chosen()
-        clearly = other is not None and not other.doubt and log_odds_between(other, choice) > least_log_odds
+        clearly = other is not None and not other.by_chance and log_odds_between(other, choice) > least_log_odds
     elif len(_together(choice)) == len(case.vehicles):
         return None
     else:

@@ -58,16 +58,16 @@ def choose_vehicle(
         if not instead:
             raise
         nearer_per_m = max((each.nearer_per_m for each in instead), key=abs)
-        raise MatchError(f"{error}; {told(instead, settings.match)}", nearer_per_m) from error
+        raise MatchError(f"{error}; {in_words(instead, settings.match)}", nearer_per_m) from error
     if turned_over := mirrored(case, choice):
         raise MatchError(turned_over.words)
     alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]
     asked = [clocks_apart(case, choice, by_any_clock), point_off(case, choice)]
-    better = told([each for each in asked if each is not None], settings.match)
+    better = in_words([each for each in asked if each is not None], settings.match)
     return replace(choice, others=tuple(alone), better=better)
 
 
-def told(instead: Sequence[Alternative], settings: MatchSettings) -> str:
+def in_words(instead: Sequence[Alternative], settings: MatchSettings) -> str:
     """Return words on what would fit: the likeliest alternative and those nearly as likely; empty if there is none."""
     best = max((each.log_odds for each in instead), default=0.0)
     likely = sorted(instead, key=lambda each: -each.log_odds)

@@ -82,7 +82,7 @@ def optics_off(case: Case) -> Alternative | None:
     if best.by == 1.0 or log_odds_between(best.choice, as_seen) < case.settings.least_log_odds + log_searched:
         return None
     exact = _by_outlines(moving, best)
-    if exact.choice is None or exact.choice.doubt:
+    if exact.choice is None or exact.choice.by_chance:
         return None
     way = "longer" if exact.by > 1.0 else "shorter"
     return Alternative(
@@ -104,7 +104,7 @@ def disparities_off(case: Case) -> Alternative | None:
     ladder = np.exp(STEP / 2 * np.arange(-OFFSETS, OFFSETS + 1))
     best, _ = _by_boxes(moving, (OFFSET,), ladder)
     exact = _by_outlines(moving, best)
-    if exact.choice is None or exact.choice.doubt:
+    if exact.choice is None or exact.choice.by_chance:
         return None
     typical_m = _typical_m(moving)
     return Alternative(

@@ -144,9 +144,9 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
         If no majority agrees, another selection would agree as well, or so many others agree with one another that it
         is not clear which group is right.
     """
-    if all_agree(alone):
-        return list(range(len(alone))), ()
     estimates = estimates_of(alone)
+    if _agree(estimates, range(len(alone))):
+        return list(range(len(alone))), ()
     groups = sorted(_groups(estimates), key=lambda group: _cost(estimates, group))
     kept = groups[0]
     gone = [i for i in range(len(alone)) if i not in kept]
@@ -231,7 +231,7 @@ def _groups(estimates: Estimates) -> list[list[int]]:
     groups = set()
     for first in range(count):
         group = [first]
-        for other in sorted(set(range(count)) - {first}, key=lambda i: estimates.apart([i], [first])[1]):
+        for other in sorted(set(range(count)) - {first}, key=lambda i: estimates.difference([i], [first])[1]):
             if _agree(estimates, [*group, other]):
                 group.append(other)
         groups.add(tuple(sorted(group)))
@@ -244,10 +244,10 @@ def _gate(count: int) -> float:
 
 
 def _left_out(name: str, one: int, kept: Sequence[int], estimates: Estimates) -> LeftOut:
-    return LeftOut(name, *_between(estimates, [one], kept), estimates.apart([one], kept)[1], len(kept))
+    return LeftOut(name, *_between(estimates, [one], kept), estimates.difference([one], kept)[1], len(kept))
 
 
 def _between(estimates: Estimates, some: Sequence[int], others: Sequence[int]) -> tuple[float, float]:
     """Return the differences in position, metres, and yaw, degrees, between the means of two groups."""
-    off, _ = estimates.apart(some, others)
+    off, _ = estimates.difference(some, others)
     return float(np.hypot(*off[1:])), float(np.degrees(abs(off[0])))

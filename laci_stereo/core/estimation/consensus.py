@@ -48,16 +48,16 @@ class Estimates:
         """
         return max(1.0, self.chi_square(chosen) / _freedom(chosen)) if len(chosen) > 1 else 1.0
 
-    def apart(self, some: Sequence[int], others: Sequence[int]) -> tuple[FloatArray, float]:
+    def difference(self, some: Sequence[int], others: Sequence[int]) -> tuple[FloatArray, float]:
         """Return the difference of the mean of some from that of others, shape (3,), and its Mahalanobis distance."""
         mean, covariance = self.mean(some)
-        reference, doubt = self.mean(others)
+        reference, other_covariance = self.mean(others)
         off = mean - reference
-        return off, float(np.sqrt(off @ np.linalg.solve(covariance + doubt, off)))
+        return off, float(np.sqrt(off @ np.linalg.solve(covariance + other_covariance, off)))
 
     def distances(self, chosen: Sequence[int]) -> FloatArray:
         """Return the Mahalanobis distance of each of some estimates from all the others of them together."""
-        return np.array([self.apart([i], [j for j in chosen if j != i])[1] for i in chosen])
+        return np.array([self.difference([i], [j for j in chosen if j != i])[1] for i in chosen])
 
 
 def weighted_mean(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -125,9 +125,8 @@ class DriveLikelihood:
             mixture.weigh(distance[part], sigma[part], group, fractions, rows.share[part])
             for part, group, fractions in self._kinds(rows, shares)
         ]
-        names = ("surface", "behind", "slope", "log_likelihood", "growth")
-        whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return mixture.Mixture(**whole, shares=np.concatenate([part.shares for part in parts]))
+        names = [field.name for field in fields(mixture.Mixture)]
+        return mixture.Mixture(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def _log_likelihoods(self, rows: Rows, distance: FloatArray, shares: FloatArray) -> FloatArray:
         """Return the log-likelihood of distances of rows, shape (n,), as defined by `mixed`."""

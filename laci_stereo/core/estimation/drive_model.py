@@ -36,8 +36,8 @@ from laci_stereo.core.estimation.drive_rows import (
     FOCAL,
     SWEEP,
     Chosen,
-    Met,
     Rows,
+    SightLines,
 )
 from laci_stereo.core.estimation.effective_samples import (
     SAME_BORDER_M,
@@ -120,12 +120,12 @@ class DriveModel:
         if not len(self.drive.points):
             return self._centre_rows(x, poses)
         if chosen is None:
-            met = self._wall(x, poses)
-            share = self._shares(met)
+            lines = self._wall(x, poses)
+            share = self._shares(lines)
         else:
             known = poses.known[self.drive.frame[chosen.points]]
-            met, share = self._meet(x, poses, chosen.points[known]), chosen.share[known]
-        rows = self._outline_rows(x, poses, met, share)
+            lines, share = self._sight_lines(x, poses, chosen.points[known]), chosen.share[known]
+        rows = self._outline_rows(x, poses, lines, share)
         # Without points of the outline, borders may be those of anything.
         if self.drive.has_borders and len(rows.frame):
             rows = rows.joined(self._border_rows(x, poses))
@@ -143,24 +143,24 @@ class DriveModel:
         sight pass by the outline are counted with the side that has most points in the frame.
         """
         poses = self._poses(x)
-        met = self._wall(x, poses)
-        return Chosen(met.points, self._shares(met), poses.unsure)
+        lines = self._wall(x, poses)
+        return Chosen(lines.points, self._shares(lines), poses.unsure)
 
-    def wall(self, x: FloatArray) -> Met:
+    def wall(self, x: FloatArray) -> SightLines:
         """Return what the lines of sight meet on the wall, in frames where the messages determine the pose."""
         return self._wall(x, self._poses(x))
 
-    def _wall(self, x: FloatArray, poses: Poses) -> Met:
-        met = self._meet(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
-        sigma_z = self.drive.sigma_z_m[met.points]
-        blur_m = self.drive.blur_m[met.points]
+    def _wall(self, x: FloatArray, poses: Poses) -> SightLines:
+        lines = self._sight_lines(x, poses, np.flatnonzero(poses.known[self.drive.frame]))
+        sigma_z = self.drive.sigma_z_m[lines.points]
+        blur_m = self.drive.blur_m[lines.points]
         ahead_m = outline.about_middle(x[_SHAPE])[0][0]
-        matched, behind_m = self.drive.window_rad > 0.0, self.size[0] / 2 + ahead_m - met.xy[:, 0]
-        highest_m = outline.highest_of(self.size[1], met.hits.face, behind_m, matched=matched)
-        return met[outline.on_the_wall(self.drive.height_m, met.z, met.hits, sigma_z, blur_m, highest_m)]
+        matched, behind_m = self.drive.window_rad > 0.0, self.size[0] / 2 + ahead_m - lines.xy[:, 0]
+        highest_m = outline.highest_of(self.size[1], lines.hits.face, behind_m, matched=matched)
+        return lines[outline.on_the_wall(self.drive.height_m, lines.z, lines.hits, sigma_z, blur_m, highest_m)]
 
-    def _shares(self, met: Met) -> FloatArray:
-        drive, points, face = self.drive, met.points, met.hits.face
+    def _shares(self, lines: SightLines) -> FloatArray:
+        drive, points, face = self.drive, lines.points, lines.hits.face
         together = np.zeros((len(drive), outline.FACES))
         np.add.at(together, (drive.frame[points], face), 1.0)
         side = np.where(face < outline.SIDES, face, together[:, : outline.SIDES].argmax(axis=1)[drive.frame[points]])
@@ -209,7 +209,7 @@ class DriveModel:
         origin = rotate_xy(-yaw, rotate_xy(x[0], -self.centre * _scale(x)) + shift)
         return xy, origin[frame], yaw[frame]
 
-    def _meet(self, x: FloatArray, poses: Poses, points: IntArray) -> Met:
+    def _sight_lines(self, x: FloatArray, poses: Poses, points: IntArray) -> SightLines:
         along = self.drive.sigma_along_m[points]
         frame = self.drive.frame[points]
         arm = (self.drive.points[points, :2] - self.centre) * _scale(x) - x[BIAS] * along[:, None] * self.sight[points]
@@ -225,7 +225,7 @@ class DriveModel:
             z = z - nearer * (z - self.drive.height_m)
         across = self.drive.sigma_across_m[points]
         hits = outline.meet(xy, origin, along, across, self.size, x[_SHAPE], z)
-        return Met(points, hits, arm, xy, z, origin, yaw, farther)
+        return SightLines(points, hits, arm, xy, z, origin, yaw, farther)
 
     def _farther_per_s(
         self, x: FloatArray, poses: Poses, points: IntArray, xy: FloatArray, yaw: FloatArray
@@ -235,26 +235,26 @@ class DriveModel:
         turning = rotate_xy(yaw, poses.rates.yaw[frame, None] * perpendicular(xy))
         return dot_xy(self.drive.farther_per_m[points], rotate_xy(-x[0], poses.rates.velocity[frame] + turning))
 
-    def _outline_rows(self, x: FloatArray, poses: Poses, met: Met, share: FloatArray) -> Rows:
-        drive, points, frame = self.drive, met.points, self.drive.frame[met.points]
+    def _outline_rows(self, x: FloatArray, poses: Poses, lines: SightLines, share: FloatArray) -> Rows:
+        drive, points, frame = self.drive, lines.points, self.drive.frame[lines.points]
         late_s = drive.frames_late_s[frame] + drive.points_late_s[points]
-        rows = self._rows_of(x, poses, met, frame, late_s, share)
+        rows = self._rows_of(x, poses, lines, frame, late_s, share)
         towards = dot_xy(rotate_xy(x[0], self.sight[points]), rows.jacobian[:, _NORMAL])
         # The optics scale the measured range, which includes its noise, not the range to the side: add the difference
         # along the line of sight.
         sight, ahead_m = self.sight[points], drive.points[points, 0]
         longer = np.column_stack([sight[:, 0] * ahead_m, dot_xy(sight, drive.points[points, :2])])
-        rows.jacobian[:, BY_OPTICS] += ((1.0 - met.hits.reach) * towards)[:, None] * longer
+        rows.jacobian[:, BY_OPTICS] += ((1.0 - lines.hits.reach) * towards)[:, None] * longer
         rows.jacobian[:, BIAS] = -drive.sigma_along_m[points] * towards
-        rows.jacobian[:, APART] = -met.farther * np.hypot(*drive.points[points, :2].T) * towards
+        rows.jacobian[:, APART] = -lines.farther * np.hypot(*drive.points[points, :2].T) * towards
         # A point that is seen within half a window of a border may be the border's. This adds to its variance fully
         # beside the outline, and also on a side that looks narrower than half a window, as it is grazed.
         window_m = self._window_m(np.hypot(*drive.points[points, :2].T))
-        aside_m = BORDER_SIGMA * window_m * (2.0 * met.hits.within < window_m)
-        rows = replace(rows, variance=rows.variance + (1.0 - met.hits.cos**2) * aside_m**2)
+        aside_m = BORDER_SIGMA * window_m * (2.0 * lines.hits.within < window_m)
+        rows = replace(rows, variance=rows.variance + (1.0 - lines.hits.cos**2) * aside_m**2)
         if drive.window_rad == 0.0:
             return rows
-        mirrored = gloss.mirrored(met.hits.cos * np.cos(drive.above_rad[points]))
+        mirrored = gloss.mirrored(lines.hits.cos * np.cos(drive.above_rad[points]))
         rows.jacobian[:, _GLOSS] = mirrored * rows.jacobian[:, [BIAS]]
         return replace(rows, distance=rows.distance + rows.jacobian[:, _GLOSS] @ x[_GLOSS])
 
@@ -268,15 +268,16 @@ class DriveModel:
 
         Where something occludes a border, the visible part ends inside it, as a point behind the surface lies inside.
         """
-        borders = self.drive.outermost
+        borders = self.drive.borders
         frame, side = np.nonzero(np.isfinite(borders[:, :, 0]) & poses.known[:, None])
         at, z = borders[frame, side, :2], borders[frame, side, 2]
         arm = (at - self.centre) * _scale(x)
         xy, origin, yaw = self._into_vehicle(x, poses, frame, arm)
         hits = outline.touch(xy, origin, side > 0, self.size, x[_SHAPE])
         window_m = self._window_m(hits.reach * np.hypot(*at.T))
-        met = Met(len(self.drive.points) + 2 * frame + side, hits, arm, xy, z, origin, yaw, np.zeros(len(frame)))
-        rows = self._rows_of(x, poses, met, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
+        index, farther = len(self.drive.points) + 2 * frame + side, np.zeros(len(frame))
+        lines = SightLines(index, hits, arm, xy, z, origin, yaw, farther)
+        rows = self._rows_of(x, poses, lines, frame, self.drive.frames_late_s[frame], self.border_worth[frame])
         rows.jacobian[np.arange(len(frame)), _GROWTH + side] = -window_m
         return replace(
             rows,
@@ -285,15 +286,15 @@ class DriveModel:
         )
 
     def _rows_of(
-        self, x: FloatArray, poses: Poses, met: Met, frame: IntArray, late_s: FloatArray, share: FloatArray
+        self, x: FloatArray, poses: Poses, lines: SightLines, frame: IntArray, late_s: FloatArray, share: FloatArray
     ) -> Rows:
-        hits = met.hits
+        hits = lines.hits
         # Derivatives are taken where the line of sight meets the side: a point that noise has displaced would have
         # those of another place.
         from_sensor = self.centre * _scale(x)
-        arm = (met.arm + from_sensor) * hits.reach[:, None] - from_sensor
-        xy = met.origin + (met.xy - met.origin) * hits.reach[:, None]
-        jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, met.yaw, hits.normal)
+        arm = (lines.arm + from_sensor) * hits.reach[:, None] - from_sensor
+        xy = lines.origin + (lines.xy - lines.origin) * hits.reach[:, None]
+        jacobian, by_now, by_lag = self._derivatives(x, poses, frame, late_s, arm, xy, lines.yaw, hits.normal)
         jacobian[:, _SHAPE] = hits.by_shape
         jacobian[:, BY_OPTICS] = _by_optics(x, jacobian[:, _NORMAL], arm)
         return Rows(
@@ -301,13 +302,13 @@ class DriveModel:
             variance=hits.variance,
             cos=hits.cos,
             jacobian=jacobian,
-            by_time=by_time(poses.now, frame, xy, hits.normal, jacobian[:, _NORMAL]),
-            by_lag=poses.now.yaw[frame] * jacobian[:, _HEADING],
+            by_time=by_now,
+            by_lag=by_lag,
             late_s=late_s,
             face=hits.face,
             frame=frame,
             share=share,
-            point=met.points,
+            point=lines.points,
         )
 
     def _centre_rows(self, x: FloatArray, poses: Poses) -> Rows:
@@ -334,7 +335,7 @@ class DriveModel:
         by_shape[0, :2], by_shape[1, 3] = (0.5, -0.5), 1.0
         for axis, moved in enumerate(by_shape):
             normal = np.tile(np.eye(2)[axis], (len(frame), 1))
-            jacobian = self._jacobian(x, poses, frame, late_s, arm, xy, yaw, normal)
+            jacobian, by_now, by_lag = self._derivatives(x, poses, frame, late_s, arm, xy, yaw, normal)
             jacobian[:, _SHAPE] = -moved
             jacobian[:, _PARTIAL] = -nearer[:, axis]
             jacobian[:, BIAS] = farther[:, axis]
@@ -344,8 +345,8 @@ class DriveModel:
                     variance=np.full(len(frame), variances[axis]),
                     cos=np.ones(len(frame)),
                     jacobian=jacobian,
-                    by_time=by_time(poses.now, frame, xy, normal, jacobian[:, _NORMAL]),
-                    by_lag=poses.now.yaw[frame] * jacobian[:, _HEADING],
+                    by_time=by_now,
+                    by_lag=by_lag,
                     late_s=late_s,
                     face=np.full(len(frame), axis),
                     frame=frame,
@@ -355,7 +356,7 @@ class DriveModel:
             )
         return parts[0].joined(*parts[1:])
 
-    def _jacobian(
+    def _derivatives(
         self,
         x: FloatArray,
         poses: Poses,
@@ -365,11 +366,11 @@ class DriveModel:
         xy: FloatArray,
         yaw: FloatArray,
         normal: FloatArray,
-    ) -> FloatArray:
-        """Return the derivatives of normal . xy, shape (n, FIRST_OWN + KNOTS).
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the derivatives of normal . xy: `Rows.jacobian`, `Rows.by_time` and `Rows.by_lag`.
 
-        They are those by yaw, x, y, rotation of the scanner, clock offset, heading error and lag, heading lever and
-        initial angle of the body; the other columns are 0.
+        The jacobian's are those by yaw, x, y, rotation of the scanner, clock offset, heading error and lag, heading
+        lever and initial angle of the body; the other columns are 0.
         """
         jacobian = np.zeros((len(xy), _KNOTS))
         normal_world = rotate_xy(yaw, normal)
@@ -382,7 +383,7 @@ class DriveModel:
         jacobian[:, _LAG] = about * poses.rates.yaw[frame]
         jacobian[:, _LEVER] = about * poses.by_lever[frame]
         jacobian[:, _BEGIN] = about * poses.by_begin[frame]
-        return jacobian
+        return jacobian, by_time(poses.now, frame, xy, normal, normal_world), about * poses.now.yaw[frame]
 
 
 def _scale(x: FloatArray) -> FloatArray:

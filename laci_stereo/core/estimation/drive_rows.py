@@ -24,8 +24,8 @@ BY_OPTICS = slice(FOCAL, BASELINE + 1)
 
 
 @dataclass(frozen=True)
-class Met(Columns):
-    """What the lines of sight of some points meet on the outline, and where the points are.
+class SightLines(Columns):
+    """Lines of sight: where their points are, and what they meet on the outline.
 
     Attributes
     ----------

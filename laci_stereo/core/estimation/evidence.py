@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from laci_stereo.core.cloud import Cameras
-from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.tracking.sighting import sigma_z
 from laci_stereo.core.tracking.tracks import Track
@@ -45,14 +45,14 @@ class Evidence:
     height_m : float
         Height of the sensor above the ground.
     vehicle : VehicleTrack
+    borders : ndarray, shape (m, 2, 3)
+        The vehicle's outermost points in each frame, level frame, right and left; NaN where unknown.
+    begins_rad : ndarray, shape (m,)
+        See `Sighting`.
     turn_s : float
         Duration of a scanner's revolution if it may rotate and the points' times are not known; else 0.
     window_rad : float
         Side of the window within which points share their noise; 0 if each has its own.
-    borders : ndarray, shape (m, 2, 3), or None
-        The vehicle's outermost points in each frame, level frame, right and left; NaN where unknown, None if all are.
-    begins_rad : ndarray, shape (m,), or None
-        See `Sighting`; None: the scans begin behind the sensor.
     cameras : Cameras or None
         Level frame; None for other sensors than stereo cameras.
     """
@@ -67,10 +67,10 @@ class Evidence:
     sigma_z_m: FloatArray
     height_m: float
     vehicle: VehicleTrack
+    borders: FloatArray
+    begins_rad: FloatArray
     turn_s: float = 0.0
     window_rad: float = 0.0
-    borders: FloatArray | None = None
-    begins_rad: FloatArray | None = None
     cameras: Cameras | None = None
 
     def __len__(self) -> int:
@@ -90,19 +90,13 @@ class Evidence:
     @cached_property
     def _turned_rad(self) -> FloatArray:
         """Azimuth of each frame's middle to the left of where a scan begins, 0 to 2 pi, shape (m,)."""
-        begins = np.pi if self.begins_rad is None else self.begins_rad
-        turned: FloatArray = (np.arctan2(self.middles[:, 1], self.middles[:, 0]) - begins) % (2 * np.pi)
+        turned: FloatArray = (np.arctan2(self.middles[:, 1], self.middles[:, 0]) - self.begins_rad) % (2 * np.pi)
         return turned
-
-    @cached_property
-    def outermost(self) -> FloatArray:
-        """The borders, shape (m, 2, 3), all NaN where none is known."""
-        return np.full((len(self), 2, 3), np.nan) if self.borders is None else self.borders
 
     @cached_property
     def has_borders(self) -> bool:
         """Whether any border is known."""
-        return bool(np.isfinite(self.outermost).any())
+        return bool(np.isfinite(self.borders).any())
 
     @cached_property
     def beside_rad(self) -> FloatArray:
@@ -162,19 +156,22 @@ class Evidence:
         Of the frames in which the vehicle is stationary, most are left out. At any place `FRAMES_PER_PLACE` frames
         remain, from the first to the last.
         """
-        drive = self._moving()
+        drive = self.of_frames(self._moving())
         keep = np.arange(0, len(drive.points), max(1, len(drive.points) // max(1, rows)))
         return drive._with_points(keep)
 
-    def _moving(self) -> Evidence:
+    def _moving(self) -> BoolArray:
+        """Return which frames are kept, shape (m,)."""
         place = np.unique(self.way_m // SAME_VIEW_M, return_inverse=True)[1].reshape(-1)
         count = np.bincount(place)
         rank = np.arange(len(self)) - (np.cumsum(count) - count)[place]
         # Frames at which the next of nine equal steps from the first to the last has begun.
         step = (rank * (FRAMES_PER_PLACE - 1)) // np.maximum(count[place] - 1, 1)
-        kept = (count[place] <= FRAMES_PER_PLACE) | (np.diff(step, prepend=-1) != 0) | (rank == 0)
-        if kept.all():
-            return self
+        kept: BoolArray = (count[place] <= FRAMES_PER_PLACE) | (np.diff(step, prepend=-1) != 0) | (rank == 0)
+        return kept
+
+    def of_frames(self, kept: BoolArray) -> Evidence:
+        """Return this drive with some of its frames, given as booleans, shape (m,)."""
         drive = self._with_points(np.flatnonzero(kept[self.frame]))
         return replace(
             drive,
@@ -182,8 +179,8 @@ class Evidence:
             middles=self.middles[kept],
             lacking_m=self.lacking_m[kept],
             frame=(np.cumsum(kept) - 1)[drive.frame],
-            borders=None if self.borders is None else self.borders[kept],
-            begins_rad=None if self.begins_rad is None else self.begins_rad[kept],
+            borders=self.borders[kept],
+            begins_rad=self.begins_rad[kept],
         )
 
     def _with_points(self, keep: IntArray) -> Evidence:
@@ -240,9 +237,9 @@ def evidence_of(track: Track, vehicle: VehicleTrack, height_m: float) -> Evidenc
         sigma_z_m=sigma_z(sight, along, across),
         height_m=height_m,
         vehicle=vehicle,
-        turn_s=track.turn_s,
-        window_rad=track.window_rad,
         borders=np.array([sighting.borders for sighting in seen]).reshape(-1, 2, 3),
         begins_rad=np.array([sighting.begin_rad for sighting in seen]),
+        turn_s=track.turn_s,
+        window_rad=track.window_rad,
         cameras=track.cameras,
     )

@@ -20,6 +20,7 @@ from laci_stereo.core.estimation.drive_rows import APART, BIAS, BY_OPTICS
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.mistakes import WRONG_OPTICS, Rival, likely_mistakes
 from laci_stereo.core.estimation.problem import COMPARED, CONVERGED, Problem, Solved
+from laci_stereo.core.estimation.residual_scatter import without_prior
 from laci_stereo.core.estimation.scanner_turn import FIXED, Turn, turn_of
 from laci_stereo.core.estimation.turn_hypotheses import among, clock_sigmas_s, turns_of
 from laci_stereo.core.frames import FloatArray, rotate_xy, wrap
@@ -109,7 +110,7 @@ class JointFit:
     corrections: tuple[tuple[Correction, ...], ...]
     residual_rms_m: float
     frames: int
-    explained: float
+    explained: float = 1.0
     bodies: tuple[VehicleTrack, ...] = ()
     turn: float = 0.0
     turn_probability: float = 1.0
@@ -191,44 +192,54 @@ def fit_jointly(
     if not used:
         raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = np.concatenate([drive.middles for drive in used]).mean(axis=0)
-    begin = _around(start, centre)
+    begin = start_at(start, centre)
     turn = turn_of(drives)
     least = MATCHED_ROWS if any(drive.window_rad for drive in drives) else HELD_ROWS
     most = max(FINE_ROWS // len(drives), least)
     fine, coarse = ([drive.thinned(rows) for drive in drives] for rows in (most, COARSE_ROWS // len(drives)))
     thinned = Problem(coarse, begin, centre, settings, turn, stations)
     best = thinned.at_rest(offsets) if close else thinned.best_of(_starts(thinned, offsets, SHIFTS_M))
-    told = settings
+    given = settings
     rivals: tuple[Rival, ...] = ()
     if mistakes:
         best, settings, rivals = likely_mistakes(thinned, best)
     problem = Problem(fine, begin, centre, settings, turn, stations)
-    solved, its_turn, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
+    solved, rotation, probability = problem.solve(best, COMPARED if turn.possible else CONVERGED), 0.0, 1.0
     if turn.possible:
         turned, settings = turns_of(problem, solved, unset=mistakes)
-        likeliest = max(turned, key=lambda each: each.log_probability)
-        problem = Problem(fine, begin, centre, settings, Turn(likeliest.turn, FIXED), stations)
+        likeliest = max(turned, key=lambda estimate: estimate.log_probability)
+        rotation = likeliest.turn
+        problem = problem.expecting(settings, Turn(rotation, FIXED))
         solved, probability = among(turned, likeliest, problem.solve(likeliest.x))
-        its_turn = likeliest.turn
-    clocks_s = clock_sigmas_s(drives, told.clock_sigma_s, its_turn)
+    clocks_s = clock_sigmas_s(drives, given.clock_sigma_s, rotation)
     expected = [np.append(clock_s, m.prior.sigmas[1:]) for clock_s, m in zip(clocks_s, thinned.models, strict=True)]
-    standing = sum(map(len, drives)) - sum(map(len, fine))
-    fit = _fit(problem, solved, centre, expected)
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
     # A rival that was accepted in the end is in the estimate.
-    unset = settings.clock_sigma_s == told.clock_sigma_s and (settings is told or optics)
-    rivals = tuple(each for each in rivals if (unset if each.clock else not optics))
-    return replace(
-        fit,
+    unset = settings.clock_sigma_s == given.clock_sigma_s and (settings is given or optics)
+    rivals = tuple(rival for rival in rivals if (unset if rival.clock else not optics))
+    points = sum(fitness.rows for fitness in solved.fitness)
+    return JointFit(
+        match=_match(solved, centre),
+        time_offsets_s=tuple(solved.x[problem.clocks].tolist()),
+        covariance=_with_rivals(solved.covariance[:3, :3], solved.x, rivals),
+        centre_level=centre,
+        time_sigmas_s=tuple(np.sqrt(np.diag(solved.covariance)[problem.clocks]).tolist()),
+        corrections=tuple(
+            tuple(replace(each, sigma=float(sigma)) for each, sigma in zip(corrections, sigmas, strict=True))
+            for (_, corrections), sigmas in zip(problem.corrections(solved), expected, strict=True)
+        ),
+        residual_rms_m=_residual_rms_m(solved),
+        frames=sum(fitness.frames for fitness in solved.fitness),
+        explained=sum(fitness.explained for fitness in solved.fitness) / max(1, points),
+        bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, problem.own, strict=True)),
+        turn=rotation,
+        turn_probability=probability,
+        standing=sum(map(len, drives)) - sum(map(len, fine)),
         optics=optics,
         apart=_apart(solved, settings) if settings.apart_sigma_s > JointSettings.apart_sigma_s else None,
-        turn=its_turn,
-        turn_probability=probability,
-        standing=standing,
         settings=settings,
-        covariance=_with_rivals(fit.covariance, solved.x, rivals),
-        perhaps_unset=next((each.clock for each in rivals if each.clock), None),
-        perhaps_optics=any(each.clock is None for each in rivals),
+        perhaps_unset=next((rival.clock for rival in rivals if rival.clock), None),
+        perhaps_optics=any(rival.clock is None for rival in rivals),
         nearer=_nearer(solved, drives, settings),
     )
 
@@ -259,9 +270,7 @@ class RoughFit:
     pull: FloatArray
 
 
-def fit_roughly(
-    drive: Evidence, start: PlanarMatch, time_offset_s: float = 0.0, settings: JointSettings | None = None
-) -> RoughFit:
+def fit_roughly(drive: Evidence, start: PlanarMatch, time_offset_s: float, settings: JointSettings) -> RoughFit:
     """Return the estimate of `fit_jointly` for one drive from a subset of its points and few starts.
 
     It takes a tenth of the time. Parameters and errors are those of `fit_jointly`.
@@ -269,25 +278,25 @@ def fit_roughly(
     if not len(drive):
         raise MatchError("0 points of the vehicle while its CAMs report its position; needed are some in 10 frames")
     centre = drive.middles.mean(axis=0)
-    settings, turn = settings or JointSettings(), turn_of([drive])
-    problem = Problem([drive.thinned(ROUGH_ROWS)], _around(start, centre), centre, settings, turn)
+    begin, turn = start_at(start, centre), turn_of([drive])
+    problem = Problem([drive.thinned(ROUGH_ROWS)], begin, centre, settings, turn)
     solved = problem.solve(problem.best_of(_starts(problem, [time_offset_s], [(0.0, 0.0)])))
     (model,), (own,) = problem.models, problem.own
-    at, prior = slice(own.stop - 2 * len(model.knots), own.stop), np.kron(np.eye(2), model.prior.drift)
-    after = np.linalg.inv(solved.covariance[at, at])
-    # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
-    values, vectors = np.linalg.eigh(after - np.linalg.inv(prior))
-    told = vectors[:, values > 0.0]
+    knots = slice(own.stop - 2 * len(model.knots), own.stop)
+    prior = np.asarray(np.linalg.inv(np.kron(np.eye(2), model.prior.drift)), dtype=np.float64)
+    posterior = np.asarray(np.linalg.inv(solved.covariance[knots, knots]), dtype=np.float64)
+    information, pull = without_prior(posterior - prior, posterior @ solved.x[knots])
     return RoughFit(
         match=_match(solved, centre),
         corrections=model.prior.corrections(solved.x[own], solved.covariance[own, own]),
         knots_s=model.knots.at_s,
-        information=(vectors * np.maximum(values, 0.0)) @ vectors.T,
-        pull=told @ (told.T @ (after @ solved.x[at])),
+        information=information,
+        pull=pull,
     )
 
 
-def _around(start: PlanarMatch, centre: FloatArray) -> FloatArray:
+def start_at(start: PlanarMatch, centre: FloatArray) -> FloatArray:
+    """Return the first parameters at a start: yaw, x and y of ``centre``, and range bias."""
     return np.array([start.yaw_rad, *start(centre[None])[0], 0.0])
 
 
@@ -355,22 +364,6 @@ def _nearer(solved: Solved, drives: Sequence[Evidence], settings: JointSettings)
     return Correction("nearer", scale * float(solved.x[BIAS]), scale * settings.bias_noise_share, scale * after)
 
 
-def _fit(problem: Problem, solved: Solved, centre: FloatArray, expected: Sequence[FloatArray]) -> JointFit:
-    weights = sum(each.weight for each in solved.fitness)
-    squares = sum(each.squares for each in solved.fitness)
-    after = np.sqrt(np.diag(solved.covariance))
-    return JointFit(
-        match=_match(solved, centre),
-        time_offsets_s=tuple(float(solved.x[own.start]) for own in problem.own),
-        covariance=solved.covariance[:3, :3],
-        centre_level=centre,
-        time_sigmas_s=tuple(float(after[own.start]) for own in problem.own),
-        corrections=tuple(
-            tuple(replace(each, sigma=float(sigma)) for each, sigma in zip(its, sigmas, strict=True))
-            for (_, its), sigmas in zip(problem.corrections(solved), expected, strict=True)
-        ),
-        residual_rms_m=float(np.sqrt(squares / max(weights, 1e-9))),
-        frames=sum(each.frames for each in solved.fitness),
-        explained=sum(each.explained for each in solved.fitness) / max(1, sum(each.rows for each in solved.fitness)),
-        bodies=tuple(model.body(solved.x[own]) for model, own in zip(problem.models, problem.own, strict=True)),
-    )
+def _residual_rms_m(solved: Solved) -> float:
+    squares = sum(fitness.squares for fitness in solved.fitness)
+    return float(np.sqrt(squares / max(sum(fitness.weight for fitness in solved.fitness), 1e-9)))

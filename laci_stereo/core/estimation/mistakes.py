@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Set
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -104,6 +105,16 @@ class Rival:
     clock: Correction | None = None
 
 
+@dataclass(frozen=True)
+class _Likely:
+    """A mistake that is likelier than none by its log odds, and the estimate with the priors of its hypothesis."""
+
+    mistake: Mistake
+    problem: Problem
+    solved: Solved
+    log_odds: float
+
+
 def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, tuple[Rival, ...]]:
     """Return the start, the priors, and the rivals of the mistakes that are more likely than none.
 
@@ -113,42 +124,41 @@ def likely_mistakes(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointS
     moments, which look alike, the latter are accepted unless the former are clearly more likely, as they take one
     number to explain the same; the former are their rival then, unless they are clearly less likely.
     """
-    x, settings, rivals = _likeliest_mistake(problem, x)
-    while settings is not problem.settings:
-        problem = problem.expecting(settings)
-        x, settings, _ = _likeliest_mistake(problem, x)
-    return x, settings, tuple(rivals)
+    likeliest, rivals = _likeliest_mistake(problem, problem.solve(x, COMPARED))
+    while likeliest:
+        x, problem = likeliest.solved.x, likeliest.problem
+        likeliest, _ = _likeliest_mistake(problem, likeliest.solved)
+    return x, problem.settings, tuple(rivals)
 
 
-def _likeliest_mistake(problem: Problem, x: FloatArray) -> tuple[FloatArray, JointSettings, list[Rival]]:
-    """Return the same as `likely_mistakes` for at most one mistake."""
-    here = problem.solve(x, COMPARED)
-    likely: list[tuple[float, Mistake, FloatArray]] = []
+def _likeliest_mistake(problem: Problem, solved: Solved) -> tuple[_Likely | None, list[Rival]]:
+    """Return the mistake that is accepted first, if any is, and its rivals and those of no mistake."""
+    likely: list[_Likely] = []
     rivals = []
-    for mistake in _mistakes(problem, here):
+    for mistake in _mistakes(problem, solved):
         if mistake.settings == problem.settings:
             continue
         wider = problem.expecting(mistake.settings)
-        there = wider.solve(here.x, COMPARED)
-        least, unset = 0.0 if _tells(wider, there, mistake) else mistake.least_log_odds, None
-        if "clock" in mistake.what and only(wider, there, mistake.what):
-            unset = _late(wider, there, problem.settings.clock_sigma_s)
+        corrected = wider.solve(solved.x, COMPARED)
+        least, unset = 0.0 if _is_significant(wider, corrected, mistake) else mistake.least_log_odds, None
+        if "clock" in mistake.what and others_agree(wider, corrected, mistake.what):
+            unset = _late_clock(wider, corrected, problem.settings.clock_sigma_s)
         if np.isinf(least) and not unset:
             continue
-        room = _log_room_of(wider, there) - _log_room_of(problem, here) - mistake.log_wider
-        likelier = float(np.log(MISTAKEN)) + room + _likelier_by(problem, here, wider, there)
-        if unset and likelier > CLEARLY:
-            rivals.append(Rival(there.x, unset))
-        if likelier > max(least, 0.0):
-            likely.append((likelier, mistake, there.x))
+        log_occam_factor = _log_occam_factor(wider, corrected) - _log_occam_factor(problem, solved) - mistake.log_wider
+        log_odds = float(np.log(MISTAKEN)) + log_occam_factor + _log_likelihood_ratio(problem, solved, wider, corrected)
+        if unset and log_odds > CLEARLY:
+            rivals.append(Rival(corrected.x, unset))
+        if log_odds > max(least, 0.0):
+            likely.append(_Likely(mistake, wider, corrected, log_odds))
     if not likely:
-        return x, problem.settings, rivals
-    taken = best = max(likely, key=lambda each: each[0])
-    alike = {each[1].what: each for each in likely if each[0] > best[0] - CLEARLY}
-    if best[1].what in (OPTICS_OFF, APART_OFF) and alike.keys() >= {OPTICS_OFF, APART_OFF}:
-        taken = alike[APART_OFF]
-        rivals.append(Rival(alike[OPTICS_OFF][2]))
-    return taken[2], taken[1].settings, rivals
+        return None, rivals
+    likeliest = max(likely, key=lambda found: found.log_odds)
+    alike = {found.mistake.what: found for found in likely if found.log_odds > likeliest.log_odds - CLEARLY}
+    if likeliest.mistake.what in (OPTICS_OFF, APART_OFF) and alike.keys() >= {OPTICS_OFF, APART_OFF}:
+        rivals.append(Rival(alike[OPTICS_OFF].solved.x))
+        likeliest = alike[APART_OFF]
+    return likeliest, rivals
 
 
 def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
@@ -192,30 +202,30 @@ def _mistakes(problem: Problem, solved: Solved) -> list[Mistake]:
     if any(drive.cameras for drive in drives) and settings.apart_sigma_s < UNTRIGGERED_S:
         apart = replace(settings, apart_sigma_s=UNTRIGGERED_S)
         likely.append(Mistake(APART_OFF, apart, least_log_odds=CLEARLY))
-    if not problem.turn.possible and (boxes or _seem_apart(problem, solved)):
+    if not problem.turn.possible and (boxes or any(clock.surprise > LATE for clock in _clocks(problem, solved))):
         unset = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
         before, after = (problem.recordings.log_clock_volume(each.clock_sigma_s) for each in (settings, unset))
         likely.append(Mistake(frozenset({"clock"}), unset, after - before, alone=True))
     return likely
 
 
-def _likelier_by(one: Problem, solved: Solved, other: Problem, its: Solved) -> float:
-    """Return the log-likelihood ratio of the points under another solution over one solution.
+def _log_likelihood_ratio(problem: Problem, solved: Solved, wider: Problem, corrected: Solved) -> float:
+    """Return the log-likelihood ratio of the points under a solution with a mistake over one without.
 
     The two solutions select different points, as different lines of sight meet an upright part of the outline. For the
     selection of each solution, the points that both can place are compared; the result is the mean of the two.
     """
     gains = []
-    for chosen in (solved.chosen, its.chosen):
-        here, there = one.rows_at(solved.x, chosen), other.rows_at(its.x, chosen)
-        for i, (before, after) in enumerate(zip(here, there, strict=True)):
-            _, mine, others = np.intersect1d(before.point, after.point, assume_unique=True, return_indices=True)
-            gains.append(other.settled(i, its, after[others]) - one.settled(i, solved, before[mine]))
+    for chosen in (solved.chosen, corrected.chosen):
+        drives = zip(problem.rows_at(solved.x, chosen), wider.rows_at(corrected.x, chosen), strict=True)
+        for i, (before, after) in enumerate(drives):
+            _, kept, moved = np.intersect1d(before.point, after.point, assume_unique=True, return_indices=True)
+            gains.append(wider.settled(i, corrected, after[moved]) - problem.settled(i, solved, before[kept]))
     return sum(gains) / 2
 
 
-def _log_room_of(problem: Problem, solved: Solved) -> float:
-    """Return the log prior density of the solution, plus a log ratio of posterior to prior volume.
+def _log_occam_factor(problem: Problem, solved: Solved) -> float:
+    """Return the log prior density of the solution, plus a log ratio of posterior to prior volume (MacKay 1992).
 
     The volume is that of the sensor's parameters and of the lags of headings, which are exact unless a hypothesis says
     otherwise. The prior volume of other mistakes is in `Mistake.log_wider`: their posterior volumes are far
@@ -223,41 +233,42 @@ def _log_room_of(problem: Problem, solved: Solved) -> float:
     """
     exact = np.array([*OF_SENSOR.values(), *(own.start + LAG for own in problem.own)])
     before, after = np.linalg.inv(solved.precision), solved.covariance
-    volumes = [np.linalg.slogdet(each[np.ix_(exact, exact)])[1] / 2 for each in (after, before)]
+    volumes = [np.linalg.slogdet(covariance[np.ix_(exact, exact)])[1] / 2 for covariance in (after, before)]
     return problem.log_prior(solved.x, solved.precision) + float(volumes[0] - volumes[1])
 
 
-def _tells(problem: Problem, solved: Solved, mistake: Mistake) -> bool:
+def _is_significant(problem: Problem, solved: Solved, mistake: Mistake) -> bool:
     """Tell whether a correction of this mistake is significant."""
-    if mistake.alone and not only(problem, solved, mistake.what):
+    if mistake.alone and not others_agree(problem, solved, mistake.what):
         return False
-    if its := [at for what, at in OF_SENSOR.items() if what in mistake.what]:  # together: a baseline affects both
-        found, covariance = solved.x[its], solved.covariance[np.ix_(its, its)]
+    if of_sensor := [index for what, index in OF_SENSOR.items() if what in mistake.what]:
+        # Together: a baseline affects both.
+        found, covariance = solved.x[of_sensor], solved.covariance[np.ix_(of_sensor, of_sensor)]
         return float(found @ np.linalg.solve(covariance, found)) > SURELY**2
     return any(
-        each.what in mistake.what and abs(each.value) > SURELY * each.after
-        for model, its in problem.corrections(solved)
+        correction.what in mistake.what and abs(correction.value) > SURELY * correction.after
+        for model, corrections in problem.corrections(solved)
         if not mistake.what & IN_TURNS or _turned_rad(model.drive) > TURNED_RAD
-        for each in its
+        for correction in corrections
     )
 
 
-def _late(problem: Problem, solved: Solved, known_s: float) -> Correction | None:
+def _clocks(problem: Problem, solved: Solved) -> list[Correction]:
+    """Return the correction of each drive's clock offset."""
+    corrections = chain.from_iterable(found for _, found in problem.corrections(solved))
+    return [correction for correction in corrections if correction.what == "clock"]
+
+
+def _late_clock(problem: Problem, solved: Solved, known_s: float) -> Correction | None:
     """Return a drive's clock offset that exceeds both its prior and its posterior uncertainty by far, or None."""
-    clocks = (each for _, its in problem.corrections(solved) for each in its if each.what == "clock")
-    return next((each for each in clocks if abs(each.value) > LATE * max(known_s, each.after)), None)
+    late = (clock for clock in _clocks(problem, solved) if abs(clock.value) > LATE * max(known_s, clock.after))
+    return next(late, None)
 
 
-def _seem_apart(problem: Problem, solved: Solved) -> bool:
-    """Tell whether an estimated clock offset is surprising if the clocks are synchronised."""
-    return any(each.what == "clock" and each.surprise > LATE for _, its in problem.corrections(solved) for each in its)
-
-
-def only(problem: Problem, solved: Solved, what: Set[str]) -> bool:
+def others_agree(problem: Problem, solved: Solved, what: Set[str]) -> bool:
     """Tell whether all corrections but these agree with their priors."""
-    return all(
-        each.surprise <= SURELY for _, its in problem.corrections(solved) for each in its if each.what not in what
-    )
+    corrections = chain.from_iterable(found for _, found in problem.corrections(solved))
+    return all(correction.surprise <= SURELY for correction in corrections if correction.what not in what)
 
 
 def _turned_rad(drive: Evidence) -> float:

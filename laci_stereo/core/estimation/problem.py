@@ -49,8 +49,9 @@ COMPARED = 1e-2
 """The same limit where only likelihoods are compared, or another descent follows: a tenth of the standard deviation
 that is reported."""
 
-FREE_M = 100.0
-"""A priori standard deviation of the position about the start, which only keeps the equations regular."""
+FREE, HELD = (1.0, 100.0), (1e-6, 1e-6)
+"""A priori standard deviations of yaw, rad, and position, m, about the start: of a transform that is sought, which only
+keep the equations regular, and of one that is given."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class _Descent:
 class Problem:
     """The models of all drives over one parameter vector: the sensor's parameters, followed by each drive's own.
 
-    The sensor's are those of `drive_rows`.
+    The sensor's are those of `drive_rows`. Yaw and position are sought, or `HELD` at ``begin``.
     """
 
     def __init__(
@@ -103,9 +104,10 @@ class Problem:
         settings: JointSettings,
         turn: Turn,
         stations: Sequence[int] | None = None,
+        pose_sigmas: tuple[float, float] = FREE,
     ) -> None:
         self.settings, self.turn = settings, turn
-        self._given = drives, begin, centre, stations
+        self._given = drives, begin, centre, stations, pose_sigmas
         self.models = [DriveModel(drive, centre, settings, turns=turn.possible) for drive in drives]
         self.recordings = Recordings(self.models, stations)
         ends = FIRST_OWN + np.cumsum([0, *(len(model.prior.mean) for model in self.models)])
@@ -117,18 +119,19 @@ class Problem:
         self.knots = [np.concatenate([end - after * n + np.arange(n) for end, n in lasts]) for after in (2, 1)]
         self.drifts = self.recordings.drifts(settings)
         self.senders = np.linalg.inv(self.recordings.senders)
-        # Yaw and position are practically free; the range bias is the error that the noise of all points shares.
+        # The range bias is the error that the noise of all points shares.
+        yaw_rad, place_m = pose_sigmas
+        sigmas = [yaw_rad, place_m, place_m, settings.bias_noise_share, turn.sigma]
+        sigmas += [settings.optics_sigma, settings.optics_sigma, settings.apart_sigma_s]
         self._sensors = np.zeros((self.size, self.size))
-        first = [1.0, FREE_M**-2, FREE_M**-2, settings.bias_noise_share**-2, turn.sigma**-2]
-        first += [settings.optics_sigma**-2, settings.optics_sigma**-2, settings.apart_sigma_s**-2]
-        self._sensors[range(FIRST_OWN), range(FIRST_OWN)] = first
+        self._sensors[range(FIRST_OWN), range(FIRST_OWN)] = np.array(sigmas) ** -2.0
         self.mean = np.concatenate([begin, [turn.mean, 0.0, 0.0, 0.0], *(model.prior.mean for model in self.models)])
         self._precision = self.precision_at(None)
 
-    def expecting(self, settings: JointSettings) -> Problem:
-        """Return the same problem with other priors."""
-        drives, begin, centre, stations = self._given
-        return Problem(drives, begin, centre, settings, self.turn, stations)
+    def expecting(self, settings: JointSettings, turn: Turn | None = None) -> Problem:
+        """Return the same problem with other priors, and perhaps of another rotation of the scanner."""
+        drives, begin, centre, stations, pose_sigmas = self._given
+        return Problem(drives, begin, centre, settings, turn or self.turn, stations, pose_sigmas)
 
     def precision_at(self, x: FloatArray | None) -> FloatArray:
         """Return the precision of the priors at ``x``, on which their heavy tails depend; None: within these limits."""
@@ -157,13 +160,13 @@ class Problem:
 
         Starts that reach the same place continue as one.
         """
-        found = [_Descent(x, self.rows_at(x), self._first_shares(), self._precision, -np.inf) for x in starts]
+        descents = [_Descent(x, self.rows_at(x), self._first_shares(), self._precision, -np.inf) for x in starts]
         for soft in SOFTENING_M[:FIRST_STEPS]:
-            found = self._apart(self._step(each, soft) for each in found)
-        found = [replace(each, shares=self._first_shares()) for each in found[:FOLLOWED]]
+            descents = self._distinct(self._step(descent, soft) for descent in descents)
+        descents = [replace(descent, shares=self._first_shares()) for descent in descents[:FOLLOWED]]
         for soft in SOFTENING_M[FIRST_STEPS:]:
-            found = self._apart(self._step(each, soft) for each in found)
-        return found[0].x
+            descents = self._distinct(self._step(descent, soft) for descent in descents)
+        return descents[0].x
 
     def _first_shares(self) -> list[FloatArray]:
         return [model.likelihood.first_shares() for model in self.models]
@@ -173,17 +176,17 @@ class Problem:
         fitness = self._weigh(at.rows, softening_m, at.shares)
         curvature, gradient = self._derivatives(at.x, fitness, self._precision)
         x = at.x - np.linalg.solve(curvature, gradient)
-        rows, shares = self.rows_at(x), [each.shares for each in fitness]
-        likely = sum(each.log_likelihood for each in self._weigh(rows, softening_m, shares))
+        rows, shares = self.rows_at(x), [fit.shares for fit in fitness]
+        likely = sum(fit.log_likelihood for fit in self._weigh(rows, softening_m, shares))
         return _Descent(x, rows, shares, curvature, likely + self.log_prior(x, self._precision))
 
     @staticmethod
-    def _apart(found: Iterable[_Descent]) -> list[_Descent]:
+    def _distinct(descents: Iterable[_Descent]) -> list[_Descent]:
         """Return the most likely descent at each place, in descending order of their log-posteriors."""
         kept: list[_Descent] = []
-        for each in sorted(found, key=lambda descent: -descent.log_likely):
-            if all((each.x - other.x) @ other.curvature @ (each.x - other.x) > TOGETHER for other in kept):
-                kept.append(each)
+        for descent in sorted(descents, key=lambda descent: -descent.log_likely):
+            if all((descent.x - other.x) @ other.curvature @ (descent.x - other.x) > TOGETHER for other in kept):
+                kept.append(descent)
         return kept
 
     def settled(self, drive: int, solved: Solved, rows: Rows) -> float:
@@ -207,11 +210,11 @@ class Problem:
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
             rows: Sequence[Rows] = self.rows_at(x, chosen)
             for _ in range(SETTLING):
-                shares = [each.shares for each in self._weigh(rows, 0.0, shares)]
+                shares = [fit.shares for fit in self._weigh(rows, 0.0, shares)]
             before = x
             x, rows, shares = self._climb(x, rows, shares, chosen, converged)
             fitness, precision = self._weigh(rows, 0.0, shares), self.precision_at(x)
-            information = precision + self._sum_of(each.information for each in fitness)
+            information = precision + self._sum_of(fit.information for fit in fitness)
             if (x - before) @ information @ (x - before) < converged:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -245,7 +248,7 @@ class Problem:
                 pace /= 4.0
             else:
                 break
-            x, rows, shares = x - pace * step, after, [each.shares for each in fitness]
+            x, rows, shares = x - pace * step, after, [fit.shares for fit in fitness]
             pace = min(1.0, 2.0 * pace)
         return x, rows, shares
 
@@ -255,7 +258,7 @@ class Problem:
         """Return the gain in log-likelihood of a place over the one before."""
         drives = zip(self.models, rows, before, fitness, shares, strict=True)
         return sum(
-            model.likelihood.gain(now, then, fits.log_likelihoods, share) for model, now, then, fits, share in drives
+            model.likelihood.gain(now, then, fit.log_likelihoods, share) for model, now, then, fit, share in drives
         )
 
     def log_prior(self, x: FloatArray, precision: FloatArray) -> float:
@@ -269,9 +272,9 @@ class Problem:
 
     def rows_at(self, x: FloatArray, chosen: Sequence[Chosen] | None = None) -> list[Rows]:
         """Return each drive's distances from the outline, of the chosen points or of those on the wall there."""
-        each_chosen: Sequence[Chosen | None] = chosen or [None] * len(self.models)
-        each = zip(self.models, self._places(), each_chosen, strict=True)
-        return [model.rows(x[index], some) for model, index, some in each]
+        points: Sequence[Chosen | None] = chosen or [None] * len(self.models)
+        drives = zip(self.models, self._places(), points, strict=True)
+        return [model.rows(x[index], of_drive) for model, index, of_drive in drives]
 
     def _weigh(self, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]) -> list[Fitness]:
         """Return the fitness of each drive."""
@@ -283,9 +286,9 @@ class Problem:
     ) -> tuple[FloatArray, FloatArray]:
         """Return curvature and gradient of the negative log-posterior."""
         gradient = precision @ (x - self.mean)
-        for index, each in zip(self._places(), fitness, strict=True):
-            gradient[index] += each.gradient
-        return precision + self._sum_of(each.curvature for each in fitness), gradient
+        for index, fit in zip(self._places(), fitness, strict=True):
+            gradient[index] += fit.gradient
+        return precision + self._sum_of(fit.curvature for fit in fitness), gradient
 
     def _sum_of(self, parts: Iterable[FloatArray]) -> FloatArray:
         """Return the sum of square matrices, one per drive, over the sensor's parameters and the drive's own."""
@@ -303,9 +306,9 @@ class Problem:
         direction. It also includes the errors that persist from frame to frame, which the estimate may have followed
         throughout.
         """
-        parts = [Blocks(index, *each.by_block()) for index, each in zip(self._places(), fitness, strict=True)]
+        parts = [Blocks(index, *fit.by_block()) for index, fit in zip(self._places(), fitness, strict=True)]
         lasting = self._sum_of(
-            model.likelihood.lasting(distances, each)
-            for model, distances, each in zip(self.models, rows, fitness, strict=True)
+            model.likelihood.lasting(distances, fit)
+            for model, distances, fit in zip(self.models, rows, fitness, strict=True)
         )
         return grown(inverse, precision, parts) + inverse @ lasting @ inverse

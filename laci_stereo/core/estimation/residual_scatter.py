@@ -63,6 +63,17 @@ def scatter(root: FloatArray, precision: FloatArray, parts: Sequence[Blocks]) ->
     return total
 
 
+def without_prior(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the points' own information, shape (p, p), and pull, shape (p,): the posterior's less the prior's.
+
+    The pull is the information times the estimate. Where the residuals are more dispersed than the model expects, the
+    difference can have negative eigenvalues, which are no information.
+    """
+    values, vectors = np.linalg.eigh(information)
+    told = vectors[:, values > 0.0]
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T, told @ (told.T @ pull)
+
+
 def grown(inverse: FloatArray, precision: FloatArray, parts: Sequence[Blocks]) -> FloatArray:
     """Return the inverse of all information, shape (p, p), enlarged where the scores are more dispersed than expected.
 

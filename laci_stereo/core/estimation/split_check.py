@@ -23,7 +23,7 @@ fewer do."""
 
 
 @dataclass(frozen=True)
-class Apart:
+class Difference:
     """The difference between the sensor's poses by the second and the first half of a drive.
 
     Attributes
@@ -49,7 +49,7 @@ class Apart:
         )
 
 
-def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | None:
+def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Difference | None:
     """Compare the separate estimates of a drive's halves; None where they agree, or one has too few frames.
 
     Parameters
@@ -74,12 +74,12 @@ def compare_halves(own: Passage, fit: JointFit, settings: Settings) -> Apart | N
     )
     covariance = first.covariance_about(fit.centre_level) + second.covariance_about(fit.centre_level)
     sigmas = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
-    return Apart(off, sigmas, sightings[middle].stamp_s) if sigmas > SURELY else None
+    return Difference(off, sigmas, sightings[middle].stamp_s) if sigmas > SURELY else None
 
 
-def with_doubt(fit: JointFit, apart: Apart) -> JointFit:
+def with_difference(fit: JointFit, difference: Difference) -> JointFit:
     """Return a fit whose covariance includes its halves' difference: it lies between them, and either may be right."""
-    return replace(fit, covariance=fit.covariance + np.outer(apart.off, apart.off) / 4.0)
+    return replace(fit, covariance=fit.covariance + np.outer(difference.off, difference.off) / 4.0)
 
 
 def _alone(own: Passage, sightings: Sequence[Sighting], fit: JointFit) -> JointFit:

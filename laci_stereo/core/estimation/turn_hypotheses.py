@@ -10,8 +10,9 @@ from scipy.linalg import block_diag
 
 from laci_stereo.core.estimation.drive_rows import SWEEP
 from laci_stereo.core.estimation.evidence import Evidence
-from laci_stereo.core.estimation.mistakes import CLEARLY, MISTAKEN, only
+from laci_stereo.core.estimation.mistakes import CLEARLY, MISTAKEN, others_agree
 from laci_stereo.core.estimation.problem import Problem, Solved
+from laci_stereo.core.estimation.residual_scatter import without_prior
 from laci_stereo.core.estimation.scanner_turn import FIXED, TURNS
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, with_turn
@@ -45,8 +46,8 @@ def turns_of(problem: Problem, solved: Solved, *, unset: bool) -> tuple[list[Tur
     free = replace(settings, clock_sigma_s=UNKNOWN_CLOCK_S)
     by_free = [_turned(problem, solved, turn, free.clock_sigma_s) for turn in TURNS]
     if _log_sum(by_free) + np.log(MISTAKEN) > _log_sum(by_any) + CLEARLY:
-        likeliest = max(by_free, key=lambda each: each.log_probability)
-        if only(problem, replace(solved, x=likeliest.x, covariance=likeliest.covariance), {"clock"}):
+        likeliest = max(by_free, key=lambda estimate: estimate.log_probability)
+        if others_agree(problem, replace(solved, x=likeliest.x, covariance=likeliest.covariance), {"clock"}):
             return by_free, free
     return by_any, settings
 
@@ -60,11 +61,7 @@ def _turned(problem: Problem, solved: Solved, turn: float, known_s: float) -> Tu
     index = np.array([SWEEP, *problem.clocks])
     covariance = solved.covariance[np.ix_(index, index)]
     before, found = solved.precision[np.ix_(index, index)], np.linalg.inv(covariance)
-    # Where the residuals are more dispersed than the model expects, the difference can have negative eigenvalues.
-    values, vectors = np.linalg.eigh(found - before)
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    told = vectors[:, values > 0.0]
-    pull = told @ (told.T @ (found @ solved.x[index] - before @ problem.mean[index]))
+    information, pull = without_prior(found - before, found @ solved.x[index] - before @ problem.mean[index])
     clocks = clock_sigmas_s([model.drive for model in problem.models], known_s, turn)
     prior = block_diag(FIXED**-2.0, problem.recordings.clocks(np.array(clocks) ** -2.0))
     mean = np.array([turn, *np.zeros(len(clocks))])
@@ -84,7 +81,7 @@ def clock_sigmas_s(drives: Sequence[Evidence], known_s: float, turn: float) -> l
 
 def _log_sum(turned: Sequence[Turned]) -> float:
     """Return the log of the sum of the evidence of several rotations."""
-    return float(np.logaddexp.reduce([each.log_probability for each in turned]))
+    return float(np.logaddexp.reduce([estimate.log_probability for estimate in turned]))
 
 
 def among(turned: Sequence[Turned], likeliest: Turned, solved: Solved) -> tuple[Solved, float]:
@@ -93,8 +90,8 @@ def among(turned: Sequence[Turned], likeliest: Turned, solved: Solved) -> tuple[
     The covariance includes the other rotations' covariances and their differences, weighted by their probabilities.
     """
     log_sum = _log_sum(turned)
-    probabilities = np.exp([each.log_probability - log_sum for each in turned])
-    off = np.array([each.x - likeliest.x for each in turned])
-    within = [solved.covariance if each is likeliest else each.covariance for each in turned]
+    probabilities = np.exp([estimate.log_probability - log_sum for estimate in turned])
+    off = np.array([estimate.x - likeliest.x for estimate in turned])
+    within = [solved.covariance if estimate is likeliest else estimate.covariance for estimate in turned]
     covariance = np.tensordot(probabilities, within, 1) + (off.T * probabilities) @ off
     return replace(solved, covariance=covariance), float(probabilities.max())

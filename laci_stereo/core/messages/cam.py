@@ -166,7 +166,7 @@ class VehicleTrack:
         dimensions.
     remarks : tuple of str
         What was assumed or left out.
-    doubts : tuple of str
+    objections : tuple of str
         Objections: why the messages as a whole may be wrong.
     slope : Slope or None
         Slope of the ground, where it is known; positions and yaws are then along the ground, not on the level map.
@@ -184,7 +184,7 @@ class VehicleTrack:
     position_sigma_m: float = float("nan")
     guessed_m: tuple[float, float] = (0.0, 0.0)
     remarks: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()
     slope: Slope | None = None
     altitude_m: FloatArray | None = None
 
@@ -301,13 +301,13 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         log, xy = log[~held], xy[~held]
     x, y = reference.offset(float(length)).tolist()
     arms = levers((x, y), float(length))
-    fits, doubts = _fitting(log, world, xy, arms)
+    fits, objections = _fitting(log, world, xy, arms)
     if not fits.all():
         left_out = f"{np.count_nonzero(~fits)} of {len(fits)} messages of station {log.station_id[0]} are left out"
         left_out += ": their positions do not follow from the others by speed and heading"
         remarks += (left_out,)
         if np.mean(~fits) > WRONG_SHARE:
-            doubts = (*doubts, left_out)
+            objections = (*objections, left_out)
     # The positions may refer to another point than was specified: the front, the middle, or the rear axle.
     elsewhere = ((x, y), *((share * float(length), 0.0) for share in (0.5, 0.0, REAR_AXLE_SHARE)))
     places = [arm for each in elsewhere for arm in levers(each, float(length))]
@@ -337,7 +337,7 @@ def vehicle_track(log: CamLog, world: World, epoch_ns: int, reference: Reference
         position_sigma_m=sigma_m,
         guessed_m=(float(guessed[0]), float(guessed[1])),
         remarks=remarks,
-        doubts=(*doubts, *stepped, *_narrow(float(width), int(log.station_id[0]))),
+        objections=(*objections, *stepped, *_narrow(float(width), int(log.station_id[0]))),
         altitude_m=altitude_m,
     )
     if not track.folded.any():

@@ -8,15 +8,15 @@ from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.messages.cam import VehicleTrack
-from laci_stereo.core.quality import Doubt
+from laci_stereo.core.quality import Uncertainty
 
 
-def advice(fit: JointFit, doubt: Doubt, drive: Evidence, missing_m: float = 0.0) -> str:
+def advice(fit: JointFit, uncertainty: Uncertainty, drive: Evidence, missing_m: float = 0.0) -> str:
     """Return in words where the result is weakest, why, and what would improve it."""
-    sigma_m, yaw = doubt.weakest
+    sigma_m, yaw = uncertainty.weakest
     velocity = _velocity(drive, fit.time_offsets_s[0])
     by_clock = float(np.hypot(*velocity)) * fit.time_sigmas_s[0]
-    by_yaw = doubt.yaw_rad * float(np.sqrt((doubt.arms**2).sum(axis=1).mean()))
+    by_yaw = uncertainty.yaw_rad * float(np.sqrt((uncertainty.arms**2).sum(axis=1).mean()))
     along = abs(np.cos(yaw - np.arctan2(velocity[1], velocity[0]))) > np.sqrt(0.5)
     direction = "along the drive" if along else "across the drive"
     if along and missing_m > sigma_m:  # 0.7 of it is in the uncertainty

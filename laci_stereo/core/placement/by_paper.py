@@ -6,9 +6,10 @@ from collections import Counter
 
 import numpy as np
 
+from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.matching import match_track
 from laci_stereo.core.messages.cam import VehicleTrack
-from laci_stereo.core.quality import Placement, doubt_of
+from laci_stereo.core.quality import Placement, uncertainty_by_paper
 from laci_stereo.core.settings import MatchSettings
 from laci_stereo.core.tracking.tracks import Track
 
@@ -31,12 +32,20 @@ def place_by_paper(track: Track, vehicle: VehicleTrack, settings: MatchSettings)
     xy_level, xy_world = track.centres[used], xy_world[used]
     match = match_track(xy_level, xy_world, settings)
     left_out = track.flaws() + Counter(unknown=int((~known).sum()), thin=int((known & ~used).sum()))
-    return Placement(
+    uncertainty = uncertainty_by_paper(match, track, vehicle, used, settings)
+    fit = JointFit(
         match=match,
-        middle_level=xy_level.mean(axis=0),
-        doubt=doubt_of(match, track, vehicle, used, settings),
+        time_offsets_s=(0.0,),
+        covariance=uncertainty.covariance,
+        centre_level=xy_level.mean(axis=0),
+        time_sigmas_s=(0.0,),
+        corrections=((),),
         residual_rms_m=float(np.sqrt(((match(xy_level) - xy_world) ** 2).sum(axis=1).mean())),
-        frames_used=int(used.sum()),
+        frames=int(used.sum()),
+    )
+    return Placement(
+        fit=fit,
+        uncertainty=uncertainty,
         left_out={str(reason): count for reason, count in left_out.items() if count},
-        contradictions=vehicle.doubts,
+        contradictions=vehicle.objections,
     )

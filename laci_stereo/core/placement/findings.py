@@ -31,7 +31,7 @@ def against_messages(
     found = []
     for name, drive, corrections, length in zip(names, drives, fit.corrections, lengths, strict=True):
         wrong = [_in_words(each, drive.vehicle) for each in corrections if each.contradicts]
-        found += _named(name, (*wrong, *drive.vehicle.doubts, *length.objections))
+        found += _named(name, (*wrong, *drive.vehicle.objections, *length.objections))
     return found
 
 

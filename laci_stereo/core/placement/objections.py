@@ -30,21 +30,22 @@ def objected(
     match : PlanarMatch
         Transform from the level to the world frame.
     """
-    of_choice = (
+    by_choice = (
         *([choice.better] if choice.better else []),
         *([_part_of_it(choice.beside)] if choice.beside else []),
         *repeats_of(own.track, own.vehicle, own.time_offset_s),
     )
-    kept, told = [], [*([choice.doubt] if choice.doubt else []), *of_choice]
-    for each, frames in zip(passages, ridden_frames(passages, tracks, match), strict=True):
-        is_own = each.station_id == choice.station
-        doubts = of_choice if is_own else ()
+    kept, objections = [], [*([choice.by_chance] if choice.by_chance else []), *by_choice]
+    for passage, frames in zip(passages, ridden_frames(passages, tracks, match), strict=True):
+        is_own = passage.station_id == choice.station
+        lasting = by_choice if is_own else ()
         if frames and not (is_own and choice.beside):
-            doubts = (*doubts, _part_of_it(frames))
-            told.append(f"{each.name}: {doubts[-1]}" if len(passages) > 1 else doubts[-1])
-        by_chance = choice.doubt if is_own else each.by_chance
-        kept.append(replace(each, by_chance=by_chance, objections=(*each.objections, *doubts)))
-    return kept, tuple(told)
+            ridden = _part_of_it(frames)
+            lasting = (*lasting, ridden)
+            objections.append(f"{passage.name}: {ridden}" if len(passages) > 1 else ridden)
+        by_chance = choice.by_chance if is_own else passage.by_chance
+        kept.append(replace(passage, by_chance=by_chance, objections=(*passage.objections, *lasting)))
+    return kept, tuple(objections)
 
 
 def _part_of_it(frames: int) -> str:

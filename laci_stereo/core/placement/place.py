@@ -13,8 +13,8 @@ from laci_stereo.core.estimation.joint import JointFit
 from laci_stereo.core.frames import rotate_xy
 from laci_stereo.core.placement.advice import advice, reported_sigma_m
 from laci_stereo.core.placement.findings import against_messages, against_sensor, remarks_on
-from laci_stereo.core.placement.seen_length import seen_lengths, with_doubt_along
-from laci_stereo.core.quality import Doubt, Placement
+from laci_stereo.core.placement.seen_length import seen_lengths, with_uncertainty_along
+from laci_stereo.core.quality import Placement, Uncertainty
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.vehicle import outline
 
@@ -48,18 +48,18 @@ def place(
     check_registered(fit, drives, settings)
     middles = np.concatenate([drive.middles for drive in drives])
     arms = rotate_xy(fit.match.yaw_rad, middles - fit.centre_level)
-    weakest_m, _ = Doubt(fit.covariance, arms).weakest
+    weakest_m, _ = Uncertainty(fit.covariance, arms).weakest
     most_m = max(settings.quality.open_m, 3.0 * min(reported_sigma_m(drive.vehicle) for drive in drives))
     if weakest_m > most_m:
         raise OpenError(
             f"the position along the weakest direction is known to {weakest_m:.2f} m; needed are {most_m:.2f} m: "
-            f"{advice(fit, Doubt(fit.covariance, arms), drives[0])}"
+            f"{advice(fit, Uncertainty(fit.covariance, arms), drives[0])}"
         )
     lengths = seen_lengths(fit, drives)
-    fit = with_doubt_along(fit, drives, lengths)
+    fit = with_uncertainty_along(fit, drives, lengths)
     covariance = fit.covariance.copy()
     covariance[1:, 1:] += fit.covariance_by_optics(middles)
-    doubt = Doubt(covariance, arms)
+    uncertainty = Uncertainty(covariance, arms)
     known = sum(
         int(drive.vehicle.at(drive.stamps_s + offset_s)[2].sum())
         for drive, offset_s in zip(drives, fit.time_offsets_s, strict=True)
@@ -67,20 +67,12 @@ def place(
     bare = max(0, known - fit.standing - fit.frames)
     left_out = {"unknown": sightings - known, "standing": fit.standing, "bare": bare}
     return Placement(
-        match=fit.match,
-        middle_level=fit.centre_level,
-        doubt=doubt,
-        residual_rms_m=fit.residual_rms_m,
-        frames_used=fit.frames,
+        fit=fit,
+        uncertainty=uncertainty,
         left_out={reason: count for reason, count in left_out.items() if count},
-        time_offset_s=fit.time_offsets_s[0],
-        time_sigma_s=fit.time_sigmas_s[0],
-        turn=fit.turn,
-        nearer=fit.nearer,
         remarks=tuple(remarks_on(fit, drives, names, settings.joint)),
-        advice=advice(fit, doubt, drives[0], min(each.lacking_m for each in lengths)),
+        advice=advice(fit, uncertainty, drives[0], min(each.lacking_m for each in lengths)),
         contradictions=(*against_messages(fit, drives, lengths, names), *against_sensor(fit, settings.joint)),
-        bodies=fit.bodies,
     )
 
 

@@ -96,7 +96,7 @@ def seen_lengths(fit: JointFit, drives: Sequence[Evidence]) -> list[SeenLength]:
     return found
 
 
-def with_doubt_along(fit: JointFit, drives: Sequence[Evidence], lengths: Sequence[SeenLength]) -> JointFit:
+def with_uncertainty_along(fit: JointFit, drives: Sequence[Evidence], lengths: Sequence[SeenLength]) -> JointFit:
     """Return a fit whose uncertainty along its drives includes that it is off, with a probability of one half.
 
     It may be off by what was never seen of a vehicle, and by what its boxes are too long.

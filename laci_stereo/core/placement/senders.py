@@ -14,11 +14,11 @@ from laci_stereo.core.estimation.agreement import agreeing, fit_together
 from laci_stereo.core.estimation.evidence import Evidence, evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.estimation.split_check import compare_halves, with_doubt
+from laci_stereo.core.estimation.split_check import compare_halves, with_difference
 from laci_stereo.core.placement.findings import against_messages
 from laci_stereo.core.placement.objections import besides
 from laci_stereo.core.placement.place import check_registered, place
-from laci_stereo.core.placement.seen_length import seen_length, seen_lengths, with_doubt_along
+from laci_stereo.core.placement.seen_length import seen_length, seen_lengths, with_uncertainty_along
 from laci_stereo.core.quality import Placement
 from laci_stereo.core.settings import Settings
 
@@ -59,38 +59,40 @@ def place_jointly(
     if choice.beside and length.missing_m:
         raise MatchError(f"{besides(choice.beside)}, and {length.lacks}: which of them is the vehicle cannot be told")
     check_registered(fit, [drive], settings)
-    doubts = []
-    if apart := compare_halves(own, fit, settings):
-        fit = with_doubt(fit, apart)
-        doubts.append(str(apart))
-    registered, remarks, contradicting = _registered(own, drive, fit, others, settings)
-    doubts += contradicting
+    objections = []
+    if difference := compare_halves(own, fit, settings):
+        fit = with_difference(fit, difference)
+        objections.append(str(difference))
+    registered, remarks, contradictions = _registered(own, drive, fit, others, settings)
+    objections += contradictions
     seen, drives, alone = zip(*registered, strict=True)
     # Clock offsets that straight drives leave open differ by themselves, although the sensor has one clock.
-    moved_s = [each.time_offsets_s[0] - passage.time_offset_s for each, passage in zip(alone, seen, strict=True)]
+    moved_s = [found.time_offsets_s[0] - passage.time_offset_s for found, passage in zip(alone, seen, strict=True)]
     start = own.match if np.ptp(moved_s) > BOXES_S else None
     try:
         together = fit_together(seen, drives, alone, settings.joint, start)
     except CombineError as error:
-        doubts.append(f"only {own.name} was used: {error}{''.join(_late(own, other) for other in seen[1:])}")
+        objections.append(f"only {own.name} was used: {error}{''.join(_late(own, other) for other in seen[1:])}")
         together = fit_together([own], [drive], [fit], settings.joint)
     passages = together.passages
-    names = [each.name for each in passages] if len(passages) > 1 else [""]
+    names = [passage.name for passage in passages] if len(passages) > 1 else [""]
     placement = place(together.fit, together.drives, together.sightings, settings, names)
     remarks += map(str, together.left_out)
-    for each in passages[1:]:
-        remarks.append(f"{each.name} is seen as well, and was used: {len(each.track.sightings)} frames")
-        remarks += [f"{each.name}: {remark}" for remark in each.vehicle.remarks]
-    told = replace(
+    for other in passages[1:]:
+        remarks.append(f"{other.name} is seen as well, and was used: {len(other.track.sightings)} frames")
+        remarks += [f"{other.name}: {remark}" for remark in other.vehicle.remarks]
+    placement = replace(
         placement,
         remarks=(*placement.remarks, *remarks),
-        contradictions=(*placement.contradictions, *doubts),
+        contradictions=(*placement.contradictions, *objections),
     )
-    kept = (
-        replace(each, objections=(*each.objections, *doubts)) if each.station_id == own.station_id else each
-        for each in passages
+    passages = tuple(
+        replace(passage, objections=(*passage.objections, *objections))
+        if passage.station_id == own.station_id
+        else passage
+        for passage in passages
     )
-    return told, tuple(kept)
+    return placement, passages
 
 
 def _registered(
@@ -102,32 +104,32 @@ def _registered(
     -------
     registered : list of tuple of Passage, Evidence and JointFit
         Those that can be used, including the first one.
-    remarks, doubts : list of str
+    remarks, objections : list of str
         Why the others cannot be used. A sender whose messages contradict its own points yields a remark if it places
         the sensor where the usable ones place it, or if these are a majority against it. Otherwise it is an objection,
         since the error may be the sensor's clock, and the first sender's placement wrong with it.
     """
-    registered, contradicted, remarks, doubts = [(own, drive, fit)], [], [], []
+    registered, contradicted, remarks, objections = [(own, drive, fit)], [], [], []
     for other in others:
         try:
-            its_drive, alone = _as_well(other, fit, other.time_offset_s - own.time_offset_s, settings)
+            other_drive, alone = _as_well(other, fit, other.time_offset_s - own.time_offset_s, settings)
         except MatchError as error:
             remarks.append(f"{_unused(other)}: {error}")
             continue
-        lengths = seen_lengths(alone, [its_drive])
-        if wrong := against_messages(alone, [its_drive], lengths, [""]):
-            contradicted.append((other, with_doubt_along(alone, [its_drive], lengths), "; ".join(wrong)))
+        lengths = seen_lengths(alone, [other_drive])
+        if wrong := against_messages(alone, [other_drive], lengths, [""]):
+            contradicted.append((other, with_uncertainty_along(alone, [other_drive], lengths), "; ".join(wrong)))
         else:
-            registered.append((other, its_drive, alone))
+            registered.append((other, other_drive, alone))
     used, _, fits = zip(*registered, strict=True)
     for other, alone, wrong_words in contradicted:
         try:
-            agreeing([each.name for each in (*used, other)], [*fits, alone])
+            agreeing([passage.name for passage in (*used, other)], [*fits, alone])
         except CombineError as error:
-            doubts.append(f"{_unused(other)}: {wrong_words}; {error}")
+            objections.append(f"{_unused(other)}: {wrong_words}; {error}")
         else:
             remarks.append(f"{_unused(other)}: {wrong_words}")
-    return registered, remarks, doubts
+    return registered, remarks, objections
 
 
 def _unused(other: Passage) -> str:

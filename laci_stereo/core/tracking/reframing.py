@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.messages.slope import Slope
 from laci_stereo.core.tracking.background import Background
 from laci_stereo.core.tracking.box import Box
+from laci_stereo.core.tracking.sighting import Sighting
 from laci_stereo.core.tracking.tracks import Track
 
 
@@ -21,59 +23,37 @@ def transformed_xy(T_a_b: FloatArray, xy: FloatArray) -> FloatArray:
 
 def transformed_track(T_a_b: FloatArray, track: Track) -> Track:
     """Map a track from the level frame of b to that of a."""
-    return Track(
-        tuple(
-            replace(
-                sighting,
-                points=transform(T_a_b, sighting.points),
-                low=replace(sighting.low, points=transform(T_a_b, sighting.low.points)),
-                borders=transform(T_a_b, sighting.borders),
-                cameras=None if sighting.cameras is None else sighting.cameras.turned(T_a_b[:3, :3]),
-                middle=transformed_xy(T_a_b, sighting.middle[None])[0],
-                box=_laid_box(T_a_b, sighting.box),
-            )
-            for sighting in track.sightings
-        )
-    )
+
+    def moved(sighting: Sighting) -> Sighting:
+        cameras = sighting.cameras and sighting.cameras.turned(T_a_b[:3, :3])
+        laid = _mapped(sighting, lambda points: transform(T_a_b, points), _laid_box(T_a_b, sighting.box))
+        return replace(laid, cameras=cameras)
+
+    return Track(tuple(map(moved, track.sightings)))
 
 
 def mirrored_track(track: Track) -> Track:
     """Return a track with left and right exchanged."""
     over = np.array([1.0, -1.0, 1.0])
-    return Track(
-        tuple(
-            replace(
-                sighting,
-                points=sighting.points * over,
-                low=replace(sighting.low, points=sighting.low.points * over),
-                borders=sighting.borders[::-1] * over,
-                cameras=None if sighting.cameras is None else sighting.cameras.turned(np.diag(over)),
-                middle=sighting.middle * over[:2],
-                begin_rad=-sighting.begin_rad,
-                box=replace(sighting.box, centre=sighting.box.centre * over[:2], yaw_rad=-sighting.box.yaw_rad),
-            )
-            for sighting in track.sightings
-        )
-    )
+
+    def mirrored(sighting: Sighting) -> Sighting:
+        box = replace(sighting.box, centre=sighting.box.centre * over[:2], yaw_rad=-sighting.box.yaw_rad)
+        laid = _mapped(sighting, lambda points: points * over, box)
+        cameras = sighting.cameras and sighting.cameras.turned(np.diag(over))
+        return replace(laid, borders=laid.borders[::-1], begin_rad=-sighting.begin_rad, cameras=cameras)
+
+    return Track(tuple(map(mirrored, track.sightings)))
 
 
 def stretched_track(track: Track, ahead: float, aside: float) -> Track:
     """Return a track scaled by ``ahead`` along the sensor's axis, and by ``aside`` across it and vertically."""
     over = np.array([ahead, aside, aside])
-    return Track(
-        tuple(
-            replace(
-                sighting,
-                points=sighting.points * over,
-                sigma_along_m=sighting.sigma_along_m * ahead,
-                low=replace(sighting.low, points=sighting.low.points * over),
-                borders=sighting.borders * over,
-                middle=sighting.middle * over[:2],
-                box=_stretched_box(sighting.box, over[:2]),
-            )
-            for sighting in track.sightings
-        )
-    )
+
+    def stretched(sighting: Sighting) -> Sighting:
+        laid = _mapped(sighting, lambda points: points * over, _stretched_box(sighting.box, over[:2]))
+        return replace(laid, sigma_along_m=sighting.sigma_along_m * ahead)
+
+    return Track(tuple(map(stretched, track.sightings)))
 
 
 def nearer_track(track: Track, per_m: float) -> Track:
@@ -86,22 +66,23 @@ def nearer_track(track: Track, per_m: float) -> Track:
         scale: FloatArray = 1.0 / np.maximum(1.0 + per_m * np.linalg.norm(xy, axis=-1, keepdims=True), 1e-3)
         return scale
 
-    def moved(points: FloatArray) -> FloatArray:
-        return np.concatenate([points[:, :2] * by(points[:, :2]), points[:, 2:]], axis=1)
+    def nearer(sighting: Sighting) -> Sighting:
+        box = replace(sighting.box, centre=sighting.box.centre * by(sighting.box.centre))
+        laid = _mapped(sighting, lambda points: np.hstack([points[:, :2] * by(points[:, :2]), points[:, 2:]]), box)
+        return replace(laid, sigma_along_m=sighting.sigma_along_m * by(sighting.points[:, :2])[:, 0] ** 2)
 
-    return Track(
-        tuple(
-            replace(
-                sighting,
-                points=moved(sighting.points),
-                sigma_along_m=sighting.sigma_along_m * by(sighting.points[:, :2])[:, 0] ** 2,
-                low=replace(sighting.low, points=moved(sighting.low.points)),
-                borders=moved(sighting.borders),
-                middle=sighting.middle * by(sighting.middle),
-                box=replace(sighting.box, centre=sighting.box.centre * by(sighting.box.centre)),
-            )
-            for sighting in track.sightings
-        )
+    return Track(tuple(map(nearer, track.sightings)))
+
+
+def _mapped(sighting: Sighting, points_to: Callable[[FloatArray], FloatArray], box: Box) -> Sighting:
+    """Return a sighting with another box, and with all its points, shape (n, 3), mapped."""
+    return replace(
+        sighting,
+        points=points_to(sighting.points),
+        low=replace(sighting.low, points=points_to(sighting.low.points)),
+        borders=points_to(sighting.borders),
+        middle=points_to(np.append(sighting.middle, 0.0)[None])[0, :2],
+        box=box,
     )
 
 

@@ -26,7 +26,7 @@ from laci_stereo.report.page.charts import Chart, OutlineChart, Series, chart, o
 from laci_stereo.report.page.lanes import lane_facts
 from laci_stereo.report.page.photo import Photographs, draw_over, jpeg
 from laci_stereo.report.page.plan import draw_plan
-from laci_stereo.report.page.residuals import Laid, centres_apart, fit_drive, median_by_frame
+from laci_stereo.report.page.residuals import Laid, centre_offsets, fit_drive, median_by_frame
 from laci_stereo.report.page.shapes import thinned
 
 MOST_FRAMES = 600
@@ -134,10 +134,10 @@ def write_page(calibration: Calibration, document: Document, made: Made) -> str:
 
 @in_one_thread
 def _fitted(calibration: Calibration, config: Mapping[str, Any]) -> list[DrivePage]:
-    known = {**config.get("joint", {}), "clock_sigma_s": calibration.drive.clock_sigma_s}
+    settings = JointSettings(**config.get("joint", {}))
     several = bool(calibration.others)
     return [
-        _drive_page(calibration, passage, JointSettings(**known), f"Drive {number}" if several else "")
+        _drive_page(calibration, passage, settings, f"Drive {number}" if several else "")
         for number, passage in enumerate(calibration.passages, start=1)
     ]
 
@@ -168,10 +168,11 @@ def _by_frame(laid: Laid, look: str, label: str, faces: tuple[int, int]) -> Seri
 
 
 def _centres_chart(passage: Passage) -> Chart | None:
-    apart = centres_apart(passage)
-    if not len(apart.stamps_s):
+    offsets = centre_offsets(passage)
+    if not len(offsets.stamps_s):
         return None
-    stamps_s, ahead_m, left_m = (thinned(each, MOST_FRAMES) for each in (apart.stamps_s, apart.ahead_m, apart.left_m))
+    columns = offsets.stamps_s, offsets.ahead_m, offsets.left_m
+    stamps_s, ahead_m, left_m = (thinned(column, MOST_FRAMES) for column in columns)
     series = [
         Series("ends", "ahead of the vehicle's middle", stamps_s, 100.0 * ahead_m),
         Series("flanks", "to its left", stamps_s, 100.0 * left_m),

@@ -7,25 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.estimation.drive_model import DriveModel
-from laci_stereo.core.estimation.drive_prior import CLOCK, Correction
-from laci_stereo.core.estimation.drive_rows import BIAS, FIRST_OWN
+from laci_stereo.core.estimation.drive_prior import Correction
 from laci_stereo.core.estimation.evidence import evidence_of
+from laci_stereo.core.estimation.joint import start_at
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.estimation.problem import SOFTENING_M
+from laci_stereo.core.estimation.problem import COMPARED, HELD, Problem
+from laci_stereo.core.estimation.scanner_turn import FIXED, Turn
 from laci_stereo.core.frames import FloatArray, IntArray, rotate_xy
 from laci_stereo.core.settings import JointSettings
 from laci_stereo.core.vehicle import outline
 
 MOST_ROWS = 5_000
 """Number of points to which a drive is thinned, up to a factor of two: more would take longer and show the same."""
-
-NEAR_M = 0.3
-"""Largest softening of the mixture that is needed: with the transform known, the remaining parameters move the outline
-by less than this."""
-
-ITERATIONS = 12
-CLOSE = 0.01
-"""Squared step, in standard deviations, at which the iteration ends: a tenth of a standard deviation is not visible."""
 
 SIDES = ("rear", "front", "right side", "left side")
 
@@ -54,11 +47,6 @@ class Laid:
     distance_m: FloatArray
     face: IntArray
     surface: FloatArray
-
-    @property
-    def rms_m(self) -> float:
-        """Root mean square distance of the points from the outline, weighted by `surface`."""
-        return float(np.sqrt((self.surface * self.distance_m**2).sum() / max(float(self.surface.sum()), 1e-9)))
 
 
 @dataclass(frozen=True)
@@ -93,51 +81,18 @@ def fit_drive(passage: Passage, settings: JointSettings) -> Fit | None:
     Returns
     -------
     Fit or None
-        None where the messages never determine the vehicle's position, or where the fit diverges.
+        None where the messages never determine the vehicle's position.
     """
     drive = evidence_of(passage.track, passage.vehicle, passage.ground.height_m).thinned(MOST_ROWS)
     if not len(drive):
         return None
     centre = drive.middles.mean(axis=0)
-    model = DriveModel(drive, centre, settings, turns=passage.turn != 0.0)
-    x, shares, covariance = _solve(model, passage, centre)
-    if not np.isfinite(x).all():
-        return None
-    laid = _lay(model, x, shares) if len(drive.points) else None
-    return Fit(
-        laid if laid is not None and len(laid.face) else None, model.prior.corrections(x[FIRST_OWN:], covariance)
-    )
-
-
-def _solve(model: DriveModel, passage: Passage, centre: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return all parameters, the mixture's fractions, and the covariance of the drive's own parameters.
-
-    Only the range bias and the drive's own parameters are estimated; yaw, x and y are fixed.
-    """
-    prior = model.prior
-    x = np.concatenate(
-        [[passage.match.yaw_rad], passage.match(centre[None])[0], [0.0, passage.turn, 0.0, 0.0, 0.0], prior.mean]
-    )
-    x[FIRST_OWN + CLOCK] = passage.time_offset_s
-    shares = model.likelihood.first_shares()
-    free = np.r_[BIAS, FIRST_OWN : len(x)]  # focal length and baseline, like the points, are the stereo calibration's
-    precision = np.zeros((len(free), len(free)))
-    precision[0, 0] = model.settings.bias_noise_share**-2
-    pace, step = 1.0, np.zeros(len(free))
-    for soft in (*[soft for soft in SOFTENING_M if soft <= NEAR_M], *[0.0] * ITERATIONS):
-        fitness = model.likelihood.weigh(model.rows(x), soft, shares)
-        shares = fitness.shares
-        precision[1:, 1:] = prior.precision(x[FIRST_OWN:])
-        curvature = fitness.curvature[np.ix_(free, free)] + precision
-        gradient = fitness.gradient[free] + precision @ (x[free] - np.append(0.0, prior.mean))
-        before, step = step, np.linalg.solve(curvature, gradient)
-        pace *= 0.5 if before @ curvature @ step < 0.0 else 1.0  # points at corners change sides: damp oscillations
-        step = pace * step
-        x[free] -= step
-        if soft == 0.0 and step @ curvature @ step < CLOSE:
-            break
-    information = fitness.information[np.ix_(free, free)] + precision
-    return x, shares, np.asarray(np.linalg.inv(information), dtype=np.float64)[1:, 1:]
+    turn = Turn(passage.turn, FIXED)
+    problem = Problem([drive], start_at(passage.match, centre), centre, settings, turn, pose_sigmas=HELD)
+    solved = problem.solve(problem.best_of([problem.at_rest([passage.time_offset_s])]), COMPARED)
+    ((model, corrections),) = problem.corrections(solved)
+    laid = _lay(model, solved.x, solved.fitness[0].shares) if len(drive.points) else None
+    return Fit(laid if laid is not None and len(laid.face) else None, corrections)
 
 
 def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
@@ -149,7 +104,7 @@ def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
 
 
 @dataclass(frozen=True)
-class Apart:
+class CentreOffsets:
     """Offsets of the sensor's box centres from the vehicle's centres by the messages.
 
     Attributes
@@ -164,12 +119,12 @@ class Apart:
     left_m: FloatArray
 
 
-def centres_apart(passage: Passage) -> Apart:
+def centre_offsets(passage: Passage) -> CentreOffsets:
     """Compare the box centres with the messages, both without corrections other than the clock offset."""
     stamps_s = passage.track.stamps_s
     xy, yaw, known = passage.vehicle.at(stamps_s + passage.time_offset_s)
-    apart = rotate_xy(-yaw, passage.match(passage.track.centres) - xy)[known]
-    return Apart(stamps_s[known], apart[:, 0], apart[:, 1])
+    offsets = rotate_xy(-yaw, passage.match(passage.track.centres) - xy)[known]
+    return CentreOffsets(stamps_s[known], offsets[:, 0], offsets[:, 1])
 
 
 def median_by_frame(stamps_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -418,7 +418,7 @@ def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:
     # Two seconds later it is elsewhere on the circle, which the motion takes up.
     other = seen(replace(ROUND, start_s=2.0), STAMPS[25:])
     permissive = MatchSettings(least_log_odds=0.0)
-    doubt = choose_track([other], {42: vehicle(ROUND)}, permissive).doubt
+    doubt = choose_track([other], {42: vehicle(ROUND)}, permissive).by_chance
     assert "by chance" in doubt
     assert doubt.endswith("record a longer drive, or one with less traffic")
 
@@ -426,7 +426,7 @@ def test_whoever_rounds_the_same_circle_may_be_anyone() -> None:
 def test_a_drive_of_its_own_leaves_no_doubt() -> None:
     slows = replace(DRIVE, speeds=((0.0, 9.0), (2.0, 9.0), (4.0, 5.0)))
     choice = choose_track([seen(slows), seen(STEADY, seed=1)], {42: vehicle(slows)})
-    assert choice.doubt == ""
+    assert choice.by_chance == ""
     assert misplaced_m(choice) < 0.5
 
 
@@ -437,10 +437,10 @@ def exactly(*_: object) -> Resemblance:
 
 def test_an_outline_on_the_way_leaves_no_doubt_of_a_short_drive() -> None:
     brief = seen(DRIVE, STAMPS[:20], noise_m=0.05)
-    doubt = choose_track([brief], {42: vehicle()}).doubt
+    doubt = choose_track([brief], {42: vehicle()}).by_chance
     assert "by chance" in doubt
     assert doubt.endswith("record a longer drive, or one with a turn")
-    assert choose_track([brief], {42: vehicle()}, likeness=exactly).doubt == ""
+    assert choose_track([brief], {42: vehicle()}, likeness=exactly).by_chance == ""
 
 
 @pytest.mark.slow
@@ -456,7 +456,7 @@ def test_what_is_taken_with_a_doubt_is_rather_the_vehicle_than_a_stranger() -> N
         except MatchError:
             refused += 1
         else:
-            told = re.search(r"odds of ([\d.]+) to 1 that it is its vehicle", choice.doubt)
+            told = re.search(r"odds of ([\d.]+) to 1 that it is its vehicle", choice.by_chance)
             odds += [float(told[1])] if told else []
     assert refused > 0
     assert len(odds) > 3
@@ -500,8 +500,8 @@ def test_pieces_among_clutter_tell_no_more_than_that_something_is_there() -> Non
         for x in np.arange(-8.0, 8.5, 0.7)
         for y in np.arange(-8.0, 8.5, 0.7)
     ]
-    assert choose_track([brief, *standing], {42: vehicle()}, likeness=exactly).doubt == ""
-    assert "by chance" in choose_track([*pieces, *standing], {42: vehicle()}, likeness=exactly).doubt
+    assert choose_track([brief, *standing], {42: vehicle()}, likeness=exactly).by_chance == ""
+    assert "by chance" in choose_track([*pieces, *standing], {42: vehicle()}, likeness=exactly).by_chance
 
 
 def test_however_exactly_a_follower_fits_it_is_a_tie() -> None:
@@ -564,7 +564,7 @@ def test_thirty_vehicles_on_a_straight_road(senders: int, needed: int) -> None:
         scene = traffic(seed, STRAIGHT_ROAD)
         choice = chosen(scene, passing(scene, seed, senders), 0.0, MatchSettings())
         if choice is not None:
-            assert misplaced_m(choice) < 1.0 or choice.doubt
+            assert misplaced_m(choice) < 1.0 or choice.by_chance
             right += misplaced_m(choice) < 1.0
     assert right >= needed
 

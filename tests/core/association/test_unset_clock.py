@@ -92,7 +92,7 @@ def test_noise_is_no_other_clock(seed: int) -> None:
     tracks, sends = [seen(slow, noise_m=0.3, seed=seed)], {42: vehicle(slow)}
     choice = Case(tracks, sends, replace(SYNCHRONISED, clear_log_odds=math.inf), exactly).chosen()
     assert choice is not None
-    assert choice.doubt
+    assert choice.by_chance
     assert clocks_apart(Case(tracks, sends, SYNCHRONISED), choice, exactly) is None
 
 

@@ -12,7 +12,7 @@ import pytest
 from laci_stereo.commands.options import parse_reference
 from laci_stereo.core.association.case import Alternative, Case
 from laci_stereo.core.association.choice import Choice, Resemblance
-from laci_stereo.core.association.vehicle_choice import told
+from laci_stereo.core.association.vehicle_choice import in_words
 from laci_stereo.core.association.wrong_place import place_off
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.errors import MatchError
@@ -99,10 +99,10 @@ def instead(text: str, log_likelihood: float, log_searched: float = 0.0) -> Alte
 
 def test_of_what_would_fit_the_likeliest_is_told_and_what_is_nearly_as_likely() -> None:
     settings = MatchSettings()
-    assert told([], settings) == ""
-    assert told([instead("clocks", 5.0), instead("place", 9.0)], settings) == "place"
-    assert told([instead("clocks", 8.5), instead("place", 9.0)], settings) == "place; or clocks"
-    assert told([instead("optics", 12.0, 4.0), instead("place", 11.0)], settings) == "place"
+    assert in_words([], settings) == ""
+    assert in_words([instead("clocks", 5.0), instead("place", 9.0)], settings) == "place"
+    assert in_words([instead("clocks", 8.5), instead("place", 9.0)], settings) == "place; or clocks"
+    assert in_words([instead("optics", 12.0, 4.0), instead("place", 11.0)], settings) == "place"
 
 
 @pytest.mark.slow

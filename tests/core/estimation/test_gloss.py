@@ -41,13 +41,13 @@ def glossy(drive: Evidence, by: float, paint: float | None = None) -> Evidence:
     Of a paint that scatters such a share, or as all paints do on average.
     """
     model, x = expected(drive)
-    met = model._meet(x, model._poses(x), np.arange(len(drive.points)))
+    lines = model._sight_lines(x, model._poses(x), np.arange(len(drive.points)))
     sensor = np.array([0.0, 0.0, drive.height_m])
     sight = drive.points - sensor
     level_m = np.hypot(*sight[:, :2].T)
-    cos = met.hits.cos * level_m / np.linalg.norm(sight, axis=1)
+    cos = lines.hits.cos * level_m / np.linalg.norm(sight, axis=1)
     share = gloss.mirrored(cos)[:, 0] if paint is None else share_of(paint, cos)
-    deeper = by * share * drive.sigma_along_m * (met.hits.cos > 0.0)
+    deeper = by * share * drive.sigma_along_m * (lines.hits.cos > 0.0)
     return replace(drive, points=sensor + sight * (1.0 + deeper / level_m)[:, None])
 
 

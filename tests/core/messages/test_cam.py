@@ -231,7 +231,7 @@ def test_a_two_wheelers_width_is_not_its_bodys() -> None:
     log = cam_log(ULM, car(NORTH), 6.0)
     for width_m, said in ((0.8, 1), (1.0, 1), (1.2, 0), (1.7, 0)):
         sent = replace(log, length_m=np.full(len(log), 2.2), width_m=np.full(len(log), width_m))
-        doubts = track_of(sent).doubts
+        doubts = track_of(sent).objections
         assert ["two-wheelers" in doubt for doubt in doubts] == [True] * said
 
 

@@ -80,15 +80,15 @@ def test_nobody_reverses_as_fast_as_that(change: str) -> None:
 
 def test_who_reverses_all_the_way_slowly_may_do_so_and_it_is_doubted() -> None:
     log = log_of(SLOW)
-    (doubt,) = track_of(told(log, lambda heading: heading + 180.0)).doubts
+    (doubt,) = track_of(told(log, lambda heading: heading + 180.0)).objections
     assert "reverses all the way" in doubt
-    assert track_of(log).doubts == ()
+    assert track_of(log).objections == ()
 
 
 @pytest.mark.parametrize("yaw_deg", range(0, 360, 30))
 @pytest.mark.parametrize("drive", [TURN, STRAIGHT, BEND, SLOW], ids=["turn", "straight", "bend", "slow"])
 def test_right_headings_are_never_doubted(drive: Drive, yaw_deg: int) -> None:
-    assert track_of(log_of(replace(drive, yaw_deg=float(yaw_deg)))).doubts == ()
+    assert track_of(log_of(replace(drive, yaw_deg=float(yaw_deg)))).objections == ()
 
 
 def test_messages_of_which_many_are_left_out_are_doubted() -> None:
@@ -102,4 +102,4 @@ def test_messages_of_which_many_are_left_out_are_doubted() -> None:
             EPOCH_NS,
             CENTRE,
         )
-        assert len(track.doubts) == doubts
+        assert len(track.objections) == doubts

@@ -52,7 +52,7 @@ def track(log: CamLog) -> VehicleTrack:
 def test_positions_that_go_where_they_should_have_no_step(drive: Drive) -> None:
     for seed in range(5):
         found = track(sent(drive, seed=seed))
-        assert found.doubts == ()
+        assert found.objections == ()
         assert found.position_sigma_m == pytest.approx(TOLD_M)
 
 
@@ -61,14 +61,14 @@ def test_inexact_headings_are_no_steps_of_the_front(drive: Drive) -> None:
     for seed in range(20):
         log = sent(drive, seed=seed)
         more_deg = np.random.default_rng(100 + seed).normal(0.0, 0.6, len(log))
-        assert track(replace(log, heading_deg=log.heading_deg + more_deg)).doubts == ()
+        assert track(replace(log, heading_deg=log.heading_deg + more_deg)).objections == ()
 
 
 @pytest.mark.parametrize("step_m", [0.15, 0.25])
 @pytest.mark.parametrize("drive", [STRAIGHT, LEFT_TURN, RIGHT_TURN, CURVE, STOP_AND_GO])
 def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: float) -> None:
     found = track(sent(drive, step_m))
-    (doubt,) = found.doubts
+    (doubt,) = found.objections
     told = re.fullmatch(
         "the positions of station 42 jump sideways by (.*) m, (.*) s into the recording: those before or those after "
         "it are wrong by as much",
@@ -84,13 +84,13 @@ def test_positions_are_no_better_than_their_largest_step(drive: Drive, step_m: f
 @pytest.mark.parametrize("drive", [STRAIGHT, LEFT_TURN, RIGHT_TURN, CURVE])
 def test_of_two_parts_of_a_log_that_are_as_long_neither_is_surely_right(drive: Drive, step_m: float) -> None:
     found = track(sent(drive, step_m))
-    assert "jump sideways" in found.doubts[-1]
+    assert "jump sideways" in found.objections[-1]
     assert found.position_sigma_m == pytest.approx(step_m / np.sqrt(2.0), rel=0.4)
 
 
 def test_a_step_within_what_messages_tell_is_none() -> None:
     found = track(sent(STRAIGHT, 0.3, sigma_m=0.5))
-    assert found.doubts == ()
+    assert found.objections == ()
     assert found.position_sigma_m == pytest.approx(0.5)
 
 

@@ -30,12 +30,12 @@ def test_the_paper_leaves_out_boxes_that_show_an_end_only() -> None:
     last = STAMPS > 4.0
     placement = place_by_paper(seen(last), vehicle(), MatchSettings())
     assert placement.left_out == {"thin": last.sum()}
-    assert placement.frames_used == (~last).sum()
-    assert abs(float(wrap(placement.match.yaw_rad - TRUTH.yaw_rad))) < 1e-3
-    assert placement.match.shift == pytest.approx(TRUTH.shift, abs=0.02)
+    assert placement.fit.frames == (~last).sum()
+    assert abs(float(wrap(placement.fit.match.yaw_rad - TRUTH.yaw_rad))) < 1e-3
+    assert placement.fit.match.shift == pytest.approx(TRUTH.shift, abs=0.02)
 
 
 def test_the_paper_takes_them_where_there_is_nothing_else() -> None:
     placement = place_by_paper(seen(np.ones(len(STAMPS), dtype=bool)), vehicle(), MatchSettings())
-    assert placement.frames_used == len(STAMPS)
-    assert np.linalg.norm(placement.match.shift - TRUTH.shift) > 1.0
+    assert placement.fit.frames == len(STAMPS)
+    assert np.linalg.norm(placement.fit.match.shift - TRUTH.shift) > 1.0

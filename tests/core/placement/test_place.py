@@ -24,7 +24,7 @@ def test_an_outline_that_explains_too_little_is_refused(share: float, accepted: 
     points[other, :2] = rotate_xy(away / np.linalg.norm(points[other, :2], axis=1), points[other, :2])
     fit = fit_jointly([replace(whole, points=points)], outlines.TRUTH)
     if accepted:
-        assert place(fit, [whole], len(whole), Settings()).frames_used > 0.9 * len(whole)
+        assert place(fit, [whole], len(whole), Settings()).fit.frames > 0.9 * len(whole)
     else:
         with pytest.raises(MatchError, match=r"the outline .* explains \d+% of the vehicle's points; needed are 50%"):
             place(fit, [whole], len(whole), Settings())
