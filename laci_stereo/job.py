@@ -14,11 +14,12 @@ from laci_stereo.check.describe import check_document, check_line
 from laci_stereo.check.images import Checked
 from laci_stereo.check.lanes import MAP_SIGMA_M
 from laci_stereo.check.result import beside_map
-from laci_stereo.core.calibrate import calibrate, world_around
+from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.errors import CalibrationError, CamError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint
+from laci_stereo.core.messages.stations import world_around
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
 from laci_stereo.io.cam.gnss import OF_ANTENNA

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from laci_stereo.core.box_motion import contradictions
-from laci_stereo.core.calibrate import locate, vehicles_of, world_around
+from laci_stereo.core.calibrate import locate
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import CalibrationError, DetectionError
 from laci_stereo.core.frames import FORWARD_LEFT_UP_AXES, Axes, FloatArray
@@ -22,6 +23,7 @@ from laci_stereo.core.ground.box_ground import (
     Below,
     ground_by_heights,
 )
+from laci_stereo.core.messages.stations import vehicles_by_other_clocks, vehicles_of, world_around
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import above_zero
@@ -94,10 +96,11 @@ class MatchTask(Task):
     def calibrate(self, watch: Watch) -> Calibration:  # noqa: ARG002, there are no frames to watch
         """Project the detections onto the ground, and match the vehicles' tracks."""
         options = self.options
-        first_ns, last_ns = self.detections.span_ns
-        messages = self.drive.messages.between(first_ns, last_ns, options.core.match.clock_sigma_s)
-        world = world_around(messages, options.crs)
-        vehicles = vehicles_of(messages, world, first_ns, options.point)
+        span_ns = self.detections.span_ns
+        recorded = self.drive.messages.between(*span_ns, options.core.match.clock_sigma_s)
+        world = world_around(recorded, options.crs)
+        vehicles = vehicles_of(recorded, world, span_ns[0], options.point)
+        by_other_clocks = partial(vehicles_by_other_clocks, self.drive.messages, span_ns, world, options.point)
         seen = observe_detections(
             self.detections,
             self.axes,
@@ -109,7 +112,7 @@ class MatchTask(Task):
         )
         remarks = contradictions(seen.tracks, options.core.match)
         try:
-            found = locate(seen, vehicles, world, options.core)
+            found = locate(seen, vehicles, world, options.core, by_other_clocks)
         except CalibrationError as error:
             if not (*remarks, *seen.objections):
                 raise

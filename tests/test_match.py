@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from laci_stereo.core.errors import GroundError, InputError
+from laci_stereo.core.errors import GroundError, InputError, MatchError
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.settings import Settings
 from laci_stereo.core.tracking.box_point import BoxPoint
@@ -635,6 +635,37 @@ def test_a_sender_that_stands_still_tells_nothing(tmp_path: Path) -> None:
     made = traffic(3)
     site = lay(tmp_path, traffic(3, vehicles=[standing, *made.vehicles[1:12]]))
     site.refused(NOT_CALIBRATED, "not calibrated: ", "stands still", "needed are", options=("-q",))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS[:4])
+@pytest.mark.parametrize(
+    ("ahead_s", "words"),
+    [
+        (18, "GPS time is 18 s ahead of UTC; subtract 18 s from the times of the messages"),
+        (-18, "GPS time is 18 s ahead of UTC; subtract 18 s from the times of the recording"),
+        (5, "ETSI's clock is 5 s ahead of UTC, by the leap seconds since 2004; subtract 5 s"),
+    ],
+)
+def test_a_clock_that_is_not_utc_is_named(tmp_path: Path, seed: int, ahead_s: int, words: str) -> None:
+    made = traffic(seed)
+    messages = replace(made.messages, stamps_ns=made.messages.stamps_ns + ahead_s * 10**9)
+    said = f"if times were of another clock, station 42 would match its messages: {words}"
+    site = lay(tmp_path, replace(made, messages=messages))
+    ran = run(site.arguments(), tmp_path)
+    assert said in ran.out + ran.err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS[:4])
+def test_a_sender_that_is_not_seen_is_not_found_by_another_clock(tmp_path: Path, seed: int) -> None:
+    made = traffic(seed)
+    others = made.of_vehicle != 0
+    seen = {"detections": made.detections[others], "of_vehicle": made.of_vehicle[others]}
+    unseen = replace(made, **seen, heights_m=made.heights_m[others])
+    with pytest.raises(MatchError) as refused:
+        matched(tmp_path, unseen)
+    assert "another clock" not in str(refused.value)
 
 
 def test_without_axes_that_tell_the_plane_z_is_needed(site: Site) -> None:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-
-import numpy as np
+from functools import partial
 
 from laci_stereo.core.association.choice import Choice, Other
 from laci_stereo.core.association.pieces import whole
-from laci_stereo.core.association.vehicle_choice import choose_vehicle
+from laci_stereo.core.association.vehicle_choice import ByOtherClocks, choose_vehicle
 from laci_stereo.core.cloud import PointCloudSource
 from laci_stereo.core.common_ground import along_ground
 from laci_stereo.core.conclusion import conclude
-from laci_stereo.core.errors import CamError, MatchError, TrackError
+from laci_stereo.core.errors import MatchError
 from laci_stereo.core.estimation.passage import Passage
-from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint, VehicleTrack
+from laci_stereo.core.messages.stations import vehicles_by_other_clocks, vehicles_of, world_around
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.placement.by_paper import place_by_paper
 from laci_stereo.core.placement.objections import objected
@@ -64,17 +64,22 @@ def calibrate(
         If the recording and the messages do not determine a transform.
     """
     settings = settings or Settings()
-    epoch_ns = source.span_ns[0]
-    messages = messages.between(*source.span_ns, settings.match.clock_sigma_s)
-    world = world_around(messages, crs)
-    vehicles = vehicles_of(messages, world, epoch_ns, reference)
+    span_ns = source.span_ns
+    recorded = messages.between(*span_ns, settings.match.clock_sigma_s)
+    world = world_around(recorded, crs)
+    vehicles = vehicles_of(recorded, world, span_ns[0], reference)
     seen = on_the_road(observe(source, settings), source, vehicles, settings)
-    return locate(seen, vehicles, world, settings)
+    by_other_clocks = partial(vehicles_by_other_clocks, messages, span_ns, world, reference)
+    return locate(seen, vehicles, world, settings, by_other_clocks)
 
 
 @in_one_thread
 def locate(
-    seen: Observation, vehicles: Mapping[int, VehicleTrack], world: World, settings: Settings | None = None
+    seen: Observation,
+    vehicles: Mapping[int, VehicleTrack],
+    world: World,
+    settings: Settings | None = None,
+    by_other_clocks: ByOtherClocks = dict,
 ) -> Calibration:
     """Find the transform from what a sensor saw and the tracks of the senders' vehicles.
 
@@ -85,6 +90,8 @@ def locate(
         By station; their epoch is the observation's.
     world : World
     settings : Settings
+    by_other_clocks : callable
+        See `choose_vehicle`.
 
     Raises
     ------
@@ -94,7 +101,7 @@ def locate(
     settings = settings or Settings()
     tracks = whole(seen.tracks, vehicles.values(), settings)
     try:
-        choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings)
+        choice = choose_vehicle(tracks, vehicles, seen.ground.height_m, settings, by_other_clocks)
     except MatchError as error:
         raise MatchError(f"{error}{_assumed(vehicles)}", error.nearer_per_m) from error
     log.info("station %d: %.1f frames explained, next best %.1f", choice.station, choice.explained, choice.second)
@@ -145,39 +152,3 @@ def _passages(
         )
         for each in (Other(choice.station, choice.track), *choice.others)
     ]
-
-
-def world_around(messages: CamLog, crs: str | None = None) -> World:
-    """Return a world around the median of the messages' positions, some of which may be far off.
-
-    Raises
-    ------
-    CamError
-        If none has a position.
-    """
-    located = messages[np.isfinite(messages.latitude_deg) & np.isfinite(messages.longitude_deg)]
-    if len(located) == 0:
-        raise CamError("0 CAMs with a position fall into the recording's time; needed is a drive that was recorded")
-    east_deg = (located.longitude_deg - located.longitude_deg[0] + 180.0) % 360.0 - 180.0
-    longitude_deg = (float(located.longitude_deg[0] + np.median(east_deg)) + 180.0) % 360.0 - 180.0
-    return World.around(float(np.median(located.latitude_deg)), longitude_deg, crs)
-
-
-def vehicles_of(messages: CamLog, world: World, epoch_ns: int, reference: ReferencePoint) -> dict[int, VehicleTrack]:
-    """Return the track, in the world, of every station that has one; others, such as roadside units, have none.
-
-    Raises
-    ------
-    CamError, TrackError
-        If none has one.
-    """
-    tracks: dict[int, VehicleTrack] = {}
-    problems: list[CamError | TrackError] = []
-    for station in messages.stations():
-        try:
-            tracks[station] = vehicle_track(messages.of(station), world, epoch_ns, reference)
-        except (CamError, TrackError) as error:
-            problems.append(error)
-    if not tracks:
-        raise problems[0]
-    return tracks

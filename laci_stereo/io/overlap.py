@@ -2,48 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import IntArray
 from laci_stereo.core.messages.cam import MAX_GAP_S, STANDING_MPS, CamLog
+from laci_stereo.core.messages.clock_errors import CLOCK_ERRORS, ClockError
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S
 from laci_stereo.io.epochs import OTHER_CLOCKS, epoch_notes
 from laci_stereo.io.stamps import iso_text
 
 _S = 10**9
-_GPS_AHEAD_S = 18
-_TAI_AHEAD_S = 37
-_ETSI_AHEAD_S = 5
-_FARTHEST_ZONE_H = 14
-
-
-@dataclass(frozen=True)
-class _ClockError:
-    """A clock error: how far the messages are ahead of the recording, and its cause with a remedy."""
-
-    ahead_s: int
-    cause: str
-
 
 _CLOCK_ERRORS = (
-    _ClockError(_GPS_AHEAD_S, "GPS time is 18 s ahead of UTC; subtract 18 s from the times of the messages"),
-    _ClockError(-_GPS_AHEAD_S, "GPS time is 18 s ahead of UTC; subtract 18 s from the times of the recording"),
-    _ClockError(_TAI_AHEAD_S, "TAI is 37 s ahead of UTC; subtract 37 s from the times of the messages"),
-    _ClockError(-_TAI_AHEAD_S, "TAI is 37 s ahead of UTC; subtract 37 s from the times of the recording"),
-    _ClockError(
-        _ETSI_AHEAD_S,
-        "ETSI's clock is 5 s ahead of UTC, by the leap seconds since 2004; subtract 5 s from the times of the messages",
-    ),
+    *CLOCK_ERRORS,
     *(
-        _ClockError(sign * 3600 * hours, f"a time zone of {hours} h; give the times of both in UTC")
-        for hours in range(1, _FARTHEST_ZONE_H + 1)
-        for sign in (1, -1)
-    ),
-    *(
-        _ClockError(sign * behind_s, f"{who} {clock.count}; {clock.remedy(times)}")
+        ClockError(sign * behind_s, f"{who} {clock.count}; {clock.remedy(times)}")
         for clock in OTHER_CLOCKS
         for sign, who, times in ((-1, "the messages count", "their times"), (1, "the recording counts", "its times"))
         for behind_s in clock.behind_s
@@ -107,7 +81,7 @@ def _between(stamps_ns: IntArray, first_ns: int, last_ns: int) -> bool:
     return bool(((stamps_ns >= first_ns) & (stamps_ns <= last_ns)).any())
 
 
-def _explanation(first_cam: int, last_cam: int, first_ns: int, last_ns: int) -> _ClockError | None:
+def _explanation(first_cam: int, last_cam: int, first_ns: int, last_ns: int) -> ClockError | None:
     """Return the clock error whose correction makes both overlap; of several, the one that best aligns the middles."""
     fitting = [
         error

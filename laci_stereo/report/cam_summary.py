@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laci_stereo.core.calibrate import world_around
 from laci_stereo.core.errors import LaciError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.messages.cam import MAX_GAP_S, METRES_PER_DEG, CamLog, vehicle_track
+from laci_stereo.core.messages.stations import world_around
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.stamps import iso_text
 

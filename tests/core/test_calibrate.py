@@ -7,11 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from laci_stereo.core.calibrate import calibrate, world_around
+from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import BackgroundError, CamError, GroundError, InputError, MatchError, TrackError
 from laci_stereo.core.frames import FloatArray, invert, rotate_xy, transform
 from laci_stereo.core.messages.cam import CENTRE, VehicleTrack
+from laci_stereo.core.messages.stations import world_around
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Method, Settings
 from tests.simulated import (

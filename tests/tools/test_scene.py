@@ -450,7 +450,7 @@ def test_a_data_set_is_what_was_simulated(tmp_path: Path):
     from laci_lidar.folder import ScanFolder
     from laci_lidar.recording import LidarRecording
 
-    from laci_stereo.core.calibrate import world_around
+    from laci_stereo.core.messages.stations import world_around
     from laci_stereo.io.cam.csv_log import read_cam_csv
     from laci_stereo.io.maps.lane_map import read_lane_map
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from laci_stereo.core.calibrate import locate, vehicles_of, world_around
+from laci_stereo.core.calibrate import locate
 from laci_stereo.core.detections import observe_detections
 from laci_stereo.core.messages.cam import FRONT, VehicleTrack
+from laci_stereo.core.messages.stations import vehicles_of, world_around
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings

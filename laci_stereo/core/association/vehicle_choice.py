@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from laci_stereo.core.association.case import Alternative, Case
+from laci_stereo.core.association.case import Alternative, Case, clearly_better
 from laci_stereo.core.association.choice import Choice, Likeness, Resemblance
 from laci_stereo.core.association.handedness import mirrored
 from laci_stereo.core.association.pieces import Companion, companion
@@ -21,9 +21,16 @@ from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S, JointSettings, MatchSettings, Settings
 from laci_stereo.core.tracking.tracks import Track
 
+ByOtherClocks = Callable[[], Mapping[str, Mapping[int, VehicleTrack]]]
+"""Returns the vehicles that would drive during the recording by other clocks, by the cause of that."""
+
 
 def choose_vehicle(
-    tracks: Sequence[Track], vehicles: Mapping[int, VehicleTrack], height_m: float, settings: Settings
+    tracks: Sequence[Track],
+    vehicles: Mapping[int, VehicleTrack],
+    height_m: float,
+    settings: Settings,
+    by_other_clocks: ByOtherClocks = dict,
 ) -> Choice:
     """Find which track belongs to which sender's vehicle, with the objections against that.
 
@@ -36,6 +43,8 @@ def choose_vehicle(
     height_m : float
         Height of the sensor above the ground.
     settings : Settings
+    by_other_clocks : callable
+        Asked where nothing fits for certain.
 
     Raises
     ------
@@ -43,8 +52,8 @@ def choose_vehicle(
         If no sender moves during the recording, or no track is long enough.
     MatchError
         If no track fits, two fit equally well, or all fit better in a mirrored frame. If they would fit by another
-        clock offset, with another reference point on the vehicle, or with another stereo calibration, the message says
-        so.
+        clock offset or clock, with another reference point on the vehicle, or with another stereo calibration, the
+        message says so.
     """
     case = Case(tracks, vehicles, settings.match, _likeness_by(settings.joint, height_m))
     by_any_clock = _likeness_by(replace(settings.joint, clock_sigma_s=UNKNOWN_CLOCK_S), height_m)
@@ -54,6 +63,7 @@ def choose_vehicle(
         asked = [mirrored(case, None), clocks_apart(case, None, by_any_clock), point_off(case, None)]
         if isinstance(error, MatchError):
             asked += [place_off(case), optics_off(case), disparities_off(case)]
+            asked += [_clock_off(case, None, by_other_clocks())]
         instead = [each for each in asked if each is not None]
         if not instead:
             raise
@@ -63,8 +73,18 @@ def choose_vehicle(
         raise MatchError(turned_over.words)
     alone = [other for other in choice.others if not _companion(case, choice, other.station, other.track).frames]
     asked = [clocks_apart(case, choice, by_any_clock), point_off(case, choice)]
+    if choice.by_chance:
+        asked += [_clock_off(case, choice, by_other_clocks())]
     better = in_words([each for each in asked if each is not None], settings.match)
     return replace(choice, others=tuple(alone), better=better)
+
+
+def _clock_off(
+    case: Case, choice: Choice | None, by_other_clocks: Mapping[str, Mapping[int, VehicleTrack]]
+) -> Alternative | None:
+    """Return the clock that, unlike the one assumed, certainly explains what was seen, or None."""
+    tried = {cause: replace(case, vehicles=vehicles) for cause, vehicles in by_other_clocks.items()}
+    return clearly_better(tried, case, choice, "times were of another clock")
 
 
 def in_words(instead: Sequence[Alternative], settings: MatchSettings) -> str:

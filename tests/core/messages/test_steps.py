@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from laci_stereo.core.calibrate import calibrate, world_around
+from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.messages.cam import ELLIPSE_SIGMAS, CamLog, VehicleTrack, vehicle_track
+from laci_stereo.core.messages.stations import world_around
 from tests.simulated import (
     CURVE,
     EPOCH_NS,
