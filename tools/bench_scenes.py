@@ -13,8 +13,8 @@ track, the last column to yaw and tilt.
 "detections" are a detector's boxes of the moving objects around a lidar_32: with errors of 10 cm and 2 deg, and of 5 %
 of each object's size that last, every fifth missing, without track numbers. With --rendered N the first N seeds of each
 stereo camera are images, rendered at 5 Hz (seconds per image, minutes per scene) and matched by the tool itself, in
-rows of their own; the other seeds use the fast simulation. With --out the table, the runs as CSV, written one line each as they end, and pictures of the worst
-are kept.
+rows of their own; the other seeds use the fast simulation. With --out the table, the runs as CSV, written one line each
+as they end, and pictures of the worst are kept.
 """
 
 from __future__ import annotations
