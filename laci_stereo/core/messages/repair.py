@@ -218,8 +218,8 @@ def _reversing(stamps_s: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray)
     """Return in which messages the reported direction is opposite to the body's, shape (n,).
 
     It is a direction of motion, so it turns over where a vehicle stops and goes back: where its speeds before and after
-    are such that it can have stopped in between. Elsewhere such a direction is wrong. While the vehicle stands it does
-    not count. Nobody drives faster backwards than forwards.
+    are such that it can have stopped in between. Elsewhere such a direction is wrong. A vehicle that creeps or stands
+    may report either, but its body stays as it was. Nobody drives faster backwards than forwards.
 
     Parameters
     ----------
@@ -235,9 +235,8 @@ def _reversing(stamps_s: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray)
     back: BoolArray = np.append(False, np.cumsum(turned_over) % 2 == 1)
     if speed_mps[sure[back]].max(initial=0.0) > speed_mps[sure[~back]].max(initial=0.0):
         back = ~back
-    # Elsewhere the direction is taken as the last one of the motion.
     last = np.searchsorted(sure, np.arange(len(stamps_s)), side="right").clip(1) - 1
-    reverses: BoolArray = back[last]
+    reverses: BoolArray = np.cos(yaw_rad - (yaw_rad[sure] + np.pi * back)[last]) < 0.0
     return reverses
 
 
