@@ -1,10 +1,13 @@
+from typing import get_args
+
 import numpy as np
 import pytest
 
 pytest.importorskip("embreex")
 
 from laci_stereo.core.frames import wrap
-from tools.scenes.drives import DRIVES, Drive, Towed
+from tools.scenes.drives import DRIVES, Drive, DriveKind, Towed
+from tools.scenes.scene import SceneError, draw_scene
 from tools.scenes.traffic import collide, lanes_of, place_drive, possible, vehicle_mover
 from tools.scenes.vehicles import draw_vehicle
 from tools.scenes.world import LAYOUTS, draw_road
@@ -20,7 +23,7 @@ def drawn(kind, seed=0, speed=None):
     return road, vehicle, place_drive(rng, kind, road, vehicle, speed, 6.0, left_hand=False)
 
 
-@pytest.mark.parametrize("kind", DRIVES)
+@pytest.mark.parametrize("kind", get_args(DriveKind))
 @pytest.mark.parametrize("seed", range(3))
 def test_speed_is_the_rate_of_position_and_the_rear_axle_does_not_slip(kind, seed):
     drive = drawn(kind, seed)[2]
@@ -30,7 +33,7 @@ def test_speed_is_the_rate_of_position_and_the_rear_axle_does_not_slip(kind, see
     np.testing.assert_allclose(velocity, expected, atol=0.03)
 
 
-@pytest.mark.parametrize("kind", DRIVES)
+@pytest.mark.parametrize("kind", get_args(DriveKind))
 @pytest.mark.parametrize("seed", range(3))
 def test_acceleration_and_jerk_are_a_drivers(kind, seed):
     speed = drawn(kind, seed)[2].speed(TIMES)
@@ -60,6 +63,24 @@ def test_reversing_goes_backwards():
     back = np.flatnonzero(drive.speed(TIMES) < -1.0)[:-1]
     step = (xy[back + 1] - xy[back]) @ np.array([np.cos(yaw[back[0]]), np.sin(yaw[back[0]])])
     assert (step < 0.0).all()
+
+
+@pytest.mark.parametrize("left_hand", [False, True])
+def test_who_reverses_in_a_turn_backs_along_its_bend_and_then_leaves_to_its_far_side(left_hand):
+    rng = np.random.default_rng(0)
+    road = draw_road(rng, "cross")
+    drive = place_drive(rng, "reverse_in_turn", road, draw_vehicle(rng, "saloon"), 6.0, 6.0, left_hand)
+    speed, curvature = drive.speed(TIMES), drive.curvature(TIMES)
+    assert np.degrees(np.ptp(drive.at(TIMES)[1][speed < 0.0])) > 15.0
+    assert (np.sign(curvature[np.abs(curvature) > 0.05]) == (-1.0 if left_hand else 1.0)).all()
+    assert np.degrees(np.abs(np.diff(drive.at(np.array([-10.0, 25.0]))[1]))) == pytest.approx(90.0, abs=3.6)
+
+
+def test_a_drive_that_reverses_in_a_turn_is_only_drawn_when_asked_for():
+    assert "reverse_in_turn" not in DRIVES
+    assert draw_scene(810000, "lidar_32", drive="reverse_in_turn").drive_kind == "reverse_in_turn"
+    with pytest.raises(SceneError, match="a drive 'sideways'"):
+        draw_scene(3, "lidar_8", drive="sideways")
 
 
 def test_the_front_moves_in_another_direction_than_the_body_points_in_a_bend():

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from laci_stereo.core.frames import FloatArray, rotate_xy
 
-DriveKind = Literal["straight", "left_turn", "right_turn", "stop_and_go", "roundabout", "reverse", "lane_change"]
-DRIVES: tuple[DriveKind, ...] = get_args(DriveKind)
+DriveKind = Literal[
+    "straight", "left_turn", "right_turn", "stop_and_go", "roundabout", "reverse", "lane_change", "reverse_in_turn"
+]
+DRIVES: tuple[DriveKind, ...] = (
+    "straight", "left_turn", "right_turn", "stop_and_go", "roundabout", "reverse", "lane_change",
+)  # fmt: skip
+"""Those that scenes draw from; the others are only drawn when asked for."""
 
 FIRST_S, LAST_S = -15.0, 45.0
 STEP_S, STEP_M = 5e-3, 0.02
@@ -213,12 +218,12 @@ def draw_drive(
         pivot=(middle_s, total / 2),
         wander=(rng.uniform(0.0, 0.2), rng.uniform(40.0, 80.0), rng.uniform(0.0, 2 * np.pi)),
     )
-    if kind not in ("left_turn", "right_turn"):
+    if kind not in ("left_turn", "right_turn", "reverse_in_turn"):
         return drive
     # The smoothed curvature shifts the end of the path: the start is moved so that the turn ends in its lane.
     bare = replace(drive, wander=(0.0, 50.0, 0.0))
     path, x = bare._path[:2]
-    wanted = lanes.offset_m if kind == "left_turn" else -lanes.offset_m
+    wanted = -lanes.offset_m if kind == "right_turn" else lanes.offset_m
     end = float(np.interp(total + drive.ramp_m, path, x))
     return replace(drive, start=(start[0] + wanted - end, start[1]))
 
@@ -228,9 +233,9 @@ def _legs(
 ) -> tuple[tuple[tuple[float, float], ...], tuple[float, float]]:
     """Return the legs, and where the first one begins."""
     right = np.pi / 2
-    if kind in ("left_turn", "right_turn"):
-        turn = right if kind == "left_turn" else -right
-        radius = max(rng.uniform(8.0, 13.0) if kind == "left_turn" else rng.uniform(6.5, 11.0), tightest_m)
+    if kind in ("left_turn", "right_turn", "reverse_in_turn"):
+        turn = -right if kind == "right_turn" else right
+        radius = max(rng.uniform(6.5, 11.0) if kind == "right_turn" else rng.uniform(8.0, 13.0), tightest_m)
         return ((radius * right, turn),), (0.0, -lanes.offset_m)
     if kind == "roundabout":
         return _around(rng, lanes, tightest_m)
@@ -262,7 +267,7 @@ def _speeds(
         stop, wait = middle_s + rng.uniform(-1.0, 0.5), rng.uniform(1.0, 3.0)
         go = stop + wait
         return ((stop - speed / brake, speed), (stop, 0.0), (go, 0.0), (go + speed / gain, speed))
-    if kind == "reverse":
+    if kind in ("reverse", "reverse_in_turn"):
         back = -rng.uniform(1.5, 3.0)
         stop, spell = middle_s - rng.uniform(2.0, 3.0), rng.uniform(2.0, 3.5)
         turn = stop + 1.0

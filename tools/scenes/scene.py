@@ -531,7 +531,7 @@ def _drawn(draw: Draw, sensor_kind: SensorKind, factors: Factors) -> Scene | Non
 def _drive_and_layout(draw: Draw, factors: Factors) -> tuple[DriveKind, LayoutKind]:
     pairs = [
         (kind, layout)
-        for kind in DRIVES
+        for kind in (DRIVES if factors.drive is None else get_args(DriveKind))
         for layout in LAYOUTS
         if possible(layout, kind) and factors.drive in (None, kind) and factors.layout in (None, layout)
     ]

@@ -120,13 +120,14 @@ _ARMS: dict[LayoutKind, tuple[int, ...]] = {
 def possible(layout: LayoutKind, kind: DriveKind) -> list[int]:
     """Return by how many quarter turns a drive that comes along x can be rotated so that its arms exist.
 
-    Arms are numbered counter-clockwise from the one along +x; a drive comes from arm 2 and leaves through 0, 1 or 3.
+    Arms are numbered counter-clockwise from the one along +x; a drive comes from arm 2 and leaves through 0, 1 or 3. A
+    turn within which the vehicle reverses is one to the left, where traffic drives on the left one to the right.
     """
     if (kind == "roundabout") != (layout == "roundabout"):
         return []
-    leaves = {"left_turn": 1, "right_turn": 3}.get(kind, 0)
+    ways: dict[DriveKind, tuple[int, ...]] = {"left_turn": (2, 1), "right_turn": (2, 3), "reverse_in_turn": (2, 1, 3)}
     arms = _ARMS[layout]
-    return [quarter for quarter in range(4) if (2 + quarter) % 4 in arms and (leaves + quarter) % 4 in arms]
+    return [q for q in range(4) if all((arm + q) % 4 in arms for arm in ways.get(kind, (2, 0)))]
 
 
 def place_drive(

@@ -15,6 +15,7 @@ from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, along_line,
 from laci_stereo.core.messages.headings import READINGS, WRONG_SHARE, check_filled, check_forwards, check_reading
 from laci_stereo.core.messages.repair import (
     REAR_AXLE_SHARE,
+    STANDING_MPS,
     dimensions,
     fitting,
     held_positions,
@@ -34,9 +35,6 @@ MAX_GAP_S = 1.5
 
 ELLIPSE_SIGMAS = 2.4477
 """Semi-axis of the 95 % ellipse of a two-dimensional normal distribution, in standard deviations: sqrt(-2 ln 0.05)."""
-
-STANDING_MPS = 0.5
-"""Below this speed the heading, which is the direction of motion, does not determine the yaw of the vehicle's body."""
 
 TIGHTEST_M, HURRIED_MPS2 = 3.0, 2.0
 """Smallest turning radius of the middle of a small car's rear axle (turning circle of 9.5 m from kerb to kerb,

@@ -45,6 +45,12 @@ JUMPED = -math.log(0.002)
 """Cost (negative log-likelihood) of explaining a step as a jump: one message in five hundred, which is one a minute. It
 corresponds to 3.5 sigma: 0.1 s at 10 m/s leaves 0.3 m where accuracy is reported, and 0.5 m where it is not."""
 
+STANDING_MPS = 0.5
+"""Below this speed the heading, which is the direction of motion, does not determine the yaw of the vehicle's body."""
+
+BRAKES_MPS2 = 8.0
+"""Largest deceleration of a car, on a dry road."""
+
 NEIGHBOURS = 5
 """Messages on either side over which the median speed is taken where none is reported; it is robust to some wrong
 ones."""
@@ -149,7 +155,8 @@ def fitting(
     xy : ndarray, shape (n, 2)
         Positions in the world, metres.
     yaw_rad : ndarray, shape (n,)
-        Reported directions; NaN where none was. A vehicle that reverses may report the opposite one.
+        Reported directions; NaN where none was. A vehicle that reverses may report the opposite one: of its motion,
+        which its speed is along, while levers are turned with its body.
     speed_mps : ndarray, shape (n,)
         NaN where none was reported.
     levers : sequence of tuple of float
@@ -161,11 +168,12 @@ def fitting(
     """
     speed = np.abs(np.where(np.isfinite(speed_mps), speed_mps, usual_speed(stamps_s, xy)))
     direction = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
-    backwards = onwards_mps(stamps_s, xy, yaw_rad) < 0.0
+    parts = np.split(np.arange(len(stamps_s)), np.flatnonzero(np.diff(stamps_s) > longest_s) + 1)
+    body, backwards = _body_and_sense(stamps_s, xy, yaw_rad, speed, parts)
     velocity = np.where(backwards, -speed, speed)[:, None] * direction
     white = np.sqrt(2.0) * (max(TOLD_SIGMA_M, sigma_m) if np.isfinite(sigma_m) else UNTOLD_SIGMA_M)
 
-    points = np.stack([xy - rotate_xy(yaw_rad, np.tile(lever, (len(xy), 1))) for lever in levers])
+    points = np.stack([xy - rotate_xy(body, np.tile(lever, (len(xy), 1))) for lever in levers])
     farthest_m = max(float(np.hypot(*lever)) for lever in levers)
 
     def strain(i: int, j: IntArray) -> FloatArray:
@@ -185,11 +193,51 @@ def fitting(
         return squared / 2
 
     keep = np.zeros(len(stamps_s), dtype=bool)
-    gaps = np.flatnonzero(np.diff(stamps_s) > longest_s) + 1
-    for part in np.split(np.arange(len(stamps_s)), gaps):
+    for part in parts:
         starts = np.searchsorted(stamps_s, stamps_s[part] - longest_s).clip(part[0])
         keep[_likeliest(part, starts, strain)] = True
     return keep
+
+
+def _body_and_sense(
+    stamps_s: FloatArray, xy: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray, parts: Sequence[IntArray]
+) -> tuple[FloatArray, BoolArray]:
+    """Return the body's yaw, and which messages move against the direction that they report, each of shape (n,)."""
+    body, backwards = yaw_rad.copy(), onwards_mps(stamps_s, xy, yaw_rad) < 0.0
+    for part in parts:
+        reverses = _reversing(stamps_s[part], yaw_rad[part], speed_mps[part])
+        body[part] += np.pi * reverses
+        runs = np.split(part, np.flatnonzero(np.diff(reverses)) + 1)
+        for run in runs if len(runs) > 1 else ():
+            if len(run) > 1:  # neighbours of before and after the direction turned over move the other way
+                backwards[run] = onwards_mps(stamps_s[run], xy[run], yaw_rad[run]) < 0.0
+    return body, backwards
+
+
+def _reversing(stamps_s: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> BoolArray:
+    """Return in which messages the reported direction is opposite to the body's, shape (n,).
+
+    It is a direction of motion, so it turns over where a vehicle stops and goes back: where its speeds before and after
+    are such that it can have stopped in between. Elsewhere such a direction is wrong. A vehicle that creeps or stands
+    may report either, but its body stays as it was. Nobody drives faster backwards than forwards.
+
+    Parameters
+    ----------
+    stamps_s, yaw_rad, speed_mps : ndarray, shape (n,)
+        Of messages without a long gap; speeds are not negative.
+    """
+    sure = np.flatnonzero(np.isfinite(yaw_rad) & (speed_mps >= STANDING_MPS))
+    if not len(sure):
+        return np.zeros(len(stamps_s), dtype=bool)
+    one, other = sure[:-1], sure[1:]
+    stops = speed_mps[one] + speed_mps[other] <= BRAKES_MPS2 * (stamps_s[other] - stamps_s[one])
+    turned_over = stops & (np.cos(yaw_rad[other] - yaw_rad[one]) < 0.0)
+    back: BoolArray = np.append(False, np.cumsum(turned_over) % 2 == 1)
+    if speed_mps[sure[back]].max(initial=0.0) > speed_mps[sure[~back]].max(initial=0.0):
+        back = ~back
+    last = np.searchsorted(sure, np.arange(len(stamps_s)), side="right").clip(1) - 1
+    reverses: BoolArray = np.cos(yaw_rad - (yaw_rad[sure] + np.pi * back)[last]) < 0.0
+    return reverses
 
 
 def _likeliest(part: IntArray, starts: IntArray, strain: Callable[[int, IntArray], FloatArray]) -> IntArray:

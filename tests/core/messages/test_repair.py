@@ -18,6 +18,14 @@ STOP = Drive((0.0, 0.0), 30.0, speeds=((0.0, 9.0), (2.0, 9.0), (5.0, 0.0), (8.0,
 BEND = Drive((0.0, 0.0), 0.0, ((5.0, 0.0), (11.0, -90.0)), ((0.0, 6.0),))
 """A radius of 7 m, in which the front goes 17 deg aside of where it points."""
 
+BACKING = Drive(
+    (0.0, 0.0),
+    30.0,
+    ((20.0, 0.0), (20.0, 150.0)),
+    ((0.0, 6.0), (3.0, 6.0), (5.0, 0.0), (5.5, 0.0), (6.5, -2.5), (9.0, -2.5), (10.0, 0.0), (10.5, 0.0), (13.0, 5.0)),
+)
+"""Backs up by 9 m within a bend with a radius of 8 m, with headings of its motion."""
+
 DRIVES = {"turn": TURN, "stop": STOP}
 
 
@@ -81,6 +89,32 @@ def test_a_vehicle_that_reverses_and_tells_where_its_body_points() -> None:
     back = log.stamps_ns > EPOCH_NS + int(6.5e9)
     turned = replace(log, heading_deg=np.where(back, log.heading_deg + 180.0, log.heading_deg) % 360.0)
     assert len(track_of(turned).stamps_s) == len(log)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 2.0, 1.0])
+@pytest.mark.parametrize("length_m", [4.4, 5.9])
+def test_nothing_is_left_out_where_a_vehicle_backs_up_within_a_bend(length_m: float, rate_hz: float) -> None:
+    """The direction of its motion turns over, but the front stays where it is."""
+    log = cam_log(ULM, car(BACKING, length_m, 1.9), 13.0, rate_hz).exact_to(0.02)
+    assert len(track_of(log, reference=FRONT).stamps_s) == len(log)
+
+
+@pytest.mark.parametrize("length_m", [4.4, 5.9])
+def test_wrong_positions_are_left_out_where_a_vehicle_backs_up_within_a_bend(length_m: float) -> None:
+    log = cam_log(ULM, car(BACKING, length_m, 1.9), 13.0).exact_to(0.02)
+    wrong = np.arange(len(log)) % 5 == 3
+    assert len(track_of(moved(log, wrong, 2.0, -2.0), reference=FRONT).stamps_s) == np.count_nonzero(~wrong)
+
+
+@pytest.mark.parametrize("reference", [CENTRE, FRONT], ids=["centre", "front"])
+def test_a_wrong_heading_does_not_turn_those_after_it_over(reference: ReferencePoint) -> None:
+    log = cam_log(ULM, car(BEND), 4.0, 5.0, reference=(0.0, 0.0) if reference is CENTRE else None)
+    for wrong in range(8, 16):
+        # From the wrong heading it is less than a right angle to the next one, but not from the one before.
+        heading = log.heading_deg.copy()
+        heading[wrong] += 95.0
+        track = track_of(replace(log, heading_deg=heading % 360.0), reference=reference)
+        assert len(log) - 1 <= len(track.stamps_s)
 
 
 @pytest.mark.parametrize("seed", range(5))
