@@ -6,8 +6,9 @@ import numpy as np
 
 from laci_stereo.core.errors import CamError, TrackError
 from laci_stereo.core.frames import IntArray
-from laci_stereo.core.messages.cam import MAX_GAP_S, STANDING_MPS, CamLog
+from laci_stereo.core.messages.cam import MAX_GAP_S, CamLog
 from laci_stereo.core.messages.clock_errors import CLOCK_ERRORS, ClockError
+from laci_stereo.core.messages.repair import STANDING_MPS
 from laci_stereo.core.settings import UNKNOWN_CLOCK_S
 from laci_stereo.io.epochs import OTHER_CLOCKS, epoch_notes
 from laci_stereo.io.stamps import iso_text

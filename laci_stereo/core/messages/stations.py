@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from laci_stereo.core.errors import CamError, TrackError
-from laci_stereo.core.messages.cam import STANDING_MPS, CamLog, ReferencePoint, VehicleTrack, vehicle_track
+from laci_stereo.core.messages.cam import CamLog, ReferencePoint, VehicleTrack, vehicle_track
 from laci_stereo.core.messages.clock_errors import CLOCK_ERRORS
+from laci_stereo.core.messages.repair import STANDING_MPS
 from laci_stereo.core.world import World
 
 
