@@ -66,6 +66,9 @@ _STEPS = 20
 """Largest number of steps: each leaves a fraction of the error, the ratio of noise to spread, so a few reach any
 precision."""
 
+_STILL = 1e-9
+"""Correction, in radians and metres, below which there are no more steps: far below any noise."""
+
 
 def level_ground(height_m: float, axes: Axes, tilt_sigma_rad: float = LEVEL_SIGMA_RAD) -> GroundPlane:
     """Return the ground below a sensor whose up axis is vertical.
@@ -287,7 +290,10 @@ def _fitted(
     ground = _start(points, above_m, axes)
     boxes = counted(points, above_m, objects, ground, axes)
     for _ in range(_STEPS):
-        ground = _turned(ground, fit_heights(heights_above(boxes, ground, axes)).correction, axes)
+        correction = fit_heights(heights_above(boxes, ground, axes)).correction
+        ground = _turned(ground, correction, axes)
+        if np.abs(correction).max() < _STILL:
+            break
     return ground, heights_above(boxes, ground, axes)
 
 
