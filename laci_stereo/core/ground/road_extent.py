@@ -54,6 +54,10 @@ TURN_M, SMOOTH_M = 3.5, 2.5
 """Distances before and behind a place of the path from which its direction is computed, and over which its position is
 averaged: the measured positions jump as other sides of the vehicle come into view."""
 
+JUMPS = 1.5
+"""Ratio of the path through some boxes to the way from the first to the last above which they jump to and fro; at 2 the
+path seems to lead over its own parts (`_once`), and a right-angled turn has 1.4."""
+
 PIECE_M = 6.0
 """Length of a piece, over which the road is taken as equally wide: half of the mouth of a crossing. The next pieces on
 the same side are evidence of its width too, since little is seen of a piece at the ends of a path."""
@@ -141,7 +145,7 @@ def places(track: Track) -> FloatArray:
     Parts in which the vehicle drives over its own path again, for example after backing out of a yard, are left out:
     nothing new is below them, and left and right would be exchanged.
     """
-    cells = np.floor(np.array([sighting.box.centre for sighting in track.sightings]) / CELL_M)
+    cells = np.floor(_thinned(np.array([sighting.box.centre for sighting in track.sightings])) / CELL_M)
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
     seen = (cells[first] + 0.5) * CELL_M
     along_m = along_line(seen)
@@ -156,6 +160,25 @@ def places(track: Track) -> FloatArray:
     longest_m = max(PIECE_M, 1.5 * float(np.median(steps_m))) if len(steps_m) else PIECE_M
     kept = np.append(steps_m, 0.0)[np.searchsorted(along_m, at_m, side="right") - 1] < longest_m
     return _once(smooth[kept], at_m[kept])
+
+
+def _thinned(centres: FloatArray) -> FloatArray:
+    """Return the centres of boxes, shape (m, 2), and instead of those that jump to and fro on the spot, their mean.
+
+    Boxes of a slow vehicle, or of frequent frames, jump by more than the vehicle moves. A path through all of them
+    would be several times as long as the vehicle's, and seem to lead over its own parts.
+    """
+    kept: list[FloatArray] = []
+    begin, total = 0, np.zeros(2)
+    for end in range(1, len(centres) + 1):
+        total = total + centres[end - 1]
+        if end < len(centres) and np.linalg.norm(centres[end] - total / (end - begin)) < HALF_VEHICLE_M:
+            continue
+        part = centres[begin:end]
+        jumps = along_line(part)[-1] > JUMPS * np.linalg.norm(part[-1] - part[0])
+        kept.append(part.mean(axis=0, keepdims=True) if jumps else part)
+        begin, total = end, np.zeros(2)
+    return np.concatenate(kept)
 
 
 def prolonged(way: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.special import k1
 
-from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray
 from laci_stereo.core.ground.box_heights import BENT_PER_M
 from laci_stereo.core.ground.road_cells import Cells, Patches
 from laci_stereo.core.ground.road_crowns import Crowns
@@ -68,6 +68,9 @@ roads that cross are bent in both, the best plane without the crown, and the fal
 _CLASSES = np.array([-1.0, 0.0, 1.0])
 """Classes of unevenness relative to class B of ISO 8608: each class doubles it, and one class is one standard
 deviation."""
+
+_AT_A_TIME = 2000
+"""Number of cells of which the heights behind all edges are in memory, 16 kB each: two lanes of 70 m."""
 
 _NEVER = 25.0
 """Difference in log-likelihood from the most likely pair of an edge and a crown beyond which a pair is ignored: all of
@@ -124,18 +127,18 @@ class Surface:
         apart_m = patches.apart_m()
         uneven = [rough(apart_m)]
         self._crowns = Crowns.of_road(off, along_rad, ends_m)
-        raised, kinds = np.zeros((len(cells), 1, 2)), NO_EDGE
+        behind, hides, kinds = np.zeros((len(z), 1, 2)), np.zeros((len(cells), 1), dtype=bool), NO_EDGE
         if edges:
             directions, away_m = towards(along_rad), np.abs(cells.left_m)
             way_m = (off[away_m <= max(ON_WAY_M, float(away_m.min()))] @ directions).max(axis=0)
-            raised = behind_edges(cells.left_m, off @ directions - way_m)
-            in_view = np.flatnonzero(raised.any(axis=(0, 2)))
-            raised, kinds = np.concatenate([raised[:, :1], raised[:, in_view]], axis=1), EDGES.only(in_view)
+            behind, hides = _behind(patches.share, cells.left_m, off @ directions - way_m)
+            in_view = np.flatnonzero(hides.any(axis=0))
+            kept, kinds = np.append(0, in_view), EDGES.only(in_view)
+            behind, hides = behind[:, kept], hides[:, kept]
             evidence = partial(_evidence, cho_factor(noise + uneven[0], lower=True), z)
             self._crowns = self._crowns.and_crossings(patches.xy - self.middle, evidence)
             uneven.append(smooth(apart_m))
         crowns = patches.share @ self._crowns.raised(off, cells.left_m)
-        behind = (patches.share @ raised.reshape(len(cells), -1)).reshape(len(z), -1, 2)
         best, by_slopes = patches.best_plane(self.middle, AREA_M if cells.by_camera else RINGS_M)
         best_own = best @ own
         best_own[:, 1:3] += by_slopes
@@ -151,7 +154,7 @@ class Surface:
         self._between = products - np.outer(self._mean, self._mean)
         self._covariance = self._between.copy()
         self._covariance[: _BEST.stop, : _BEST.stop] += np.tensordot(likely, [each.within for each in given], 1)
-        self.behind: FloatArray = (raised != 0.0).any(axis=2) @ (likely @ np.array([each.of_edge for each in given]))
+        self.behind: FloatArray = hides @ (likely @ np.array([each.of_edge for each in given]))
 
     def heights(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Return the height of the even surface at given cells and its variance, each of shape (n,)."""
@@ -414,6 +417,28 @@ def smooth(apart_m: FloatArray) -> FloatArray:
     waves = np.maximum(apart_m / WAVES_M, 1e-9)
     covariance: FloatArray = SMOOTH_M**2 * waves * k1(waves)
     return covariance
+
+
+def _behind(share: csr_array, left_m: FloatArray, beyond_m: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the derivatives of the patches' heights by each edge, shape (m, edges, 2), and which cells it affects.
+
+    The derivatives of all cells of a long road would take gigabytes, so they are averaged part by part.
+
+    Parameters
+    ----------
+    share : scipy.sparse.csr_array, shape (m, n)
+        See `Patches`.
+    left_m, beyond_m : ndarray, shape (n,) and (n, 16)
+        See `behind_edges`.
+    """
+    behind, hides = np.zeros((share.shape[0], 2 * len(EDGES))), np.zeros((len(left_m), len(EDGES)), dtype=bool)
+    by_cell = share.tocsc()
+    for first in range(0, len(left_m), _AT_A_TIME):
+        part = slice(first, min(first + _AT_A_TIME, len(left_m)))
+        raised = behind_edges(left_m[part], beyond_m[part])
+        behind += by_cell[:, part] @ raised.reshape(len(raised), -1)
+        hides[part] = raised.any(axis=2)
+    return behind.reshape(len(behind), -1, 2), hides
 
 
 def _bent(off: FloatArray) -> FloatArray:

@@ -30,9 +30,9 @@ linked."""
 GATE = 3.0
 """Standard deviations at which a gate closes."""
 
-FILTERED = 10
-"""Number of sightings at the beginning of a track from which its velocity there is estimated."""
-
+FILTERED, FILTERED_S = 10, 0.9
+"""Least number of sightings at the beginning of a track from which its velocity there is estimated, and the time that
+these must cover if frames are more frequent than 10 Hz: in less, a vehicle moves no farther than its middle jumps."""
 
 STRAY = 0.5
 """Cost of treating a sighting at an end of a track as an outlier that belongs to another object, in gates."""
@@ -339,6 +339,8 @@ def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Lin
 def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
     """Cut a track recursively where it changes its motion most, as long as a gap with that change would not be closed.
 
+    Where frames are so frequent that the first or the last sightings determine no velocity, no change is known there.
+
     Returns
     -------
     list of tuple
@@ -347,9 +349,10 @@ def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
     count = len(track.sightings)
     before = _states(track.sightings, settings)
     after = [_forwards_in_time(one) for one in _states(_mirrored(track.sightings), settings)[::-1]]
-    gaps_s = np.diff([one.stamp_s for one in track.sightings])
+    gaps_s = np.diff([one.stamp_s for one in track.sightings]).tolist()
     strains = [
-        strain(before[i], after[i + 1], float(gaps_s[i]), settings) for i in range(LEAST_PIECE - 1, count - LEAST_PIECE)
+        0.0 if _vague(before[i], after[i + 1], settings) else strain(before[i], after[i + 1], gaps_s[i], settings)
+        for i in range(LEAST_PIECE - 1, count - LEAST_PIECE)
     ]
     if max(strains, default=0.0) < 1.0:
         return [(0.0, track)]
@@ -389,7 +392,11 @@ def _filtered(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
 
 def backwards(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
     """Filter the beginning of a track backwards in time, so that its `last` sighting is the earliest."""
-    few = list(sightings[:FILTERED])
+    few = [
+        one
+        for number, one in enumerate(sightings)
+        if number < FILTERED or one.stamp_s < sightings[0].stamp_s + FILTERED_S
+    ]
     moving = _forwards_in_time(_filtered(_mirrored(few), settings))
     moving.sightings = few[::-1]
     return moving
@@ -416,9 +423,13 @@ def strain(before: Moving, after: Moving, gap_s: float, settings: TrackSettings)
     way_sigma = np.sqrt(positions + speeds * gap_s**2 / 4 + agility * gap_s**3 / 12 + _noise(settings))
     change = np.linalg.norm(after.state[1] - before.state[1]) / np.sqrt(speeds + agility * gap_s)
     found = max(float(np.linalg.norm(way) / way_sigma), float(change)) / GATE
-    # One or two sightings determine no velocity, and could belong to any object.
-    vague = np.sqrt(speeds) > settings.max_speed_mps / (2 * GATE)
     # No vehicle stops and drives back within so short a time. For stationary objects this leaves one gap in five open:
     # the product of two velocities that are only noise has a Laplace distribution.
     back = before.state[1] @ after.state[1] < -np.sqrt(before.covariance[1, 1] * after.covariance[1, 1])
-    return np.inf if vague or back else found
+    return np.inf if back or _vague(before, after, settings) else found
+
+
+def _vague(before: Moving, after: Moving, settings: TrackSettings) -> bool:
+    """Return whether the velocities at both ends of a gap are unknown: one or two sightings could be of any object."""
+    speeds = before.covariance[1, 1] + after.covariance[1, 1]
+    return bool(np.sqrt(speeds) > settings.max_speed_mps / (2 * GATE))

@@ -287,6 +287,19 @@ def test_a_vehicle_that_waits_is_at_one_place() -> None:
     assert np.diff(found[:, 0]).max() < 0.6
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0, 100.0])
+@pytest.mark.parametrize("speed_mps", [1.0, 3.0, 8.0])
+def test_boxes_that_jump_by_more_than_the_vehicle_moves_are_one_path(speed_mps: float, rate_hz: float) -> None:
+    stamps = np.arange(0.0, 30.0 / speed_mps, 1.0 / rate_hz)
+    jumps = np.random.default_rng(0).normal(0.0, 0.3, (len(stamps), 2))
+    true = np.column_stack([speed_mps * stamps, np.full(len(stamps), 3.0)])
+    found = places(Track(tuple(map(sighting, stamps.tolist(), true + jumps))))
+    assert np.abs(found[:, 1] - 3.0).max() < 0.5
+    assert np.ptp(found[:, 0]) > 26.0
+    assert np.diff(np.sort(found[:, 0])).max() < 1.0
+    assert along_line(found)[-1] < 1.2 * 30.0
+
+
 def test_a_fast_vehicle_was_everywhere_between_two_frames_but_not_where_it_was_hidden() -> None:
     xs = [*np.arange(0.0, 21.0, 2.0), *np.arange(35.0, 50.0, 2.0)]
     found = places(Track(tuple(sighting(0.1 * i, np.array([x, 3.0])) for i, x in enumerate(xs))))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -378,3 +379,16 @@ def test_it_is_in_doubt_whether_another_road_goes_on_beyond_its_crown() -> None:
         doubts.append(np.sqrt(surface.plane()[2][1, 1]))
     assert doubts[1] > 0.02 * 0.2
     assert doubts[1] > 2.0 * doubts[0]
+
+
+def test_a_long_road_takes_little_memory() -> None:
+    """Of each cell, the heights behind a thousand edges are needed only as their means over patches."""
+    along_m, left_m = (each.ravel() for each in np.meshgrid(np.arange(0.0, 200.0, 0.5), np.arange(-10.0, 10.0, 0.5)))
+    long = cells(left_m, along_m, np.random.default_rng(0).normal(0.0, SIGMA_M, len(left_m)))
+    tracemalloc.start()
+    surface = Surface(long, 0.25, LEVEL, 0.0, edges=True)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.5e8
+    assert surface.behind.shape == (len(long),)
+    assert surface.behind.max() < 0.5

@@ -10,7 +10,7 @@ import pytest
 
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.tracking.sighting import Sighting
-from laci_stereo.core.tracking.tracks import Track, link_tracks
+from laci_stereo.core.tracking.tracks import Track, backwards, link_tracks
 from tests.core.tracks import CROSSING, DRIVE, Traffic, sighting, track, traffic
 from tests.simulated import Drive
 
@@ -163,6 +163,29 @@ def test_a_long_occlusion_is_bridged(rate_hz: float, lost_s: float) -> None:
     seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 2.0 + lost_s))
     (found,) = link_tracks(frames_of(seen))
     assert same(found, seen)
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 100.0])
+def test_however_often_frames_come_a_long_occlusion_is_bridged(rate_hz: float) -> None:
+    """Three sightings within a tenth of a second determine no velocity, but are no reason to cut a track either."""
+    true = driven(DRIVE, rate_hz, jitter_m=0.3)
+    seen = Track(tuple(s for s in true.sightings if not 2.0 < s.stamp_s < 3.5))
+    (found,) = link_tracks(frames_of(seen))
+    assert same(found, seen)
+
+
+def test_the_velocity_at_a_tracks_beginning_is_as_well_known_at_any_frame_rate() -> None:
+    sigmas_mps = []
+    for rate_hz in (10.0, 100.0):
+        begin = backwards(driven(DRIVE, rate_hz, jitter_m=0.3).sightings, TrackSettings())
+        sigmas_mps.append(np.sqrt(begin.covariance[1, 1]))
+    assert sigmas_mps[1] < sigmas_mps[0] < 2.0
+
+
+@pytest.mark.slow
+def test_a_long_track_of_frequent_frames_is_linked() -> None:
+    (found,) = link_tracks(frames_of(driven(Drive((0.0, 20.0), 0.0, speeds=((0.0, 1.0),)), 100.0, 40.0, jitter_m=0.1)))
+    assert len(found.sightings) == pytest.approx(4000, abs=1)
 
 
 @pytest.mark.parametrize("off_m", [(-4.5, 1.0), (-4.0, -2.0), (4.5, 0.0), (1.0, 4.0)])
