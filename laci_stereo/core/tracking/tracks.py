@@ -337,7 +337,7 @@ def _links(parts: Sequence[Moving], kept: Links, settings: TrackSettings) -> Lin
 
 
 def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
-    """Cut a track recursively where it changes its motion most, as long as a gap with that change would not be closed.
+    """Cut a track, and its pieces again, where it changes its motion most, if a gap with that change would stay open.
 
     Where frames are so frequent that the first or the last sightings determine no velocity, no change is known there.
 
@@ -346,20 +346,30 @@ def _cut(track: Moving, settings: TrackSettings) -> list[tuple[float, Moving]]:
     list of tuple
         The strain between each piece and the one before, 0 for the first, and the piece.
     """
-    count = len(track.sightings)
-    before = _states(track.sightings, settings)
-    after = [_forwards_in_time(one) for one in _states(_mirrored(track.sightings), settings)[::-1]]
-    gaps_s = np.diff([one.stamp_s for one in track.sightings]).tolist()
-    strains = [
+    whole: list[tuple[float, Moving]] = []
+    left = [(0.0, track)]
+    while left:
+        strained, piece = left.pop()
+        strains = _strains(piece.sightings, settings)
+        most = max(strains, default=0.0)
+        if most < 1.0:
+            whole.append((strained, piece))
+            continue
+        first = LEAST_PIECE + int(np.argmax(strains))
+        before, after = (_filtered(part, settings) for part in (piece.sightings[:first], piece.sightings[first:]))
+        left += [(most, after), (strained, before)]
+    return whole
+
+
+def _strains(sightings: Sequence[Sighting], settings: TrackSettings) -> list[float]:
+    """Return the strain between successive sightings of a track, from that where a first piece could end."""
+    before = _states(sightings, settings)
+    after = [_forwards_in_time(one) for one in _states(_mirrored(sightings), settings)[::-1]]
+    gaps_s = np.diff([one.stamp_s for one in sightings]).tolist()
+    return [
         0.0 if _vague(before[i], after[i + 1], settings) else strain(before[i], after[i + 1], gaps_s[i], settings)
-        for i in range(LEAST_PIECE - 1, count - LEAST_PIECE)
+        for i in range(LEAST_PIECE - 1, len(sightings) - LEAST_PIECE)
     ]
-    if max(strains, default=0.0) < 1.0:
-        return [(0.0, track)]
-    first = LEAST_PIECE + int(np.argmax(strains))
-    pieces = [_filtered(part, settings) for part in (track.sightings[:first], track.sightings[first:])]
-    (_, following), *others = _cut(pieces[1], settings)
-    return [*_cut(pieces[0], settings), (max(strains), following), *others]
 
 
 def _states(sightings: Sequence[Sighting], settings: TrackSettings) -> list[Moving]:

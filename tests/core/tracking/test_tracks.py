@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import inspect
+import sys
 import tracemalloc
 from collections import Counter
 from dataclasses import replace
@@ -10,7 +12,7 @@ import pytest
 
 from laci_stereo.core.settings import TrackSettings
 from laci_stereo.core.tracking.sighting import Sighting
-from laci_stereo.core.tracking.tracks import Track, backwards, link_tracks
+from laci_stereo.core.tracking.tracks import Moving, Track, _cut, backwards, link_tracks
 from tests.core.tracks import CROSSING, DRIVE, Traffic, sighting, track, traffic
 from tests.simulated import Drive
 
@@ -180,6 +182,24 @@ def test_the_velocity_at_a_tracks_beginning_is_as_well_known_at_any_frame_rate()
         begin = backwards(driven(DRIVE, rate_hz, jitter_m=0.3).sightings, TrackSettings())
         sigmas_mps.append(np.sqrt(begin.covariance[1, 1]))
     assert sigmas_mps[1] < sigmas_mps[0] < 2.0
+
+
+def test_a_track_may_be_cut_hundreds_of_times() -> None:
+    """Each leap to and fro is shorter than the one before, so the strongest change is always near the beginning."""
+    count = 480
+    leap_m = np.linspace(20.0, 8.0, count) * (np.arange(count) // 4 % 2)
+    seen = track(0.1 * np.arange(count), np.column_stack([leap_m, np.full(count, 10.0)]))
+    moving = Moving(seen.sightings[0], TrackSettings())
+    for one in seen.sightings[1:]:
+        moving.add(one, TrackSettings())
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(len(inspect.stack(0)) + 60)
+    try:
+        pieces = _cut(moving, TrackSettings())
+    finally:
+        sys.setrecursionlimit(limit)
+    assert len(pieces) > 100
+    assert [id(one) for _, piece in pieces for one in piece.sightings] == [id(one) for one in seen.sightings]
 
 
 @pytest.mark.slow
