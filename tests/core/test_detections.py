@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
-from laci_stereo.core.ground.box_heights import BENT_PER_M
 from scipy.stats import chi2
 
 from laci_stereo.core.detections import DetectionLog, observe_detections
 from laci_stereo.core.errors import GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, planar, rigid, transform
+from laci_stereo.core.ground.box_heights import BENT_PER_M
 from laci_stereo.core.ground.plane import GroundPlane
 from laci_stereo.core.settings import GroundSettings, Settings
 from tests.detections import EXACT, Noise, Passing, Traffic, traffic
