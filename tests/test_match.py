@@ -175,6 +175,7 @@ def test_in_a_turn_a_late_clock_may_look_like_another_place_on_the_vehicle_with_
     assert any("the point that --cam-reference gives" in reason for reason in found.quality.reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "late_s"), PERHAPS)
 def test_a_clock_that_was_perhaps_not_set_is_a_doubt(tmp_path: Path, seed: int, late_s: float) -> None:
     """Where it is known worse than to 25 ms; whoever says that clocks are unknown gets the right result."""
@@ -189,6 +190,7 @@ def test_a_clock_that_was_perhaps_not_set_is_a_doubt(tmp_path: Path, seed: int, 
     assert abs(found.drive.time_offset_s - late_s) < 3 * found.time_sigma_s
 
 
+@pytest.mark.slow
 def test_messages_that_pause_while_the_vehicle_is_seen(tmp_path: Path) -> None:
     """From so soon that one half of the drive has a frame or two, or none, at which its place is known."""
     made = traffic(SEEDS[0])

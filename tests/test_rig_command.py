@@ -367,6 +367,7 @@ def test_a_result_keeps_the_baseline_that_was_told(tmp_path: Path) -> None:
     assert read_calibration(tmp_path).baseline_m == rig.baseline_m
 
 
+@pytest.mark.slow
 def test_a_calibration_of_two_files_is_calibrated_with(tmp_path: Path) -> None:
     """The demonstration's rig, written as ROS does, gives the same plane, and the result says what it is from."""
     left, right, cam = (DEMONSTRATION / name for name in ("left", "right", "cam.csv"))

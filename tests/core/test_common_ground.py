@@ -98,7 +98,7 @@ def on_days(heights_m: Sequence[float], turns_rad: Sequence[float] | None = None
     return found
 
 
-@pytest.mark.parametrize("count", [2, 5, 10])
+@pytest.mark.parametrize("count", [2, 5, pytest.param(10, marks=pytest.mark.slow)])
 def test_grounds_as_good_as_they_claim_are_one_ground(count: int) -> None:
     """Neither is anything said in more than 1 % of cases, nor is the truth beyond three sigma in more."""
     rng = np.random.default_rng(count)

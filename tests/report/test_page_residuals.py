@@ -29,7 +29,7 @@ def correction(fit: Fit, what: str) -> float:
     return found
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.slow), 1, 2])
 def test_the_residuals_are_the_estimates_own(number: int) -> None:
     laid = fitted(number).laid
     assert laid is not None

@@ -159,9 +159,10 @@ def test_what_drives_above_the_land_altogether_is_on_another_ground() -> None:
 
 
 @pytest.mark.slow
-def test_a_trailer_whose_cab_is_seen_only_when_it_is_not_is_warned_of() -> None:
+def test_a_trailer_whose_cab_is_seen_only_when_it_is_not_is_no_pass() -> None:
+    """It backs up, and articulates meanwhile; its front was taken for the cab's, 3.4 m off."""
     (one,) = run(Job("lidar_16", 610004, ("joint",)), {"vehicle": "trailer"})
-    assert one.verdict == "warn" or one.sigma_ratio < 3.0
+    assert one.refused or one.verdict == "warn" or one.sigma_ratio < 3.0
 
 
 @pytest.mark.slow

@@ -184,6 +184,7 @@ def test_the_velocity_at_a_tracks_beginning_is_as_well_known_at_any_frame_rate()
     assert sigmas_mps[1] < sigmas_mps[0] < 2.0
 
 
+@pytest.mark.slow
 def test_a_track_may_be_cut_hundreds_of_times() -> None:
     """Each leap to and fro is shorter than the one before, so the strongest change is always near the beginning."""
     count = 480
