@@ -120,6 +120,7 @@ def test_an_angle_that_is_known_worse_than_asked_for_is_a_fail_which_is_written_
     assert (quality["verdict"], len(quality["reasons"])) == ("fail", 2)
 
 
+@pytest.mark.slow
 def test_a_stranger_that_appears_where_the_sender_is_lost_says_nothing(tmp_path: Path) -> None:
     """By another motion it fits the messages a little, as one of many may by chance."""
     made = traffic(522)
@@ -311,6 +312,7 @@ def test_boxes_by_another_point_seen_from_above(tmp_path: Path, point: BoxPoint)
     assert found.quality.verdict == "pass"
 
 
+@pytest.mark.slow
 def test_another_point_is_named_where_a_turn_shows_it(tmp_path: Path) -> None:
     site = lay(tmp_path, by_point(traffic(TURNS), "near-corner"))
     ran = run(site.arguments(), site.root)
@@ -335,6 +337,7 @@ def test_only_boxes_have_another_point(tmp_path: Path) -> None:
     site.refused(UNUSABLE, "has yaw, length and width", "--box-point rear", options=("--box-point", "rear"))
 
 
+@pytest.mark.slow
 def test_the_wrong_point_of_the_boxes_is_a_doubt(tmp_path: Path) -> None:
     made = traffic(3, vehicles=cars_and_vans())
     bottom = MatchOptions(box_origin="bottom")

@@ -353,6 +353,7 @@ def test_a_baseline_that_no_rig_has_is_one_line(tmp_path: Path, baseline: str) -
     refusal(run(arguments(tmp_path / "left", tmp_path / "right", "--baseline", baseline), tmp_path), 2, "--baseline")
 
 
+@pytest.mark.slow
 def test_a_result_keeps_the_baseline_that_was_told(tmp_path: Path) -> None:
     """So that a check or a monitor of it reads the same stereo calibration alike."""
     folders = [DEMONSTRATION / name for name in ("left", "right", "cam.csv")]

@@ -42,6 +42,7 @@ def test_two_drives_of_different_vehicles_place_the_sensor_to_centimetres_and_ar
         assert abs(share.time_offset_s) < 3 * share.time_sigma_s
 
 
+@pytest.mark.slow
 def test_one_drive_gives_what_it_gave() -> None:
     for passage, (_, alone) in zip(passages(), recorded(), strict=True):
         found = combine([passage]).calibration
