@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +22,7 @@ from laci_stereo.core.ground.box_ground import (
     Below,
     ground_by_heights,
 )
-from laci_stereo.core.messages.stations import vehicles_by_other_clocks, vehicles_of, world_around
+from laci_stereo.core.messages.stations import senders_of
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.robust import TAIL
 from laci_stereo.core.settings import above_zero
@@ -96,11 +95,8 @@ class MatchTask(Task):
     def calibrate(self, watch: Watch) -> Calibration:  # noqa: ARG002, there are no frames to watch
         """Project the detections onto the ground, and match the vehicles' tracks."""
         options = self.options
-        span_ns = self.detections.span_ns
-        recorded = self.drive.messages.between(*span_ns, options.core.match.clock_sigma_s)
-        world = world_around(recorded, options.crs)
-        vehicles = vehicles_of(recorded, world, span_ns[0], options.point)
-        by_other_clocks = partial(vehicles_by_other_clocks, self.drive.messages, span_ns, world, options.point)
+        span_ns, clock_sigma_s = self.detections.span_ns, options.core.match.clock_sigma_s
+        senders = senders_of(self.drive.messages, span_ns, options.point, options.crs, clock_sigma_s)
         seen = observe_detections(
             self.detections,
             self.axes,
@@ -112,7 +108,7 @@ class MatchTask(Task):
         )
         remarks = contradictions(seen.tracks, options.core.match)
         try:
-            found = locate(seen, vehicles, world, options.core, by_other_clocks)
+            found = locate(seen, senders.vehicles, senders.world, options.core, senders.by_other_clocks)
         except CalibrationError as error:
             if not (*remarks, *seen.objections):
                 raise

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
 from laci_stereo.core.association.choice import Choice, Other
 from laci_stereo.core.association.pieces import whole
@@ -16,7 +15,7 @@ from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import MatchError
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.core.messages.cam import FRONT, CamLog, ReferencePoint, VehicleTrack
-from laci_stereo.core.messages.stations import vehicles_by_other_clocks, vehicles_of, world_around
+from laci_stereo.core.messages.stations import senders_of
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.placement.by_paper import place_by_paper
 from laci_stereo.core.placement.objections import objected
@@ -64,13 +63,9 @@ def calibrate(
         If the recording and the messages do not determine a transform.
     """
     settings = settings or Settings()
-    span_ns = source.span_ns
-    recorded = messages.between(*span_ns, settings.match.clock_sigma_s)
-    world = world_around(recorded, crs)
-    vehicles = vehicles_of(recorded, world, span_ns[0], reference)
-    seen = on_the_road(observe(source, settings), source, vehicles, settings)
-    by_other_clocks = partial(vehicles_by_other_clocks, messages, span_ns, world, reference)
-    return locate(seen, vehicles, world, settings, by_other_clocks)
+    senders = senders_of(messages, source.span_ns, reference, crs, settings.match.clock_sigma_s)
+    seen = on_the_road(observe(source, settings), source, senders.vehicles, settings)
+    return locate(seen, senders.vehicles, senders.world, settings, senders.by_other_clocks)
 
 
 @in_one_thread

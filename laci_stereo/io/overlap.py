@@ -62,8 +62,7 @@ def check_overlap(log: CamLog, first_ns: int, last_ns: int) -> None:
 def _check_drives(log: CamLog, first_ns: int, last_ns: int) -> None:
     driving = log.speed_mps >= STANDING_MPS
     margin_ns = round((MAX_GAP_S + 3.0 * UNKNOWN_CLOCK_S) * _S)
-    unknown_or_driving = log.stamps_ns[driving | np.isnan(log.speed_mps)]
-    if not driving.any() or _between(unknown_or_driving, first_ns - margin_ns, last_ns + margin_ns):
+    if not driving.any() or _between(log.stamps_ns[log.may_drive], first_ns - margin_ns, last_ns + margin_ns):
         return
     driving_ns = log.stamps_ns[driving]
     nearest = int(driving_ns[np.argmin(np.abs(driving_ns - (first_ns + last_ns) // 2))])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -10,7 +11,7 @@ from typing import Literal, Protocol
 from laci_stereo.core.calibrate import locate
 from laci_stereo.core.detections import observe_detections
 from laci_stereo.core.messages.cam import FRONT, VehicleTrack
-from laci_stereo.core.messages.stations import vehicles_of, world_around
+from laci_stereo.core.messages.stations import Senders, senders_of
 from laci_stereo.core.observe import Observation, observe, on_the_road
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.settings import Settings
@@ -41,12 +42,12 @@ class Observed:
     Attributes
     ----------
     observation : Observation
-    vehicles : dict of int to VehicleTrack
+    vehicles : mapping of int to VehicleTrack
     world : World
     """
 
     observation: Observation
-    vehicles: dict[int, VehicleTrack]
+    vehicles: Mapping[int, VehicleTrack]
     world: World
 
     def locate(self, settings: Settings) -> Calibration:
@@ -86,22 +87,21 @@ def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
     settings = settings or Settings()
     if way == "detections":
         log = detect(scene)
-        vehicles, world = _senders(scene, log.span_ns, settings)
-        return Observed(observe_detections(log, scene.axes, settings), vehicles, world)
+        senders = _senders(scene, log.span_ns, settings)
+        return Observed(observe_detections(log, scene.axes, settings), senders.vehicles, senders.world)
     if way == "rendered":
         folder = tempfile.TemporaryDirectory()
         write_images(scene, Path(folder.name))
         write_cams(scene.messages, Path(folder.name) / "cam.csv")
         return Filmed(folder, scene.crs)
     source = Recorded(scene)
-    vehicles, world = _senders(scene, source.span_ns, settings)
-    return Observed(on_the_road(observe(source, settings), source, vehicles, settings), vehicles, world)
+    senders = _senders(scene, source.span_ns, settings)
+    seen = on_the_road(observe(source, settings), source, senders.vehicles, settings)
+    return Observed(seen, senders.vehicles, senders.world)
 
 
-def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> tuple[dict[int, VehicleTrack], World]:
-    messages = scene.messages.between(*span_ns, settings.match.clock_sigma_s)
-    world = world_around(messages, scene.crs)
-    return vehicles_of(messages, world, span_ns[0], FRONT), world
+def _senders(scene: Scene, span_ns: tuple[int, int], settings: Settings) -> Senders:
+    return senders_of(scene.messages, span_ns, FRONT, scene.crs, settings.match.clock_sigma_s)
 
 
 def reopened(folder: Path) -> StereoRecording:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -220,7 +219,7 @@ def _smoothed(points: FloatArray, label: IntArray, weight: FloatArray) -> FloatA
     reaches as far ahead as back, and not beyond the path's ends, so that straight paths remain as they are.
     """
     smoothed = np.empty_like(points)
-    for rows in np.split(np.arange(len(points)), np.flatnonzero(np.diff(label)) + 1):
+    for rows in _of_each(label):
         passed = np.cumsum(weight[rows]) - weight[rows] / 2
         reach = np.minimum(np.minimum(passed - passed[0], passed[-1] - passed), _WINDOW_M / _CELL_M / 2) + 1e-9
         first, end = np.searchsorted(passed, passed - reach), np.searchsorted(passed, passed + reach)
@@ -229,6 +228,11 @@ def _smoothed(points: FloatArray, label: IntArray, weight: FloatArray) -> FloatA
         within = sums[end] - sums[first]
         smoothed[rows] = within[:, :3] / within[:, 3:]
     return smoothed
+
+
+def _of_each(label: IntArray) -> list[IntArray]:
+    """Return the rows of each object."""
+    return np.split(np.arange(len(label)), np.flatnonzero(np.diff(label)) + 1)
 
 
 def heights_above(boxes: Boxes, ground: GroundPlane, axes: Axes) -> Heights:
@@ -240,10 +244,9 @@ def heights_above(boxes: Boxes, ground: GroundPlane, axes: Axes) -> Heights:
     """
     level = transform(ground.T_level_sensor(axes), boxes.points)
     above_m = level[:, 2] - boxes.above_m
-    starts = np.flatnonzero(np.diff(boxes.label, prepend=-1))
-    parts = [np.arange(first, end) for first, end in pairwise([*starts.tolist(), len(above_m)])]
-    middles = np.array([weighted_median(above_m[rows], boxes.weight[rows]) for rows in parts])
-    weights = np.add.reduceat(boxes.weight, starts)
+    objects = _of_each(boxes.label)
+    middles = np.array([weighted_median(above_m[rows], boxes.weight[rows]) for rows in objects])
+    weights = np.array([boxes.weight[rows].sum() for rows in objects])
     off_m = np.abs(above_m - middles[boxes.label])
     objects_off_m = np.abs(middles - weighted_median(middles, weights))
     noise_m = max(NORMAL * weighted_median(off_m, boxes.weight), EXACT_M)

@@ -106,6 +106,12 @@ class CamLog(Columns):
         margin_ns = int((MAX_GAP_S + 3.0 * clock_sigma_s) * 1e9)
         return self[(self.stamps_ns >= first_ns - margin_ns) & (self.stamps_ns <= last_ns + margin_ns)]
 
+    @property
+    def may_drive(self) -> BoolArray:
+        """Which messages are not of a vehicle that stands by its speed, shape (n,)."""
+        may: BoolArray = ~(self.speed_mps < STANDING_MPS)
+        return may
+
     def of(self, station: int) -> CamLog:
         """Return the messages of one station."""
         return self[self.station_id == station]
