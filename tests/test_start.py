@@ -50,6 +50,32 @@ def test_who_is_started_without_interrupts_stays_so(tmp_path: Path) -> None:
     assert interrupted(tmp_path, module, ignoring + START) == (0, "done\n", "")
 
 
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interrupt_within_a_destructor_is_not_lost(tmp_path: Path, name: str) -> None:
+    """Python drops an exception that is raised there."""
+    code = f"""
+import click, os, signal, time
+from laci_stereo.commands.program import run_command
+
+class Closed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.{name})
+        time.sleep(0)
+
+@click.command()
+def command():
+    closed = Closed()
+    del closed
+    time.sleep(20)
+    print("went on")
+
+run_command(command, "laci-stereo")
+"""
+    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout) == (130, "")
+    assert ran.stderr.strip() == "laci-stereo: interrupted; nothing was written"
+
+
 def test_before_the_command_nothing_is_imported_that_takes_time() -> None:
     code = "import sys, laci_stereo.start, laci_lidar.start; print({'numpy', 'cv2', 'click', 'scipy'} & {*sys.modules})"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

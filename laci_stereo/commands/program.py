@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import _thread
 import io
 import os
 import signal
 import sys
+import threading
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import click
 
 from laci_stereo.core.errors import CalibrationError, LaciError
 from laci_stereo.start import INTERRUPTED
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 NEGATIVE = 1
 """Exit code where the input was read, but it does not determine a calibration, a verdict is fail, results contradict
@@ -21,8 +27,28 @@ UNUSABLE_INPUT = 2
 """Exit code where the input cannot be read or makes no sense."""
 
 
+AFTER_DESTRUCTOR_S = 0.01
+"""Wait before an interrupt is repeated: longer than a destructor takes, and too short to be noticed."""
+
+
 def _terminate(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def _interrupt_again(dropped: UnraisableHookArgs) -> None:
+    """Interrupt once more after an interrupt that fell into a destructor, where Python drops every exception."""
+    if issubclass(dropped.exc_type, KeyboardInterrupt):
+        threading.Timer(AFTER_DESTRUCTOR_S, _interrupt, [threading.get_ident()]).start()
+    else:
+        sys.__unraisablehook__(dropped)
+
+
+def _interrupt(thread: int) -> None:
+    """Interrupt the main thread and, on POSIX, also what it waits for."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:
+        signal.pthread_kill(thread, signal.SIGTERM)
 
 
 def run_command(command: click.Command, program: str) -> None:
@@ -32,6 +58,7 @@ def run_command(command: click.Command, program: str) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a name may have letters that a terminal lacks
     signal.signal(signal.SIGTERM, _terminate)  # so that a half-written result is removed
+    sys.unraisablehook = _interrupt_again
     message, code = _outcome(command, program)
     if message:
         click.echo(f"{program}: {message}", err=True)
