@@ -253,13 +253,13 @@ def _sent(choice: Choice, vehicles: Mapping[int, VehicleTrack]) -> tuple[FloatAr
 
 def _on_other_grounds(seen: Observation, source: PointCloudSource, settings: Settings) -> Iterator[Observation]:
     """Yield observations on planes above the ground, below it, and farther away, as far as such planes are found."""
-    points, axes, ground = _gathered(seen.survey), seen.axes, settings.ground
+    points, axes, told = _gathered(seen.survey), seen.axes, (settings.ground, _window_rad(seen.survey))
     fits: list[Callable[[], GroundPlane]] = [
-        lambda: fit_ground_beside(*points, seen.ground, (0.0, OTHER_M), ground),
-        lambda: fit_ground_beside(*points, seen.ground, (-OTHER_M, 0.0), ground),
+        lambda: fit_ground_beside(*points, seen.ground, (0.0, OTHER_M), *told),
+        lambda: fit_ground_beside(*points, seen.ground, (-OTHER_M, 0.0), *told),
     ]
     if seen.ground.unevenness_m > ONE_SURFACE_M:
-        fits.append(lambda: fit_farther_ground(*points, axes.up, ground))
+        fits.append(lambda: fit_farther_ground(*points, axes.up, *told))
     for fit in fits:
         try:
             other = observe(source, settings, fit())
@@ -276,7 +276,7 @@ def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
 def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    return ground_below(*_gathered(survey), axes, settings.ground)
+    return ground_below(*_gathered(survey), axes, settings.ground, _window_rad(survey))
 
 
 def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -286,3 +286,8 @@ def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, Flo
         np.concatenate([cloud.sigma_along_m for cloud in survey]),
         np.concatenate([cloud.sigma_across_m for cloud in survey]),
     )
+
+
+def _window_rad(survey: Sequence[PointCloud]) -> float:
+    """Return the side of the camera's matching window; 0 for a scanner."""
+    return max(cloud.window_rad for cloud in survey)

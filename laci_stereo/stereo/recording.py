@@ -241,7 +241,7 @@ class StereoRecording:
         )
         cloud = self._points(pair.stamp_ns, self._usable(pixels))
         up, settings = self.axes.up, self._ground.any_support
-        ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, up, settings)
+        ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, up, settings, cloud.window_rad)
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
         return RoadDisparity.of(ground, plane)
 

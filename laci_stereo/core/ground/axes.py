@@ -21,7 +21,12 @@ UPS = {
 
 
 def ground_below(
-    points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, axes: Axes, settings: GroundSettings
+    points: FloatArray,
+    sigma_along_m: FloatArray,
+    sigma_across_m: FloatArray,
+    axes: Axes,
+    settings: GroundSettings,
+    window_rad: float = 0.0,
 ) -> GroundPlane:
     """Fit the ground plane (see `fit_ground`), if need be with little support, which a road must confirm later.
 
@@ -32,13 +37,16 @@ def ground_below(
         sensor that hangs upside down, the message names the axes that lead to it; a camera's axes are fixed, so no
         others are tried.
     """
-    cloud = points, sigma_along_m, sigma_across_m
+
+    def fit(up: tuple[float, float, float], needed: GroundSettings = settings) -> GroundPlane:
+        return fit_ground(points, sigma_along_m, sigma_across_m, up, needed, window_rad)
+
     try:
-        return fit_ground(*cloud, axes.up, settings)
+        return fit(axes.up)
     except GroundError as error:
-        elsewhere = "" if axes == OPENCV_AXES else ground_elsewhere(axes, lambda up: fit_ground(*cloud, up, settings))
+        elsewhere = "" if axes == OPENCV_AXES else ground_elsewhere(axes, fit)
         if not elsewhere:
-            return fit_ground(*cloud, axes.up, settings.any_support)
+            return fit(axes.up, settings.any_support)
         raise GroundError(f"{error}; {elsewhere}") from error
 
 

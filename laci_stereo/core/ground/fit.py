@@ -32,8 +32,6 @@ _POINTS = 50_000
 _MAX_ITERATIONS = 30
 # Convergence limits, squared length of a step in standard deviations of m: for placing the cells, and for the result.
 _NEAR, _SETTLED = 0.1**2, 0.01**2
-# Fraction of a point's variance that its cell shares: a matching window is a fifth of a cell wide, so 25 fit into one.
-SHARED_IN_CELL = 0.04
 # Largest height of a kerb; higher objects stand out from the noise without further evidence.
 _KERB_M = 0.15
 # Side of a block in cells: wider than the reach of a matching window, and about as wide as a pavement.
@@ -83,14 +81,16 @@ class _Partition:
 class _Cells:
     """Means over those points of each cell that are on the plane within their noise.
 
-    ``variance`` is that of the mean residual; ``sigma`` the standard deviation of one point's 1 / range due to noise
-    along its ray; ``per_metre`` the increase of 1 / range per metre above the plane; ``place`` the cell's azimuth
-    sector and ring; ``area_m2`` the area of the cell on the plane, apart from the slant.
+    ``variance`` is that of the mean residual; ``covaried`` the sum of its covariances with the other cells in the same
+    matching window; ``sigma`` the standard deviation of one point's 1 / range due to noise along its ray; ``per_metre``
+    the increase of 1 / range per metre above the plane; ``place`` the cell's azimuth sector and ring; ``area_m2`` the
+    area of the cell on the plane, apart from the slant.
     """
 
     residual: FloatArray
     direction: FloatArray
     variance: FloatArray
+    covaried: FloatArray
     sigma: FloatArray
     per_metre: FloatArray
     place: IntArray
@@ -239,12 +239,11 @@ def _covariance(solution: _Solution, settings: GroundSettings) -> FloatArray:
     """Return the covariance of m, shape (3, 3), due to noise, unevenness, and the error shared by all points."""
     cells, gain = solution.cells, solution.gain
     supports = solution.weight > 0.0
-    each = np.where(supports, cells.variance / np.where(supports, solution.weight, 1.0), 0.0)
+    noise = cells.variance + cells.covaried
+    each = np.where(supports, noise / np.where(supports, solution.weight, 1.0), 0.0)
     # A shared error of b standard deviations in every point adds b times `cells.sigma @ gain` to m.
     shared = settings.shared_noise_share * (cells.sigma @ gain)
-    patches = patches_of(
-        solution.m, cells.direction, cells.area_m2, cells.residual, cells.variance, solution.weight, gain
-    )
+    patches = patches_of(solution.m, cells.direction, cells.area_m2, cells.residual, noise, solution.weight, gain)
     uneven = covariance_of_unevenness(patches)
     covariance: FloatArray = (gain.T * each) @ gain + uneven + np.outer(shared, shared)
     return covariance
@@ -265,15 +264,31 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
     check_count(int(np.count_nonzero(kept)), settings)
     columns = [residual, *rays.directions.T, rays.sigma_of_inverse(inverse), variance, weight * variance, per_metre]
     means = [np.bincount(cell, weight * column, minlength=size)[kept] / total[kept] for column in columns]
+    single, noise, inverse = means[6] / total[kept], means[5], means[7] / np.linalg.norm(m)
+    shared = _shared(rays.window_rad, inverse / np.linalg.norm(m), settings)
+    within = np.minimum(shared, 1.0)
     return _Cells(
         residual=means[0],
         direction=np.stack(means[1:4], axis=1),
-        variance=means[6] / total[kept] + SHARED_IN_CELL * means[5],
+        variance=(1.0 - within) * single + within * noise,
+        covaried=(shared - within) * noise,
         sigma=means[4],
         per_metre=means[7],
         place=partition.place[kept],
-        area_m2=(_CELL * np.linalg.norm(m) / means[7]) ** 2,
+        area_m2=(_CELL / inverse) ** 2,
     )
+
+
+def _shared(window_rad: float, steepness: FloatArray, settings: GroundSettings) -> FloatArray:
+    """Return which fraction of one point's variance the points of its cell share; above 1, other cells share it, too.
+
+    A matching window fills this fraction of the solid angle of a cell, which is foreshortened by ``steepness``, the
+    sine of the grazing angle, shape (n,). A scanner's points share the error of their laser.
+    """
+    if window_rad == 0.0:
+        return np.full(len(steepness), settings.shared_noise_share**2)
+    shared: FloatArray = (window_rad / _CELL) ** 2 / steepness
+    return shared
 
 
 def _unevenness(cells: _Cells, settings: GroundSettings) -> float:

@@ -110,6 +110,7 @@ def fit_ground(
     sigma_across_m: FloatArray,
     up: tuple[float, float, float],
     settings: GroundSettings = _DEFAULTS,
+    window_rad: float = 0.0,
 ) -> GroundPlane:
     """Fit the ground plane (paper, section III-A).
 
@@ -126,6 +127,8 @@ def fit_ground(
     up : tuple of float
         Axis in the sensor frame that points roughly against gravity.
     settings : GroundSettings
+    window_rad : float
+        Side of a camera's square matching window, as an angle: points in one window share their noise. 0 for a scanner.
 
     Returns
     -------
@@ -137,7 +140,7 @@ def fit_ground(
         If the input is malformed, or no plane within the settings has enough support.
     """
     up_axis = _checked_up(up)
-    rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
+    rays = as_rays(points, sigma_along_m, sigma_across_m, settings, window_rad)
     thinned = one_per_bearing(rays)
     m = robust_start(thinned, up_axis, settings)
     m = principal_axes(thinned, m, settings)
@@ -151,6 +154,7 @@ def fit_farther_ground(
     sigma_across_m: FloatArray,
     up: tuple[float, float, float],
     settings: GroundSettings = _DEFAULTS,
+    window_rad: float = 0.0,
 ) -> GroundPlane:
     """Fit the ground plane with a larger weight on distant points; parameters and errors are those of `fit_ground`.
 
@@ -159,7 +163,7 @@ def fit_farther_ground(
     gives the largest weight to the nearest points.
     """
     up_axis = _checked_up(up)
-    rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
+    rays = as_rays(points, sigma_along_m, sigma_across_m, settings, window_rad)
     m = robust_start(one_per_bearing(rays), up_axis, settings, farther=_FARTHER)
     return _plane(rays, fit_inverse_range(rays, m, settings), up_axis, settings)
 
@@ -171,6 +175,7 @@ def fit_ground_beside(
     ground: GroundPlane,
     within_m: tuple[float, float],
     settings: GroundSettings = _DEFAULTS,
+    window_rad: float = 0.0,
 ) -> GroundPlane:
     """Fit the ground plane to the points that are off a known ground plane but near it.
 
@@ -179,19 +184,19 @@ def fit_ground_beside(
 
     Parameters
     ----------
-    points, sigma_along_m, sigma_across_m, settings
+    points, sigma_along_m, sigma_across_m, settings, window_rad
         See `fit_ground`, which also lists the errors.
     ground : GroundPlane
         The known ground plane.
     within_m : tuple of float
         The least and the largest height of the points above that plane.
     """
-    rays = as_rays(points, sigma_along_m, sigma_across_m, settings)
+    rays = as_rays(points, sigma_along_m, sigma_across_m, settings, window_rad)
     (heights,), (variance,) = rays.heights_above(-ground.normal[None] / ground.height_m)
     off = np.abs(heights) > GATE * np.sqrt(variance + ground.unevenness_m**2)
     beside = off & (heights > within_m[0]) & (heights < within_m[1])
     x, y, z = ground.normal.tolist()
-    return fit_ground(points[beside], sigma_along_m[beside], sigma_across_m[beside], (x, y, z), settings)
+    return fit_ground(points[beside], sigma_along_m[beside], sigma_across_m[beside], (x, y, z), settings, window_rad)
 
 
 def check_support(ground: GroundPlane, settings: GroundSettings) -> None:

@@ -35,6 +35,8 @@ class Rays:
     growth : float
         Exponent p in sigma_along ~ range^p, with which the noise is computed at the range that a plane predicts.
         Weights computed at the measured range would favour points that are measured too near by chance.
+    window_rad : float
+        Side of a camera's square matching window: points in one window share their noise. 0 for a scanner.
     """
 
     directions: FloatArray
@@ -42,6 +44,7 @@ class Rays:
     sigma_along_m: FloatArray
     sigma_bearing_rad: FloatArray
     growth: float
+    window_rad: float = 0.0
 
     def __len__(self) -> int:
         return len(self.range_m)
@@ -53,6 +56,7 @@ class Rays:
             self.sigma_along_m[keep],
             self.sigma_bearing_rad[keep],
             self.growth,
+            self.window_rad,
         )
 
     @property
@@ -84,7 +88,11 @@ class Rays:
 
 
 def as_rays(
-    points: FloatArray, sigma_along_m: FloatArray, sigma_across_m: FloatArray, settings: GroundSettings
+    points: FloatArray,
+    sigma_along_m: FloatArray,
+    sigma_across_m: FloatArray,
+    settings: GroundSettings,
+    window_rad: float = 0.0,
 ) -> Rays:
     """Check a cloud and convert it to rays; the parameters are those of `fit_ground`.
 
@@ -111,7 +119,7 @@ def as_rays(
         if not good.all():
             first = int(np.argmin(good))
             raise GroundError(f"{name}: {values[first]} found at index {first}, {needed} needed")
-    return Rays(points / ranges[:, None], ranges, along, across / ranges, _noise_growth(ranges, along))
+    return Rays(points / ranges[:, None], ranges, along, across / ranges, _noise_growth(ranges, along), window_rad)
 
 
 def _noise_growth(range_m: FloatArray, sigma_along_m: FloatArray) -> float:

@@ -24,7 +24,6 @@ from laci_stereo.core.frames import (
     perpendicular,
     transform,
 )
-from laci_stereo.core.ground.fit import SHARED_IN_CELL
 from laci_stereo.core.ground.rays import GATE
 from laci_stereo.core.ground.road_cells import CELL_M, LASER_RAD, Cells
 from laci_stereo.core.ground.road_edges import VERGES_M
@@ -355,8 +354,12 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     noise = np.bincount(cell, sigma_m**2) / count
     height = _medians(z, cell)
     spread = NORMAL * _medians(np.abs(z - height[cell]), cell)
+    # Points in one matching window share their noise: the fraction of the cell's solid angle that a window fills.
+    window_rad = max(cloud.window_rad for cloud in clouds)
+    range_m = np.hypot(np.linalg.norm(middle, axis=1), sensor[2])
+    within = np.minimum(window_rad**2 * range_m**3 / (CELL_M**2 * sensor[2]), 1.0)
     # The variance of a median is pi / 2 times that of a mean.
-    variance = np.pi / 2 * np.maximum(noise, spread**2) / count + SHARED_IN_CELL * noise + COARSE_M**2
+    variance = np.pi / 2 * np.maximum(noise, spread**2) * (1.0 - within) / count + within * noise + COARSE_M**2
     nearest, left_m, beyond_m = _beside(way, middle)
     piece = 2 * (along_line(way)[nearest] // PIECE_M).astype(np.int64) + (left_m > 0.0)
     beside = np.abs(beyond_m) < 2 * CELL_M  # and neither before the path nor behind it
@@ -364,7 +367,6 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     bearing = np.column_stack(
         [np.arctan2(*middle.T[::-1]), np.arctan2(height - sensor[2], np.linalg.norm(middle, axis=1))]
     )
-    window_rad = max(cloud.window_rad for cloud in clouds)
     sight = bearing / max(NO_WINDOW_RAD, window_rad)
     common_m, layer = np.sqrt(noise), np.full(len(count), np.nan)
     if window_rad == 0.0:

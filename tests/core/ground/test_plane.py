@@ -1,6 +1,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -227,6 +228,34 @@ def test_covariance_grows_with_the_noise() -> None:
         points, along, across = road(noise_m)
         sigma.append(np.sqrt(np.diag(fit_ground(points, along, across, (0, 0, 1)).covariance_sensor)))
     assert np.all(sigma[1][[0, 1, 3]] > 2.0 * sigma[0][[0, 1, 3]])
+
+
+@pytest.mark.parametrize(("width_px", "focal_px"), [(640, 450.0), (1280, 1100.0)])
+def test_noise_that_matching_windows_share_is_claimed_by_every_lens(width_px: int, focal_px: float) -> None:
+    """A window of 11 px is half as wide as a cell with the shorter lens, and a fifth with the longer one."""
+    down, height_m = np.radians(20.0), 6.0
+    normal = np.array([0.0, -np.cos(down), -np.sin(down)])
+    squared = []
+    for seed in range(6):
+        points, along = matched_road(width_px, focal_px, height_m * normal, seed)
+        plane = fit_ground(points, along, 1e-4 * along, (0.0, -1.0, 0.0), window_rad=11.0 / focal_px)
+        error = np.append(np.cross(plane.normal, normal), plane.height_m - height_m)
+        squared.append(error[[0, 3]] ** 2 / np.diag(plane.covariance_sensor)[[0, 3]])
+    assert 0.05 < np.mean(squared) < 1.5
+
+
+def matched_road(width_px: int, focal_px: float, up_m: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
+    """A level road as a camera with a baseline of 0.5 m sees it: half a pixel of noise, averaged over the windows."""
+    sigma_px, window_px = 0.5, 11
+    v, u = np.mgrid[: width_px * 9 // 16, :width_px] - np.array([width_px * 9 / 32, width_px / 2])[:, None, None]
+    rays = np.stack([u / focal_px, v / focal_px, np.ones_like(u)], axis=-1)
+    disparity = focal_px * 0.5 * np.maximum(-(rays @ up_m) / (up_m @ up_m), 0.0)
+    white = np.random.default_rng(seed).standard_normal(disparity.shape)
+    measured = disparity + sigma_px * window_px * cv2.blur(white, (window_px, window_px))
+    seen = disparity > 4.0 * sigma_px
+    seen[::2] = seen[:, ::2] = False
+    points = rays[seen] * (focal_px * 0.5 / measured[seen])[:, None]
+    return points, np.linalg.norm(points, axis=1) * sigma_px / measured[seen]
 
 
 def road(noise_m: float = 0.02, height_m: float = 5.0, n: int = 8000) -> tuple[FloatArray, FloatArray, FloatArray]:
