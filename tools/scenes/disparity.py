@@ -22,6 +22,9 @@ from tools.scenes.textures import mirror, mirrored
 StereoName = Literal["stereo_02", "stereo_05", "stereo_10"]
 STEREOS: tuple[StereoName, ...] = get_args(StereoName)
 
+WIDTH_PX, STRIDE = 1280, 3
+"""Width of the images, and the spacing of the pixels that have a ray."""
+
 EDGE_PX = 8
 """Half-width of the matching windows: nearer to the image's border they are cut off."""
 
@@ -123,8 +126,8 @@ class StereoCamera:
     name: StereoName
     baseline_m: float
     focal_px: float
-    size_px: tuple[int, int] = (1280, 720)
-    stride: int = 3
+    size_px: tuple[int, int] = (WIDTH_PX, WIDTH_PX * 9 // 16)
+    stride: int = STRIDE
     period_s: float = 0.1
     focal_error: float = 0.0
     baseline_error: float = 0.0
@@ -192,9 +195,11 @@ class StereoCamera:
         return seen
 
 
-def stereo_camera(name: StereoName, focal_px: float = 1100.0) -> StereoCamera:
-    """Return a camera with a baseline of 0.2, 0.5 or 1 m."""
-    return StereoCamera(name, {"stereo_02": 0.2, "stereo_05": 0.5, "stereo_10": 1.0}[name], focal_px)
+def stereo_camera(name: StereoName, focal_px: float = 1100.0, width_px: int = WIDTH_PX) -> StereoCamera:
+    """Return a camera with a baseline of 0.2, 0.5 or 1 m; images of any width have about as many rays."""
+    baseline_m = {"stereo_02": 0.2, "stereo_05": 0.5, "stereo_10": 1.0}[name]
+    stride = max(1, round(STRIDE * width_px / WIDTH_PX))
+    return StereoCamera(name, baseline_m, focal_px, (width_px, width_px * 9 // 16), stride)
 
 
 @dataclass(frozen=True)

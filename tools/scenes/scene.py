@@ -36,6 +36,7 @@ from laci_stereo.stereo.recording import surveyed
 from tools.scenes.cams import EPOCH_NS, CamFlaws, ReceiverName, Rounding, cam_log, together
 from tools.scenes.disparity import (
     STEREOS,
+    WIDTH_PX,
     Matched,
     Mounted,
     StereoCamera,
@@ -148,8 +149,10 @@ class Factors:
         Standard deviation of the error of the frames' stamps.
     systematic : float
         Scales the sensors' errors that are common to many points.
-    bleed_px, gross, gloss_px, focal_px
+    bleed_px, gross, gloss_px
         For stereo cameras; ``gross`` scales the fraction of mismatches, for the others see `StereoFlaws`.
+    width_px, focal_px
+        Width of a stereo camera's images, of format 16:9, and its focal length.
     focal_error, baseline_error : float
         Relative errors of focal length and baseline in the stereo calibration; positive if it overestimates them.
     turned_deg : tuple of float
@@ -207,6 +210,7 @@ class Factors:
     bleed_px: float | None = None
     gross: float | None = None
     gloss_px: float | None = None
+    width_px: int = WIDTH_PX
     focal_px: float | None = None
     focal_error: float = 0.0
     baseline_error: float = 0.0
@@ -550,8 +554,9 @@ def _vehicle(draw: Draw, factors: Factors) -> Vehicle:
 def _sensor(draw: Draw, kind: SensorKind, factors: Factors) -> Lidar | StereoCamera:
     for name in get_args(StereoName):
         if kind == name:
-            focal = draw.given(factors.focal_px, "focal", lambda rng: float(rng.uniform(800.0, 1500.0)))
-            camera = stereo_camera(name, focal)
+            in_widths = draw.given(None, "focal", lambda rng: float(rng.uniform(800.0, 1500.0))) / WIDTH_PX
+            focal_px = in_widths * factors.width_px if factors.focal_px is None else factors.focal_px
+            camera = stereo_camera(name, focal_px, factors.width_px)
             return replace(
                 camera,
                 focal_error=factors.focal_error,
