@@ -12,7 +12,16 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from tests.cli_support import DEMONSTRATION, Finished, Site, link_recording, run_installed, write_small_recording
+from tests.cli_support import (
+    DEMONSTRATION,
+    SMALL_LIMIT,
+    Finished,
+    Site,
+    link_recording,
+    run_installed,
+    write_small_recording,
+    written_once,
+)
 
 # How long an example takes says more of the machine than of the code.
 hypothesis.settings.register_profile("untimed", deadline=None)
@@ -40,6 +49,20 @@ def site(recording: Path, tmp_path: Path) -> Site:
     """The small recording, to be damaged at will."""
     link_recording(recording, tmp_path)
     return Site(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def calibrated_site(tmp_path_factory: pytest.TempPathFactory) -> tuple[Site, str]:
+    """The small recording with its result, and what the command printed; not to be written to."""
+
+    def calibrate(folder: Path) -> None:
+        write_small_recording(folder)
+        ran = Site(folder).run(*SMALL_LIMIT)
+        assert ran.code == 0, ran
+        (folder / "printed").write_text(ran.out, encoding="utf-8")
+
+    folder = written_once(tmp_path_factory, "calibrated", calibrate)
+    return Site(folder), (folder / "printed").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
