@@ -6,14 +6,12 @@ import hashlib
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import pytest
 
 from tests.forked import FORKS, run_forked
 
@@ -176,27 +174,6 @@ def write_small_recording(folder: Path) -> None:
     (folder / "stereo.yaml").write_text(calibration, encoding="utf-8")
     for name in ("cam.csv", "map.osm"):
         (folder / name).write_bytes((DEMONSTRATION / name).read_bytes())
-
-
-def written_once(factory: pytest.TempPathFactory, name: str, write: Callable[[Path], object]) -> Path:
-    """Return a folder that one of the workers of a test run writes, and that the others wait for; not to be changed."""
-    folder = factory.getbasetemp() / name
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = factory.getbasetemp().parent / name
-    ended = folder.with_name(f"{name} ended")
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        latest_s = time.monotonic() + 2.0 * LONGEST_RUN_S
-        while not ended.exists():
-            assert time.monotonic() < latest_s, f"{folder} was not written in time"
-            time.sleep(0.1)
-    else:
-        try:
-            write(folder)
-        finally:
-            ended.touch()
-    return folder
 
 
 def link_recording(recording: Path, folder: Path) -> None:

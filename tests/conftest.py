@@ -12,6 +12,7 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from tests import once
 from tests.cli_support import (
     DEMONSTRATION,
     SMALL_LIMIT,
@@ -20,7 +21,6 @@ from tests.cli_support import (
     link_recording,
     run_installed,
     write_small_recording,
-    written_once,
 )
 
 # How long an example takes says more of the machine than of the code.
@@ -34,6 +34,12 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_run(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Workers know where to share what takes long to make."""
+    once.begin(tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +58,7 @@ def site(recording: Path, tmp_path: Path) -> Site:
 
 
 @pytest.fixture(scope="session")
-def calibrated_site(tmp_path_factory: pytest.TempPathFactory) -> tuple[Site, str]:
+def calibrated_site() -> tuple[Site, str]:
     """The small recording with its result, and what the command printed; not to be written to."""
 
     def calibrate(folder: Path) -> None:
@@ -61,7 +67,7 @@ def calibrated_site(tmp_path_factory: pytest.TempPathFactory) -> tuple[Site, str
         assert ran.code == 0, ran
         (folder / "printed").write_text(ran.out, encoding="utf-8")
 
-    folder = written_once(tmp_path_factory, "calibrated", calibrate)
+    folder = once.written_once("calibrated", calibrate)
     return Site(folder), (folder / "printed").read_text(encoding="utf-8")
 
 
