@@ -477,7 +477,7 @@ def test_a_side_that_is_narrower_than_a_window_tells_no_more_than_its_border(see
     assert np.max(squared) < 4.0**2
 
 
-@pytest.mark.parametrize("growth", [(0.4, 0.4), (-0.4, -0.4), (0.3, -0.3)])
+@pytest.mark.parametrize("growth", [(0.4, 0.4), pytest.param((-0.4, -0.4), marks=pytest.mark.slow), (0.3, -0.3)])
 def test_by_how_much_borders_grow_hardly_moves_the_result(growth: tuple[float, float]) -> None:
     grown, exact = (bordered(each) for each in (growth, (0.0, 0.0)))
     assert (np.abs(error(grown) - error(exact)) < 0.2 * np.sqrt(np.diag(exact.covariance))).all()
@@ -690,7 +690,7 @@ def test_taken_as_of_one_moment_such_images_put_the_sensor_elsewhere() -> None:
     assert np.hypot(*error(untold)[1:]) > 5.0 * np.hypot(*error(told)[1:])
 
 
-@pytest.mark.parametrize("drive", [TURN, BRAKING, STRAIGHT])
+@pytest.mark.parametrize("drive", [TURN, pytest.param(BRAKING, marks=pytest.mark.slow), STRAIGHT])
 def test_images_of_one_moment_are_not_told_apart(drive: Drive) -> None:
     seen = replace(evidence(drive, sigma_m=0.1, per_frame=20), window_rad=0.005, cameras=CAMERAS)
     assert fit_jointly([seen], TRUTH).apart is None
