@@ -177,12 +177,13 @@ def prepare(
     rig = read_stereo_calibration(stereo, size, left, options.camera.baseline_m, right)
     span_ns = pairs.pairs[0].stamp_ns, pairs.pairs[-1].stamp_ns
     drive = read_drive(cam, options.lane_map or find_lane_map(left), span_ns, options)
-    if turn is None:
+    mask = None if options.mask is None else VehicleMask.load(options.mask)
+    if turn is None:  # after all that is refused sooner
         told = options.camera.turn_deg
         images = already_rectified(rig) if options.camera.rectified else rig
         turn = find_turn(images, pairs.pairs) if told is None else RightTurn(told)
     asked, options = options, _knowing(options, turn, pairs)
-    recording = _recording(left, pairs, rig, options)
+    recording = _recording(left, pairs, rig, options, mask)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
     return StereoJob(
@@ -233,7 +234,7 @@ def _knowing(options: Options, turn: RightTurn, pairs: Pairs) -> Options:
     return replace(options, camera=camera, core=replace(core, joint=joint, ground=ground))
 
 
-def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> StereoRecording:
+def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options, mask: VehicleMask | None) -> StereoRecording:
     return StereoRecording(
         pairs.pairs,
         rig,
@@ -241,7 +242,7 @@ def _recording(left: Path, pairs: Pairs, rig: StereoRig, options: Options) -> St
         options.core.ground,
         _background(pairs, options.background),
         options.name or left.absolute().parent.name,
-        None if options.mask is None else VehicleMask.load(options.mask),
+        mask,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -120,12 +121,16 @@ def traffic(
     seed: int = 0, count: int = 30, noise: Noise | None = None, vehicles: Sequence[Passing] | None = None
 ) -> Traffic:
     """Draw a crossing and let a detector see it for two minutes."""
+    return _drawn(seed, count, noise or Noise(), None if vehicles is None else tuple(vehicles))
+
+
+@lru_cache(maxsize=64)
+def _drawn(seed: int, count: int, noise: Noise, vehicles: tuple[Passing, ...] | None) -> Traffic:
     rng = np.random.default_rng(seed)
-    noise = noise or Noise()
     sensor = lidar()
     down, roll, yaw = rng.uniform(0.0, 20.0), rng.uniform(-3.0, 3.0), rng.uniform(-180.0, 180.0)
     T_here_sensor = mounted(sensor, (0.0, 0.0), rng.uniform(4.0, 9.0), 0.0, down, roll)
-    made = tuple(vehicles) if vehicles is not None else _vehicles(count, rng)
+    made = _vehicles(count, rng) if vehicles is None else vehicles
     turn = np.eye(4)
     turn[:2, :2] = rotate_xy(np.radians(yaw), np.eye(2)).T
     turned = tuple(replace(one, drive=one.drive.turned(float(np.radians(yaw)))) for one in made)

@@ -16,6 +16,7 @@ from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.core.result import Calibration
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import Result
+from tests.once import found_once
 from tests.simulated import LEFT_TURN, RIGHT_TURN, STRAIGHT, Drive, Recording, Scene, cam_log, car, lidar, scene
 
 DRIVES = ((LEFT_TURN, 4.4, 1.8), (RIGHT_TURN, 4.1, 1.75), (STRAIGHT, 4.8, 1.9))
@@ -26,6 +27,10 @@ DAY_NS = 86_400_000_000_000
 @cache
 def recorded() -> tuple[tuple[Scene, Calibration], ...]:
     """The road and the sensor are the same; days, vehicles, ways and noise are not."""
+    return found_once("drives", _recorded)
+
+
+def _recorded() -> tuple[tuple[Scene, Calibration], ...]:
     found = []
     for number, (drive, length, width) in enumerate(DRIVES):
         made = scene(drive, lidar(32, 160), frames_hz=5.0, seed=number)

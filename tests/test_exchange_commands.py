@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -225,9 +224,9 @@ def test_a_check_takes_the_baseline_that_the_result_was_made_with(calibrated: Ca
     assert told.out == asked.out
 
 
-def test_a_wrong_system_is_one_line(calibrated: Calibrated, tmp_path: Path) -> None:
-    site = calibrated.site
-    shutil.copy(site.root / "lines.csv", tmp_path / "lines.csv")
+def test_a_wrong_system_is_one_line(calibrated_site: tuple[Site, str], tmp_path: Path) -> None:
+    site, _ = calibrated_site
+    map_csv(site.root / "map.osm", tmp_path / "lines.csv")
     lines = ["--map", str(tmp_path / "lines.csv"), "--map-crs", "EPSG:32631"]
     ran = run(["check", str(site.out), str(site.left), *lines, "--picture", str(tmp_path / "check.png")], tmp_path)
     assert "km away from the track" in refusal(ran, 2)

@@ -216,10 +216,12 @@ def drive(folder: Path, steps_later: float) -> list[StereoPair]:
 
 
 @pytest.mark.parametrize("later", [0.0, 0.5, pytest.param(-0.5, marks=pytest.mark.slow)])
-def test_how_much_later_the_right_images_are(tmp_path: Path, later: float) -> None:
+def test_how_much_later_the_right_images_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, later: float) -> None:
     """Frames are 0.1 s apart, so half a frame is 50 ms."""
     recorded = drive(tmp_path, later)
-    check = check_rig_images(RIGS["five"], recorded)
+    found = match_images(recorded)
+    monkeypatch.setattr("laci_stereo.check.rig_turn.match_images", lambda _: found)
+    check = check_rig(RIGS["five"], found)
     assert check.fit is not None
     assert check.fit.lag is not None
     assert check.fit.lag.seconds == pytest.approx(0.1 * later, abs=3 * check.fit.lag.sigma_s)
@@ -411,8 +413,8 @@ def test_a_damaged_first_image_is_skipped(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("rectified", "frame"), [(False, "raw left camera"), (True, "rectified left camera")])
-def test_a_result_says_which_images_its_frame_is_of(rectified: bool, frame: str) -> None:
+def test_a_result_says_which_images_its_frame_is_of(recording: Path, rectified: bool, frame: str) -> None:
     """Results of both lie a turn apart, so none may be compared or combined with the other kind."""
-    folders = [DEMONSTRATION / name for name in ("left", "right", "cam.csv")]
+    folders = [recording / name for name in ("left", "right", "cam.csv")]
     job = prepare(*folders, Options(camera=StereoSettings(rectified=rectified)))
     assert job.provenance.frame.startswith(frame)

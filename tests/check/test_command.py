@@ -24,7 +24,6 @@ from tests.cli_support import (
     run,
     run_installed,
     snapshot,
-    write_small_recording,
 )
 from tests.io.support import with_utm
 
@@ -47,13 +46,9 @@ class Calibrated:
 
 
 @pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
-    root = tmp_path_factory.mktemp("recording")
-    write_small_recording(root)
-    site = Site(root)
-    ran = site.run(*SMALL_LIMIT)
-    assert ran.code == 0, ran
-    return Calibrated(site, site.out, ran.out)
+def calibrated(calibrated_site: tuple[Site, str]) -> Calibrated:
+    site, said = calibrated_site
+    return Calibrated(site, site.out, said)
 
 
 def off_by(calibrated: Calibrated, folder: Path, east_m: float) -> Path:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from laci_stereo.check.rig_images import fit_of, match_images
+from laci_stereo.check.rig_images import Matched, fit_of, match_images
 from laci_stereo.check.rig_turn import LEAST_PX, RightTurn, find_turn
 from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import invert, transform
@@ -35,6 +35,19 @@ LARGE, SMALL = (0.3, 0.0, -0.2), (0.03, 0.0, -0.02)
 """Turns in degrees: rows are off by two pixels, and by 0.2."""
 
 Recorded = Callable[[str], Sequence[StereoPair]]
+
+
+@cache
+def matched(pairs: tuple[StereoPair, ...]) -> Matched:
+    return match_images(pairs)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def matched_once() -> Iterator[None]:
+    """Images are matched once for all the calibrations that they are held against."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("laci_stereo.check.rig_turn.match_images", lambda pairs: matched(tuple(pairs)))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +76,7 @@ def test_a_turn_is_found_and_taken_back(recorded: Recorded, name: str, turn_deg:
     found = find_turn(rig, pairs)
     assert found.turn_deg is not None
     assert np.abs(np.subtract(found.turn_deg, turn_deg)).max() < 0.01
-    after = fit_of(with_right_turned(rig, found.turn_deg), match_images(pairs).matches)
+    after = fit_of(with_right_turned(rig, found.turn_deg), matched(tuple(pairs)).matches)
     assert after.shown is not None
     assert after.shown.rows_turn.effect_px < LEAST_PX
     said, unsaid = (found.doubts, found.notes) if turn_deg == LARGE else (found.notes, found.doubts)
@@ -103,10 +116,10 @@ def test_images_that_show_nothing_tell_nothing(tmp_path: Path) -> None:
     assert find_turn(RIGS["five"], write_pairs(tmp_path, [(grey, grey)] * 2)) == RightTurn()
 
 
-def test_where_nothing_has_turned_settings_are_as_asked() -> None:
+def test_where_nothing_has_turned_settings_are_as_asked(recording: Path) -> None:
     joint, ground = JointSettings(bias_noise_share=0.7), GroundSettings(shared_noise_share=0.4)
     asked = Options(core=Settings(joint=joint, ground=ground))
-    config = prepare(*(DEMONSTRATION / name for name in ("left", "right", "cam.csv")), asked).provenance.config
+    config = prepare(*(recording / name for name in ("left", "right", "cam.csv")), asked).provenance.config
     assert config == asked.config()
 
 

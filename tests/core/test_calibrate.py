@@ -127,7 +127,7 @@ def test_the_truth_is_found(name: str, method: Method) -> None:
     assert sum(found.quality.left_out.values()) + found.quality.frames_used == found.quality.frames_seen
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [FEW[0], *(pytest.param(name, marks=pytest.mark.slow) for name in [*SCENES][1:])])
 def test_every_result_shows_what_the_paper_says(name: str) -> None:
     joint, paper = solved(name), solved(name, "paper")
     assert joint.paper is not None

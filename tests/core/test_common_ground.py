@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,8 +35,13 @@ def ground(turn: FloatArray, height_m: float, scale: float = 1.0) -> GroundPlane
     return replace(made, normal=normal / np.linalg.norm(normal), covariance_sensor=scale**2 * covariance)
 
 
+@cache
+def plain() -> Passage:
+    return calibration().passages[0]
+
+
 def passage(seen: GroundPlane, name: str = "run") -> Passage:
-    return replace(calibration().passages[0], ground=seen, name=name)
+    return replace(plain(), ground=seen, name=name)
 
 
 def drawn(count: int, rng: np.random.Generator) -> list[Passage]:

@@ -116,7 +116,9 @@ def passages(
 
 
 every_view = pytest.mark.parametrize("road", ROADS.values(), ids=ROADS)
-every_noise = pytest.mark.parametrize("sigma_m", [0.02, 0.15, 0.4])
+NOISES_M = (0.02, 0.15, 0.4)
+every_noise = pytest.mark.parametrize("sigma_m", NOISES_M)
+FEW = (("across", 0.02), ("oblique", 0.4), ("away", 0.15))
 
 BREAKS = {
     "for a second": lambda number: 25 <= number < 37,
@@ -157,8 +159,14 @@ def test_parts_are_one_passage_across_checkpoints(tmp_path: Path) -> None:
     assert (again.length_m, again.width_m) == (through.length_m, through.width_m)
 
 
-@every_noise
-@every_view
+@pytest.mark.parametrize(
+    ("road", "sigma_m"),
+    [
+        pytest.param(road, sigma_m, marks=[] if (name, sigma_m) in FEW else pytest.mark.slow, id=f"{name}-{sigma_m}")
+        for name, road in ROADS.items()
+        for sigma_m in NOISES_M
+    ],
+)
 def test_neighbours_are_two_passages(road: Road, sigma_m: float) -> None:
     car, lorry = Vehicle(), Vehicle(length_m=16.5, width_m=2.5)
     behind = (car.length_m + lorry.length_m) / 2 + GAP_M

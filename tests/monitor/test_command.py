@@ -14,7 +14,7 @@ import cv2
 import pytest
 
 from laci_stereo.monitor.frames import STILL_S, Arrivals
-from tests.cli_support import Ran, Site, refusal, run, running, snapshot, write_small_recording
+from tests.cli_support import Ran, Site, refusal, run, running, snapshot
 from tests.mask import graphs
 
 FILES = {"histogram.png", "monitor.json", "objects.csv", "objects.json", "state.json"}
@@ -39,13 +39,8 @@ class Calibrated:
 
 
 @pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
-    root = tmp_path_factory.mktemp("recording")
-    write_small_recording(root)
-    site = Site(root)
-    ran = site.run()
-    assert ran.code == 0, ran
-    return Calibrated(site)
+def calibrated(calibrated_site: tuple[Site, str]) -> Calibrated:
+    return Calibrated(calibrated_site[0])
 
 
 def document(out: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pytest
 
 from laci_stereo.core.estimation.passage import Passage
 from laci_stereo.match import match
-from tests.cli_support import Site, link_recording
+from tests.cli_support import Site
 from tests.detections import cam_rows, detection_rows, traffic
 from tests.passages import passages, recorded, save
 
@@ -43,20 +43,16 @@ DESKTOP, PHONE = (1280, 1000), (390, 844)
 
 
 @pytest.fixture(scope="module")
-def pages(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def pages(calibrated_site: tuple[Site, str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One page of each kind of sensor, as the commands write them."""
     root = tmp_path_factory.mktemp("pages")
-    (root / "stereo").mkdir()
-    link_recording(recording, root / "stereo")
-    ran = Site(root / "stereo").run()
-    assert ran.code == 0, ran
     made = traffic(100)
     detection_rows(made, track_ids=True).write(root / "detections.csv")
     cam_rows(made.messages).write(root / "cam.csv")
     match(root / "detections.csv", root / "cam.csv").save(root / "detections")
     save(recorded()[0][1], root / "lidar")
     save(_combined(passages()), root / "combined")
-    folders = {"stereo": root / "stereo" / "result"} | {kind: root / kind for kind in KINDS[1:]}
+    folders = {"stereo": calibrated_site[0].out} | {kind: root / kind for kind in KINDS[1:]}
     return {kind: folder / "report.html" for kind, folder in folders.items()}
 
 

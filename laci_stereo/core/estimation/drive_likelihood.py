@@ -160,8 +160,7 @@ class DriveLikelihood:
         shares : ndarray
             Fractions of the mixture, see `mixture.Mixture`.
         """
-        sigma = np.sqrt(rows.variance + softening_m**2)
-        mixed = self.mixed(rows, rows.distance, sigma, shares)
+        sigma, mixed = self._softened(rows, softening_m, shares)
         weight = rows.share * mixed.surface / (sigma * mixed.growth) ** 2
         jacobian = self._by_all(rows)
         pull = mixed.slope * rows.share
@@ -181,7 +180,7 @@ class DriveLikelihood:
             scores=scores,
             block=self.block[rows.frame],
             log_likelihoods=mixed.log_likelihood,
-            log_likelihood=float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum()),
+            log_likelihood=_of_ranges(rows, mixed),
             shares=mixed.shares,
             weight=float(surface.sum()),
             squares=float((surface * rows.distance**2).sum()),
@@ -189,6 +188,15 @@ class DriveLikelihood:
             rows=float(of_outline.sum()),
             frames=int(held.sum()),
         )
+
+    def settle(self, rows: Rows, softening_m: float, shares: FloatArray) -> tuple[float, FloatArray]:
+        """Return the log-likelihood of all ranges and the new fractions of the mixture: a small part of `weigh`."""
+        _, mixed = self._softened(rows, softening_m, shares)
+        return _of_ranges(rows, mixed), mixed.shares
+
+    def _softened(self, rows: Rows, softening_m: float, shares: FloatArray) -> tuple[FloatArray, mixture.Mixture]:
+        sigma = np.sqrt(rows.variance + softening_m**2)
+        return sigma, self.mixed(rows, rows.distance, sigma, shares)
 
     def lasting(self, rows: Rows, fitness: Fitness) -> FloatArray:
         """Return the covariance of the gradient, shape (p, p), due to matching errors that persist from frame to frame.
@@ -240,3 +248,7 @@ class DriveLikelihood:
         """Append the derivatives by the knots: a bias of the messages' positions shifts the vehicle in the world."""
         hat = self.hat[rows.frame]
         return np.hstack([rows.jacobian, rows.jacobian[:, 1:2] * hat, rows.jacobian[:, 2:3] * hat])
+
+
+def _of_ranges(rows: Rows, mixed: mixture.Mixture) -> float:
+    return float((rows.share * (mixed.log_likelihood + np.log(np.maximum(rows.cos, GRAZING)))).sum())

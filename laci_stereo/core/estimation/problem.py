@@ -177,7 +177,7 @@ class Problem:
         curvature, gradient = self._derivatives(at.x, fitness, self._precision)
         x = at.x - np.linalg.solve(curvature, gradient)
         rows, shares = self.rows_at(x), [fit.shares for fit in fitness]
-        likely = sum(fit.log_likelihood for fit in self._weigh(rows, softening_m, shares))
+        likely = sum(likely for likely, _ in self._settle(rows, softening_m, shares))
         return _Descent(x, rows, shares, curvature, likely + self.log_prior(x, self._precision))
 
     @staticmethod
@@ -191,10 +191,10 @@ class Problem:
 
     def settled(self, drive: int, solved: Solved, rows: Rows) -> float:
         """Return the log-likelihood of some points of a drive, with the fractions of the mixture that fit them."""
-        model, fitness = self.models[drive], solved.fitness[drive]
+        likely, shares = 0.0, solved.fitness[drive].shares
         for _ in range(SETTLING):
-            fitness = model.likelihood.weigh(rows, 0.0, fitness.shares)
-        return fitness.log_likelihood
+            likely, shares = self.models[drive].likelihood.settle(rows, 0.0, shares)
+        return likely
 
     def corrections(self, solved: Solved) -> list[tuple[DriveModel, tuple[Correction, ...]]]:
         """Return each drive's model, with the corrections to its messages."""
@@ -210,7 +210,7 @@ class Problem:
             chosen = [model.choose(x[own]) for model, own in zip(self.models, self._places(), strict=True)]
             rows: Sequence[Rows] = self.rows_at(x, chosen)
             for _ in range(SETTLING):
-                shares = [fit.shares for fit in self._weigh(rows, 0.0, shares)]
+                shares = [settled for _, settled in self._settle(rows, 0.0, shares)]
             before = x
             x, rows, shares = self._climb(x, rows, shares, chosen, converged)
             fitness, precision = self._weigh(rows, 0.0, shares), self.precision_at(x)
@@ -280,6 +280,13 @@ class Problem:
         """Return the fitness of each drive."""
         drives = zip(self.models, rows, shares, strict=True)
         return [model.likelihood.weigh(distances, soft, share) for model, distances, share in drives]
+
+    def _settle(
+        self, rows: Sequence[Rows], soft: float, shares: Sequence[FloatArray]
+    ) -> list[tuple[float, FloatArray]]:
+        """Return each drive's log-likelihood and its fractions of the mixture."""
+        drives = zip(self.models, rows, shares, strict=True)
+        return [model.likelihood.settle(distances, soft, share) for model, distances, share in drives]
 
     def _derivatives(
         self, x: FloatArray, fitness: Sequence[Fitness], precision: FloatArray

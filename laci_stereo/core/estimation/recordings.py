@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -71,7 +72,7 @@ class Recordings:
         self._models = models
         self._knots_s = [begin_s + model.knots.at_s for begin_s, model in zip(begins_s, models, strict=True)]
 
-    @property
+    @cached_property
     def senders(self) -> FloatArray:
         """The correlation of the senders' own parameters between drives, shape (drives, drives).
 

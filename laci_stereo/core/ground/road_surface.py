@@ -369,7 +369,8 @@ def _given(
 
     # For each pair, the conditional expectation of the target quantities is expected + by_fall * fall.
     expected = with_z[edge, :known]
-    edge_crown = (crossed[edge, :, :known] * lessened[edge, :, known + crown][:, :, None]).sum(axis=1)
+    of_crown = lessened[edge, :, known + crown]
+    edge_crown = crossed[edge, 0, :known] * of_crown[:, :1] + crossed[edge, 1, :known] * of_crown[:, 1:]
     by_fall = edge_crown - (asked.with_heights.T @ by_columns[:, known:]).T[crown]
     on_crown = csr_array((np.ones(len(crown)), (crown, np.arange(len(crown)))), (len(crown_likely), len(crown)))
     between = (expected.T * fall) @ by_fall

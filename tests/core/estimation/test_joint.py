@@ -71,8 +71,10 @@ def timed(drive: Drive) -> JointFit:
     return fit_jointly([evidence(drive)], TRUTH)
 
 
-@pytest.mark.parametrize("behind", [0.0, 0.3])
-@pytest.mark.parametrize("sigma_m", [0.02, 0.15])
+@pytest.mark.parametrize(
+    ("sigma_m", "behind"),
+    [(0.02, 0.3), (0.15, 0.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.02, 0.0), (0.15, 0.3)))],
+)
 def test_the_truth_is_found_to_centimetres(sigma_m: float, behind: float) -> None:
     drive = evidence(sigma_m=sigma_m, behind=behind)
     fit = fit_jointly([drive], off_by(2.0, 0.8, -0.6, drive))
@@ -206,7 +208,7 @@ def with_headings(drive: Evidence, yaw_rad: FloatArray) -> Evidence:
     return replace(drive, vehicle=replace(vehicle, xy=centre, yaw_rad=yaw_rad, reference=(vehicle.length_m / 2, 0.0)))
 
 
-@pytest.mark.parametrize("lag_s", [-0.3, 0.0, 0.2, 0.4])
+@pytest.mark.parametrize("lag_s", [0.0, 0.4, *(pytest.param(lag_s, marks=pytest.mark.slow) for lag_s in (-0.3, 0.2))])
 def test_a_turn_tells_how_late_headings_are(lag_s: float) -> None:
     drive = evidence(TURN)
     fit = fit_jointly([with_headings(drive, TURN.at(drive.vehicle.stamps_s - lag_s)[1])], TRUTH)
@@ -216,7 +218,7 @@ def test_a_turn_tells_how_late_headings_are(lag_s: float) -> None:
     assert_right(fit)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_late_headings_are_found_beside_a_clock_that_was_never_set(seed: int) -> None:
     drive = evidence(TURN, seed=seed, sigma_m=0.1, per_frame=10, offset_s=0.15)
     fit = fit_jointly([with_headings(drive, TURN.at(drive.vehicle.stamps_s - 0.2)[1])], TRUTH)
@@ -226,7 +228,7 @@ def test_late_headings_are_found_beside_a_clock_that_was_never_set(seed: int) ->
     assert_right(fit, within_m=0.06)
 
 
-@pytest.mark.parametrize("offset_s", [-0.2, 0.1])
+@pytest.mark.parametrize("offset_s", [-0.2, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_a_clock_that_looks_like_wrong_optics_is_in_the_covariance(offset_s: float) -> None:
     """On a straight road both stretch the path of a vehicle that brakes."""
     drive = replace(evidence(BRAKING, sigma_m=0.1, per_frame=20, offset_s=offset_s), window_rad=0.005)
@@ -263,8 +265,10 @@ def filtered(yaw_rad: FloatArray, time_s: float, step_s: float) -> FloatArray:
     return np.array(kept)
 
 
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("time_s", [0.3, 1.0])
+@pytest.mark.parametrize(
+    ("time_s", "seed"),
+    [(0.3, 0), (1.0, 1), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.3, 1), (1.0, 0)))],
+)
 def test_headings_of_a_filter_are_in_the_covariance(time_s: float, seed: int) -> None:
     """Its lag changes within the turn, so that no one lag explains them."""
     drive = evidence(TURN, seed=seed)
@@ -473,7 +477,7 @@ def test_a_side_that_is_narrower_than_a_window_tells_no_more_than_its_border(see
     assert np.max(squared) < 4.0**2
 
 
-@pytest.mark.parametrize("growth", [(0.4, 0.4), (-0.4, -0.4), (0.3, -0.3)])
+@pytest.mark.parametrize("growth", [(0.4, 0.4), pytest.param((-0.4, -0.4), marks=pytest.mark.slow), (0.3, -0.3)])
 def test_by_how_much_borders_grow_hardly_moves_the_result(growth: tuple[float, float]) -> None:
     grown, exact = (bordered(each) for each in (growth, (0.0, 0.0)))
     assert (np.abs(error(grown) - error(exact)) < 0.2 * np.sqrt(np.diag(exact.covariance))).all()
@@ -650,7 +654,7 @@ def test_a_stereo_calibration_that_is_right_is_not_told_wrong(seed: int) -> None
     assert not fit_jointly([with_borders(seen, drive, sigma=0.1, seed=seed)], TRUTH).optics
 
 
-@pytest.mark.parametrize(("offset_s", "depth"), [(0.15, -0.05), (-0.2, 0.07)])
+@pytest.mark.parametrize(("offset_s", "depth"), [(0.15, -0.05), pytest.param(-0.2, 0.07, marks=pytest.mark.slow)])
 def test_a_clock_that_is_in_the_estimate_beside_wrong_optics_is_no_doubt(offset_s: float, depth: float) -> None:
     """A turn tells both, and the offset that was found is not held against the result once more."""
     seen = replace(evidence(TURN, sigma_m=0.05, per_frame=20, offset_s=offset_s), window_rad=0.005)
@@ -686,7 +690,7 @@ def test_taken_as_of_one_moment_such_images_put_the_sensor_elsewhere() -> None:
     assert np.hypot(*error(untold)[1:]) > 5.0 * np.hypot(*error(told)[1:])
 
 
-@pytest.mark.parametrize("drive", [TURN, BRAKING, STRAIGHT])
+@pytest.mark.parametrize("drive", [TURN, pytest.param(BRAKING, marks=pytest.mark.slow), STRAIGHT])
 def test_images_of_one_moment_are_not_told_apart(drive: Drive) -> None:
     seen = replace(evidence(drive, sigma_m=0.1, per_frame=20), window_rad=0.005, cameras=CAMERAS)
     assert fit_jointly([seen], TRUTH).apart is None
@@ -786,7 +790,8 @@ def within_three_sigma(fit: JointFit) -> bool:
 @pytest.mark.parametrize(
     ("drive", "turn"),
     [
-        *((TURN, turn) for turn in (-1.0, 0.0, 1.0)),
+        (TURN, -1.0),
+        *(pytest.param(TURN, turn, marks=pytest.mark.slow) for turn in (0.0, 1.0)),
         *(pytest.param(STRAIGHT, turn, marks=pytest.mark.slow) for turn in (-1.0, 1.0)),
         (STRAIGHT, 0.0),
         pytest.param(BRAKING, 0.0, marks=pytest.mark.slow),
@@ -800,8 +805,15 @@ def test_how_a_scanner_turns_is_found(drive: Drive, turn: float) -> None:
     assert within_three_sigma(fit)
 
 
-@pytest.mark.parametrize("turn_s", [0.0, 0.1], ids=["points' times known", "not known"])
-@pytest.mark.parametrize("by_s", [-0.2, 0.2])
+@pytest.mark.parametrize(
+    ("by_s", "turn_s"),
+    [
+        pytest.param(-0.2, 0.0, id="points' times known"),
+        pytest.param(0.2, 0.1, id="not known"),
+        pytest.param(0.2, 0.0, id="known, early", marks=pytest.mark.slow),
+        pytest.param(-0.2, 0.1, id="not known, late", marks=pytest.mark.slow),
+    ],
+)
 def test_clocks_that_were_not_set_are_no_scanner_that_turns(by_s: float, turn_s: float) -> None:
     """Neither do ten milliseconds that were to be expected pull them back half of the way."""
     fit = fit_jointly([replace(evidence(BRAKING, offset_s=by_s), turn_s=turn_s)], TRUTH)
@@ -813,7 +825,7 @@ def test_clocks_that_were_not_set_are_no_scanner_that_turns(by_s: float, turn_s:
     assert clock.surprise > 4.0
 
 
-@pytest.mark.parametrize("by_s", [-0.2, 0.2])
+@pytest.mark.parametrize("by_s", [-0.2, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_nor_are_they_beside_late_headings(by_s: float) -> None:
     drive = replace(evidence(TURN, sigma_m=0.05, per_frame=20, offset_s=by_s), turn_s=0.1)
     fit = fit_jointly([with_headings(drive, TURN.at(drive.vehicle.stamps_s - 0.2)[1])], TRUTH)
