@@ -178,7 +178,7 @@ def prepare(
     span_ns = pairs.pairs[0].stamp_ns, pairs.pairs[-1].stamp_ns
     drive = read_drive(cam, options.lane_map or find_lane_map(left), span_ns, options)
     mask = None if options.mask is None else VehicleMask.load(options.mask)
-    if turn is None:  # after all that is refused sooner
+    if turn is None:  # last, since matching takes seconds and inputs are refused before it
         told = options.camera.turn_deg
         images = already_rectified(rig) if options.camera.rectified else rig
         turn = find_turn(images, pairs.pairs) if told is None else RightTurn(told)
