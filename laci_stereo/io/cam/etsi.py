@@ -39,6 +39,11 @@ _PDU_KINDS: Mapping[int, str] = {
 }
 """Kind of message by messageID (TS 102 894-2)."""
 
+_SHORT_NAMES: Mapping[str, str] = {"SPATEM": "SPAT", "MAPEM": "MAP", "IVIM": "IVI", "SREM": "SRM", "SSEM": "SSM"}
+"""What the body of a message is called, where that is not its kind: the standards of the roadside are of SAE J2735."""
+
+CAM_KIND = "CAM"
+
 
 class OtherKindError(Exception):
     """An intact message that is not a vehicle's CAM; the text is its kind."""
@@ -86,6 +91,12 @@ UNKNOWN = Cam(0, 0, 900000001, 1800000001, 4095, 4095, 3601, 800001, 3601, 16383
 def pdu_kind(message_id: int) -> str:
     """Return the kind of a message by the ``messageID`` in its header."""
     return _PDU_KINDS.get(message_id, f"ITS message {message_id}")
+
+
+def kind_named(name: str) -> str | None:
+    """Return the kind of message that a name stands for, such as ``denm`` or ``Spat``; None if it stands for none."""
+    plain = name.strip().upper().removesuffix("S")
+    return next((kind for kind in _PDU_KINDS.values() if plain in (kind, _SHORT_NAMES.get(kind))), None)
 
 
 def in_units(cams: Sequence[Cam]) -> Values:
