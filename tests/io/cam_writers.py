@@ -137,6 +137,15 @@ def ethernet(packet: bytes, ether_type: int = 0x8947, vlan: bool = False) -> byt
     return b"\xff" * 6 + bytes(6) + tag + struct.pack(">H", ether_type) + packet
 
 
+def udp(data: bytes, version: int = 4, protocol: int = 17, fragment: int = 0) -> bytes:
+    """Return an IP packet with a UDP datagram, from and to ports that mean nothing."""
+    inner = struct.pack(">HHHH", 40000, 50000, 8 + len(data), 0) + data
+    if version == 6:
+        return struct.pack(">IHBB", 6 << 28, len(inner), protocol, 64) + bytes(32) + inner
+    size = struct.pack(">HHHBBH", 20 + len(inner), 0, fragment, 64, protocol, 0)
+    return b"\x45\0" + size + bytes(8) + inner
+
+
 def wifi(packet: bytes, quality: bool = True, snap: bool = True) -> bytes:
     """Return a data frame outside the context of a BSS, as 802.11p sends it."""
     header = bytes([0x88 if quality else 0x08, 0]) + bytes(2) + b"\xff" * 6 + bytes(6) + b"\xff" * 6 + bytes(2)

@@ -16,6 +16,7 @@ from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam.log import read_cam_log
 from tests.io import cam_writers as writers
 from tests.io.cam.test_cam_log import assert_same_track
+from tests.io.cam_asn1 import compiled, vehicle_cam
 from tests.io.cam_writers import START_NS, WGS84, drive
 from tests.io.support import fuzz, noise, read_or_refused
 
@@ -183,6 +184,15 @@ def test_xml_that_grows_or_is_no_track_is_refused(tmp_path: Path):
     assert "a document type" in refusal(tmp_path, gpx("&b;", bomb))
     assert "root element 'kml', no log; needed is gpx" in refusal(tmp_path, "<kml></kml>")
     assert "a lane map is given with --map" in refusal(tmp_path, "<osm></osm>")
+    assert "(tshark's JSON is read: -T json)" in refusal(tmp_path, "<pdml></pdml>")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_messages_in_xer_are_named_and_the_remedy(count: int, tmp_path: Path):
+    data = compiled(rules="xer").encode("CAM", vehicle_cam()).decode()
+    said = refusal(tmp_path, '<?xml version="1.0"?>\n' + data * count)
+    assert "ASN.1's XML (XER), which tell no time of reception" in said
+    assert "needed are lines of JSON with a timestamp and the decoded message in each" in said
     assert "needed is well-formed XML" in refusal(tmp_path, "<gpx><trk>")
     assert "holds no position" in refusal(tmp_path, gpx(""))
     assert "point 1: it has no time" in refusal(tmp_path, gpx('<trkpt lat="1" lon="2"/>'))
