@@ -21,6 +21,9 @@ _GPS_LEAP_S = 18
 FIRST_CAMS_NS = 1_262_304_000 * _S
 """Unix time of 2010-01-01; ETSI TS 102 637-2, by which the first CAMs were sent, is of that year."""
 
+GPS_LEAP_NS = _GPS_LEAP_S * _S
+"""How far GPS time is ahead of UTC since 2017."""
+
 WEEK_MS = 1000 * _WEEK_S
 
 GPS_WEEK_NOTE = f"timestamp: from the GPS week and the time in it, less the {_GPS_LEAP_S} leap seconds of UTC"

@@ -286,6 +286,8 @@ def _check_header(path: Path, header: list[str], required: Sequence[Column], err
     lacking = [column.name for column in required if column.find(header) is None]
     if not lacking:
         return
+    if header[0].startswith(("{", "[")):
+        raise error(f"{path} is JSON; needed is CSV with the columns {', '.join(column.name for column in required)}")
     if any(number(_with_point(title)) is not None or iso_time(title) is not None for title in header):
         raise error(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
     week = _GPS_SECONDS.find(header) if _GPS_WEEK.find(header) is None else None
@@ -310,6 +312,7 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
         else "a Unix time or an ISO 8601 time such as 2025-10-09T08:53:22.237Z"
     )
     if unit is None and known and 0 <= known[len(known) // 2] < WEEK_MS:
+        needed += "; if it counts from a recording's begin, add that in Unix time"
         needed += f"; if it is of a GPS week, add to its seconds {OF_GPS_WEEK}, or give the columns gps_week, gps_tow_s"
     if any(_DAY_OR_MONTH_FIRST.match(text) for text in texts):
         needed += ", the year first: else the day may be the month"

@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from laci_stereo.core.messages.cam import CamLog
+from laci_stereo.io.cam.export import to_geojson
 from tests.io.cam_asn1 import encode, vehicle_cam
 
 EPOCH_NS = 1_072_915_200 * 10**9
@@ -560,3 +561,24 @@ def write_gpx(folder: Path, log: CamLog) -> Path:
         f'xmlns="http://www.topografix.com/GPX/1/1"><trk><name>drive</name>{segments}</trk></gpx>\n'
     )
     return folder / "a.gpx"
+
+
+def write_geojson(folder: Path, log: CamLog) -> Path:
+    (folder / "a.geojson").write_text(to_geojson(log))
+    return folder / "a.geojson"
+
+
+def write_rtklib(folder: Path, log: CamLog, scale: str = "GPST", weeks: bool = False) -> Path:
+    """Write what RTKLIB's rnx2rtkp does, with positions in degrees."""
+    lines = ["% program   : RTKLIB ver.2.4.3", "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix)", "%"]
+    lines += [f"%  {scale}   latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)"]
+    for i, ns in enumerate(log.stamps_ns.tolist()):
+        ns += 18 * 10**9 if scale == "GPST" else 0
+        since_ns = ns - 315_964_800 * 10**9
+        week, rest_ns = divmod(since_ns, 7 * 86_400 * 10**9)
+        at = datetime.fromtimestamp(ns // 10**9, timezone.utc)
+        time = f"{week} {rest_ns / 1e9:.3f}" if weeks else f"{at:%Y/%m/%d %H:%M:%S}.{ns % 10**9 // 10**6:03d}"
+        place = f"{log.latitude_deg[i]:.9f} {log.longitude_deg[i]:.9f} {log.altitude_m[i]:.4f}"
+        lines.append(f"{time}   {place}   1  20   0.0200   0.0100   0.0100  -0.0050")
+    (folder / "a.pos").write_text("\n".join(lines) + "\n")
+    return folder / "a.pos"

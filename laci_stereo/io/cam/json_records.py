@@ -72,6 +72,8 @@ def read_cam_records(path: Path, content: object, notes: Sequence[str]) -> CamRe
 
 def _list(content: object) -> tuple[list[object], Counter[str]]:
     """Return the records in the content of a file, and how many there are of other kinds in lists of their own."""
+    if isinstance(content, dict) and content.get("type") == "FeatureCollection":
+        return _points(content.get("features"))
     if not isinstance(content, dict):
         return content if isinstance(content, list) else [content], Counter()
     lists = {name: part for name, part in content.items() if isinstance(part, list)}
@@ -81,6 +83,19 @@ def _list(content: object) -> tuple[list[object], Counter[str]]:
         return [content], Counter()
     kinds = {kind_named(name): len(part) for name, part in lists.items()}
     return lists[chosen[0]], Counter({kind: count for kind, count in kinds.items() if kind not in (None, CAM_KIND)})
+
+
+def _points(features: object) -> tuple[list[object], Counter[str]]:
+    """Return the points of GeoJSON as records, and how many features there are of other kinds."""
+    records: list[object] = []
+    kinds: Counter[str] = Counter()
+    for feature in features if isinstance(features, list) else []:
+        match feature:
+            case {"geometry": {"type": "Point", "coordinates": [longitude, latitude, *_]}, "properties": properties}:
+                records.append({"longitude": longitude, "latitude": latitude, "properties": properties})
+            case {"geometry": {"type": str(kind)}}:
+                kinds[quoted(kind)] += 1
+    return records, kinds
 
 
 def _leaves(value: object, names: tuple[str, ...], deep: int) -> Iterator[tuple[str, str]]:

@@ -51,7 +51,7 @@ def cam_records(path: Path, records: Sequence[object], kinds: Counter[str]) -> l
     found = _kinds([_message_id(record) for record in records], [_name(record) for record in records])
     kinds.update(kind for kind in found if kind != CAM_KIND)
     kept = [item for item, kind in zip(named, found, strict=True) if kind == CAM_KIND]
-    if records and not kept:
+    if kinds and not kept:
         raise CamError(f"{path} is JSON and holds no CAM of a vehicle, but {counted(kinds)}; needed are CAMs")
     return kept
 

@@ -36,6 +36,7 @@ COMPLETE: dict[str, Callable[[Path, CamLog], Path]] = {
     "V2AIX JSON": writers.write_json,
     "JSON lines": writers.write_json_lines,
     "JSON list": writers.write_json_list,
+    "GeoJSON": writers.write_geojson,
 }
 """Formats that carry all of a log."""
 
@@ -45,6 +46,7 @@ POSITIONS: dict[str, Callable[[Path, CamLog], Path]] = {
     "V2AIX JSON, fixes": writers.write_json_fixes,
     "NMEA": writers.write_nmea,
     "GPX": writers.write_gpx,
+    "RTKLIB": writers.write_rtklib,
 }
 """Formats of GNSS receivers: one vehicle, of unknown dimensions."""
 

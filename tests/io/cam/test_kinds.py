@@ -118,3 +118,12 @@ def test_a_line_that_is_cut_off_is_left_out(tmp_path: Path):
     recording = read(tmp_path, "\n".join([*lines, lines[-1][:80]]))
     assert_only_cams(recording, "1 bad lines skipped, the first of them line 21")
     assert "needed is JSON (6 of 26 lines are bad" in refusal(tmp_path, "\n".join([*lines, *["{"] * 6]))
+
+
+def test_points_of_geojson_and_other_features(tmp_path: Path):
+    text = writers.write_geojson(tmp_path, LOG).read_text()
+    assert_only_cams(read(tmp_path, text), "1 x 'LineString'")
+    lines = json.loads(text)["features"][:1]
+    assert "but 1 x 'LineString'; needed are CAMs" in refusal(
+        tmp_path, json.dumps({"type": "FeatureCollection", "features": lines})
+    )
