@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from laci_stereo.core.errors import InputError
-from laci_stereo.io.file_content import read_content
+from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER, read_content
 
 _LONGEST_QUOTE = 60
 _LONGEST_LIST = 500
@@ -25,7 +25,7 @@ _OTHERS: Mapping[bytes, str] = {
     b"\x28\xb5\x2f\xfd": "packed by zstd; needed is it unpacked, or packed by gzip",
     b"7z\xbc\xaf": "a 7-Zip archive; needed is what is in it, unpacked",
     b"%PDF": "a PDF document; needed is a text file",
-    b"version https://git-lfs": "a pointer of Git LFS, not the file itself; needed is that (git lfs pull)",
+    LFS_MAGIC: LFS_POINTER,
     b"<!DOCTYPE html": "a web page, as of a log-in; needed is the file itself",
     b"<html": "a web page, as of a log-in; needed is the file itself",
 }

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from laci_stereo.core.errors import RigError
 from laci_stereo.core.frames import FloatArray
 from laci_stereo.io.rig.document import Document
-from laci_stereo.io.rig.stereo_rig import ForImages, Lens, Model, Size, StereoRig
+from laci_stereo.io.rig.stereo_rig import ForImages, Lens, Model, Size, StereoRig, side_by_side
 from laci_stereo.io.text_file import listed
 
 _MODES: Mapping[Size, str] = {
@@ -69,8 +69,7 @@ def _size(name: str, size: Size | None) -> Size:
         raise RigError(f"{name} is of a ZED, in several resolutions; needed are the images that it is for")
     if size in _MODES:
         return size
-    halves = (size[0] // 2, size[1])
-    hint = " (are both cameras' side by side in each? cut them in two)" if halves in _MODES else ""
+    hint = next((words for mode in _MODES if (words := side_by_side(mode, size))), "")
     raise RigError(f"{name} is of a ZED, the images are {size[0]} x {size[1]} pixels{hint}; needed are {sizes}")
 
 

@@ -392,6 +392,13 @@ def test_files_that_are_not_found(tmp_path: Path) -> None:
         read_stereo_calibration([left, left, left])
 
 
+def test_images_of_both_cameras_side_by_side_are_named(tmp_path: Path) -> None:
+    (path,) = writers.FORMATS["opencv yaml"].write(tmp_path, RIGS["five"])
+    width, height = RIGS["five"].left.size
+    with pytest.raises(RigError, match=r"\(are both cameras' side by side in each\? cut them in two\)"):
+        read_stereo_calibration(path, (2 * width, height))
+
+
 def test_images_that_were_scaled_are_named(tmp_path: Path) -> None:
     (path,) = writers.FORMATS["opencv yaml"].write(tmp_path, RIGS["five"])
     with pytest.raises(RigError, match=r"were they scaled by 0\.5"):
