@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -93,6 +94,7 @@ def pdu_kind(message_id: int) -> str:
     return _PDU_KINDS.get(message_id, f"ITS message {message_id}")
 
 
+@lru_cache(maxsize=1 << 10)  # it is asked for the names in all records
 def kind_named(name: str) -> str | None:
     """Return the kind of message that a name stands for, such as ``denm`` or ``Spat``; None if it stands for none."""
     plain = name.strip().upper().removesuffix("S")

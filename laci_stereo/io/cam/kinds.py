@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
+from typing import TypeAlias
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.etsi import CAM_KIND, kind_named, pdu_kind
@@ -16,6 +18,9 @@ from laci_stereo.io.table import Column, Table, plain_name
 _ID = Column("messageID", ())
 _TYPE = Column("messageType", ("msgtype", "messagename", "type"))
 _TYPES = tuple(plain_name(name) for name in (_TYPE.name, *_TYPE.synonyms))
+
+_Named: TypeAlias = Sequence[tuple[str, object]]
+"""The names and values in a record."""
 
 _ROADSIDE = "rsucontainerhighfrequency"
 _ROADSIDE_KIND = "CAM of a roadside unit"
@@ -48,7 +53,8 @@ def cam_records(path: Path, records: Sequence[object], kinds: Counter[str]) -> l
         If all of them are of other kinds.
     """
     named = list(enumerate(records, 1))
-    found = _kinds([_message_id(record) for record in records], [_name(record) for record in records])
+    parts = [list(_walk(record)) for record in records]
+    found = _kinds([_message_id(part) for part in parts], [_name(part) for part in parts])
     kinds.update(kind for kind in found if kind != CAM_KIND)
     kept = [item for item, kind in zip(named, found, strict=True) if kind == CAM_KIND]
     if kinds and not kept:
@@ -93,13 +99,12 @@ def _kinds(ids: Sequence[int | None], names: Sequence[str | None]) -> list[str]:
     ]
 
 
-def _message_id(record: object) -> int | None:
-    return next((_whole(str(value)) for name, value in _walk(record) if _last(name) == "messageid"), None)
+def _message_id(named: _Named) -> int | None:
+    return next((_whole(str(value)) for name, value in named if _last(name) == "messageid"), None)
 
 
-def _name(record: object) -> str | None:
+def _name(named: _Named) -> str | None:
     """Return the kind of message that a record tells: its type, or what its parts are called, as ``denm``."""
-    named = list(_walk(record))
     types = (kind_named(value) for name, value in named if _last(name) in _TYPES and isinstance(value, str))
     told = next((kind for kind in types if kind is not None), None)
     if told not in (None, CAM_KIND):
@@ -121,6 +126,7 @@ def _walk(value: object, deep: int = _DEEPEST) -> Iterator[tuple[str, object]]:
             yield from _walk(inner, deep - 1)
 
 
+@lru_cache(maxsize=1 << 10)  # the names of all records are the same
 def _last(path: str) -> str:
     return plain_name(path.rpartition(".")[2])
 
