@@ -286,8 +286,11 @@ def _check_header(path: Path, header: list[str], required: Sequence[Column], err
     lacking = [column.name for column in required if column.find(header) is None]
     if not lacking:
         return
+    columns = f"CSV with the columns {', '.join(column.name for column in required)}"
     if header[0].startswith(("{", "[")):
-        raise error(f"{path} is JSON; needed is CSV with the columns {', '.join(column.name for column in required)}")
+        raise error(f"{path} is JSON; needed is {columns}")
+    if len(header) == 1 and (header[0].endswith(":") or header[0].startswith(("%YAML", "- ", "---"))):
+        raise error(f"{path} looks like YAML; needed is {columns}")
     if any(number(_with_point(title)) is not None or iso_time(title) is not None for title in header):
         raise error(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
     week = _GPS_SECONDS.find(header) if _GPS_WEEK.find(header) is None else None

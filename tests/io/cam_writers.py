@@ -218,6 +218,13 @@ def write_hex_gn(folder: Path, log: CamLog) -> Path:
     return folder / "signed.hex"
 
 
+def write_pcap_udp(folder: Path, log: CamLog) -> Path:
+    """Write what a unit forwards: IP packets, with a CAM and nothing else in each."""
+    frames = [(ns, udp(data)) for ns, data in zip(received(log), cams(log), strict=True)]
+    (folder / "a.pcap").write_bytes(pcap(frames, 101))
+    return folder / "a.pcap"
+
+
 def write_pcap(folder: Path, log: CamLog) -> Path:
     frames = [ethernet(gn_packet(data)) for data in cams(log)]
     (folder / "a.pcap").write_bytes(pcap(list(zip(received(log), frames, strict=True))))

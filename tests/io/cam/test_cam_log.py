@@ -26,6 +26,7 @@ COMPLETE: dict[str, Callable[[Path, CamLog], Path]] = {
     "hex lines of signed packets without times": writers.write_hex_gn,
     "pcap": writers.write_pcap,
     "pcap of Wi-Fi, big-endian, ns, gzip": writers.write_pcap_wifi_signed,
+    "pcap of UDP": writers.write_pcap_udp,
     "pcapng": writers.write_pcapng,
     "ROS 1 bag": lambda folder, log: writers.write_bag1(folder / "a.bag", writers.ros_cams(log)),
     "ROS 2 bag, SQLite": lambda folder, log: writers.write_bag2(folder / "a", writers.ros_cams(log), "SQLITE3"),
