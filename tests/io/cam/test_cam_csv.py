@@ -318,6 +318,14 @@ def test_a_time_of_a_gps_week_needs_its_number(tmp_path: Path) -> None:
         read_cam_csv(write(tmp_path / "cam.csv", numbered))
 
 
+def test_degrees_and_minutes_in_one_number_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    minutes = {"latitude": lambda m: f"{4800 + (m.latitude - 48) * 60:.5f}"}
+    with pytest.raises(CamError, match=r"needed is -90 to 90 \(if these are degrees and minutes, as in NMEA, decimal"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), CANONICAL | minutes)))
+    with pytest.raises(CamError, match=r"latitude is 4870 deg; needed is -90 to 90 \(20 of"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), CANONICAL | {"latitude": lambda m: "4870.0"})))
+
+
 @pytest.mark.parametrize("text", ["11/10/2026 12:00:00.5", "10-11-2026 12:00:00", "1/2/26 1:00:00.5 PM"])
 def test_dates_whose_day_may_be_the_month_are_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(CamError, match=r"2025-10-09T08:53:22\.237Z, the year first: else the day may be the month"):
