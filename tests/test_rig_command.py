@@ -135,6 +135,13 @@ def test_a_swapped_pair_is_named(tmp_path: Path, name: str) -> None:
     assert check.findings[0].text.startswith("the images of left and right are swapped")
 
 
+def test_images_upside_down_are_named(tmp_path: Path) -> None:
+    """Rotated by 180 deg, what each camera sees shifts in the other direction, as with the cameras exchanged."""
+    left, right = (np.ascontiguousarray(np.rot90(image, 2)) for image in images("ideal"))
+    check = check_rig_images(RIGS["ideal"], write_pairs(tmp_path, [(left, right)] * 2))
+    assert check.findings[0].text.startswith("the images of left and right are swapped, or all upside down")
+
+
 def test_a_wrong_focal_length_is_no_turn(matched: Callable[[str], Matched]) -> None:
     rig = RIGS["five"]
     K = rig.right.K * [[1.03], [1.03], [1.0]]

@@ -182,7 +182,7 @@ def scaled(rig: StereoRig, factor: float) -> StereoRig:
 def swapped_images(rig: StereoRig, matches: Sequence[PairMatches]) -> Iterator[Finding]:
     """Report swapped images if the calibration fits with left and right exchanged."""
     if _fits(rig, [found.swapped() for found in matches]):
-        words = "the images of left and right are swapped, or T is given in the other direction"
+        words = "the images of left and right are swapped, or all upside down, or T is given in the other direction"
         yield Finding("fail", f"{words}: the other way round the calibration fits")
 
 

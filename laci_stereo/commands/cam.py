@@ -35,8 +35,8 @@ _WRITERS: Mapping[Format, Callable[[CamRecording], str]] = {
 def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> None:
     """Show what a log of messages says, and whether a run could use it, or convert it.
 
-    LOG is CSV, a packet capture (pcap, pcapng), a ROS or MCAP bag, lines of hexadecimal CAMs, V2AIX's JSON, NMEA or
-    GPX; its content tells which.
+    LOG is CSV, a packet capture (pcap, pcapng), a ROS or MCAP bag, lines of hexadecimal CAMs, JSON, NMEA, GPX or
+    RTKLIB's .pos; its content tells which.
 
     Exit codes: 0 a run could use it, or it was converted; 1 it could use none of its stations; 2 it cannot be read.
     """

@@ -100,7 +100,7 @@ def calibrate(
     LEFT and RIGHT are folders of images, whose times are in their names or in a timestamps.txt. CAM is a log of
     Cooperative Awareness Messages: CSV with the columns timestamp, station_id, latitude, longitude, heading, speed,
     vehicle_length and vehicle_width, or any other that `laci-stereo cam` reads: a packet capture, a ROS or MCAP bag,
-    hexadecimal lines, V2AIX's JSON, or positions of a receiver in NMEA or GPX, which need --cam-reference.
+    hexadecimal lines, V2AIX's JSON, or positions of a receiver (NMEA, GPX), which need --cam-reference.
     """
     options = Options(
         **vars(asked.drive(parse_background(background))),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 
 from laci_stereo.core.frames import IntArray
 from laci_stereo.core.messages.cam import MAX_GAP_S
-from laci_stereo.io.stamps import iso_text
+from laci_stereo.io.stamps import iso_text, number
 
 _S = 10**9
 _WEEK_S = 7 * 86_400
@@ -19,10 +21,37 @@ _GPS_LEAP_S = 18
 FIRST_CAMS_NS = 1_262_304_000 * _S
 """Unix time of 2010-01-01; ETSI TS 102 637-2, by which the first CAMs were sent, is of that year."""
 
+GPS_LEAP_NS = _GPS_LEAP_S * _S
+"""How far GPS time is ahead of UTC since 2017."""
+
 WEEK_MS = 1000 * _WEEK_S
+
+GPS_WEEK_NOTE = f"timestamp: from the GPS week and the time in it, less the {_GPS_LEAP_S} leap seconds of UTC"
 
 OF_GPS_WEEK = f"{_GPS_EPOCH_S - _GPS_LEAP_S} s, and {_WEEK_S} s for each week since 1980-01-06"
 """What added to the seconds of a GPS week makes them a Unix time."""
+
+_WEEKS = 1 << 13
+"""Weeks of GPS that its messages can count, until 2137."""
+
+
+def times_of_weeks(weeks: Sequence[str], times: Sequence[str], unit_ns: int) -> list[str]:
+    """Return Unix times, nanoseconds as text, of weeks of GPS and the times in them, by the leap seconds since 2017.
+
+    Where a pair is none, the text is both. ``unit_ns`` is the unit of the times, unless one of them is too large for
+    it: then it is milliseconds.
+    """
+    pairs = [(number(week), number(time)) for week, time in zip(weeks, times, strict=True)]
+    if any(time is not None and time > _WEEK_S for _, time in pairs):
+        unit_ns = 10**6
+    found = [_time_of_week(week, time, unit_ns) for week, time in pairs]
+    return [f"{weeks[i]} {times[i]}" if ns is None else str(ns) for i, ns in enumerate(found)]
+
+
+def _time_of_week(week: Decimal | None, time: Decimal | None, unit_ns: int) -> int | None:
+    if week is None or time is None or week % 1 or not 0 <= week < _WEEKS or not 0 <= time * unit_ns < _WEEK_S * _S:
+        return None
+    return (_GPS_EPOCH_S - _GPS_LEAP_S + int(week) * _WEEK_S) * _S + int(time * unit_ns)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,10 @@ from laci_stereo.core.errors import InputError
 
 GZIP_MAGIC = b"\x1f\x8b"
 
+LFS_MAGIC = b"version https://git-lfs"
+LFS_POINTER = "a pointer of Git LFS, not the file itself; needed is that (git lfs pull)"
+"""What stands instead of a large file in a checkout without it, and the remedy."""
+
 MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
 BAG_MAGICS = (b"#ROSBAG", MCAP_MAGIC, SQLITE_MAGIC)
 """First bytes of ROS 1 bags, MCAP files and ROS 2 bags."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from laci_stereo.core.errors import ImageError, OutputError
 from laci_stereo.core.frames import IntArray, Raster
+from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER
 from laci_stereo.io.image_integrity import damage
 from laci_stereo.io.image_size import stated_bits, stated_size
 from laci_stereo.io.output import write_file
@@ -190,6 +191,8 @@ def _decoded(path: Path, content: bytes) -> npt.NDArray[np.generic]:
             image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:
             problem = error
+    if image is None and content.startswith(LFS_MAGIC):
+        raise ImageError(f"{path} is {LFS_POINTER}")
     if image is None:
         raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image") from problem
     return image

@@ -16,7 +16,7 @@ import numpy as np
 
 from laci_stereo.core.errors import InputError
 from laci_stereo.core.frames import FloatArray, IntArray
-from laci_stereo.io.epochs import OF_GPS_WEEK, WEEK_MS
+from laci_stereo.io.epochs import GPS_WEEK_NOTE, OF_GPS_WEEK, WEEK_MS, times_of_weeks
 from laci_stereo.io.stamps import iso_time, number, unit_of, with_fractions
 from laci_stereo.io.text_file import listed, quoted, read_text
 
@@ -37,6 +37,7 @@ _DELIMITER_LINE = re.compile(r"sep=([,;\t|])\s*")
 
 _MISSING = frozenset({"", "-", "na", "n/a", "nan", "none", "null", "unavailable"})
 _TIME_OF_DAY = re.compile(r"[0-9]{2}:[0-9]{2}:[0-9]{2}")
+_DAY_OR_MONTH_FIRST = re.compile(r"[0-9]{1,2}[/-][0-9]{1,2}[/-][0-9]{2,4}\b")
 _DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)")
 
 
@@ -90,6 +91,15 @@ _SECONDS = Column("sec", ("secs", "stampsec", "stampsecs", "headerstampsec", "he
 _NANOSECONDS = Column(
     "nanosec", ("nsec", "nsecs", "stampnanosec", "stampnsec", "stampnsecs", "headerstampnanosec", "headerstampnsecs")
 )
+_GPS_WEEK = Column("gps_week", ("week", "weekno", "weeknumber", "gpsweekno", "gpsweeknumber", "wn", "wnc"))
+_GPS_SECONDS = Column(
+    "gps_tow_s",
+    (
+        *("tow", "tows", "gpstow", "timeofweek", "timeofweeks", "gpstimeofweek", "gpstimeofweeks"),
+        *("secondsofweek", "sow", "gpssow", "gpsseconds", "gpssecondsofweek"),
+    ),
+)
+_GPS_MILLISECONDS = Column("gps_tow_ms", ("towms", "itow", "itowms", "timeofweekms", "gpsms", "gpsmilliseconds"))
 
 
 @dataclass(frozen=True)
@@ -117,6 +127,8 @@ class Table:
         The rows with more cells than the header.
     error : type of InputError
         The error class to raise if the file is unusable.
+    time_notes : tuple of str
+        How the column of times was made of others.
     """
 
     path: Path
@@ -125,6 +137,7 @@ class Table:
     line_numbers: list[int]
     problems: Problems
     error: type[InputError]
+    time_notes: tuple[str, ...] = ()
 
     def texts(self, column: Column) -> list[str] | None:
         """Return the cells of a column, or None if the table does not have it."""
@@ -198,16 +211,17 @@ def table_of(
     too_long = {
         i: f"it has {len(cells)} fields; needed are {width}" for i, (_, cells) in enumerate(found) if any(cells[width:])
     }
+    time_notes: tuple[str, ...] = ()
     if TIMESTAMP in required:
-        header, rows = _with_whole_times(header, rows)
+        header, rows, time_notes = _with_whole_times(header, rows)
     _check_header(path, header, required, error)
     if not found:
         raise error(f"{path} holds a header but no rows; needed is at least one {row_noun}")
-    return Table(path, header, rows, [line_number for line_number, _ in found], too_long, error)
+    return Table(path, header, rows, [line_number for line_number, _ in found], too_long, error, time_notes)
 
 
-def _with_whole_times(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
-    """Join the columns of seconds and nanoseconds to one, and those of date and time of day."""
+def _with_whole_times(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]], tuple[str, ...]]:
+    """Join the columns of seconds and nanoseconds, of date and time of day, or of the GPS week and the time in it."""
     place, date = TIMESTAMP.find(header), _DATE.find(header)
     seconds, nanoseconds = _SECONDS.find(header), _NANOSECONDS.find(header)
     if place is not None and date is not None:
@@ -216,7 +230,20 @@ def _with_whole_times(header: list[str], rows: list[list[str]]) -> tuple[list[st
     elif place is None and seconds is not None and nanoseconds is not None:
         rows = [[*row, f"{row[seconds]}.{row[nanoseconds]:0>9}"] for row in rows]
         header = [*header, TIMESTAMP.name]
-    return header, rows
+    elif place is None and (times := _of_gps_weeks(header, rows)) is not None:
+        rows = [[*row, text] for row, text in zip(rows, times, strict=True)]
+        return [*header, TIMESTAMP.name], rows, (GPS_WEEK_NOTE,)
+    return header, rows, ()
+
+
+def _of_gps_weeks(header: list[str], rows: list[list[str]]) -> list[str] | None:
+    """Return the times of the weeks of GPS and the times in them, as text; None without both columns."""
+    week, unit_ns, place = _GPS_WEEK.find(header), 10**9, _GPS_SECONDS.find(header)
+    if place is None:
+        unit_ns, place = 10**6, _GPS_MILLISECONDS.find(header)
+    if week is None or place is None:
+        return None
+    return times_of_weeks([row[week] for row in rows], [row[place] for row in rows], unit_ns)
 
 
 def _lines(path: Path, error: type[InputError]) -> list[tuple[int, list[str]]]:
@@ -259,12 +286,19 @@ def _check_header(path: Path, header: list[str], required: Sequence[Column], err
     lacking = [column.name for column in required if column.find(header) is None]
     if not lacking:
         return
+    columns = f"CSV with the columns {', '.join(column.name for column in required)}"
+    if header[0].startswith(("{", "[")):
+        raise error(f"{path} is JSON; needed is {columns}")
+    if len(header) == 1 and (header[0].endswith(":") or header[0].startswith(("%YAML", "- ", "---"))):
+        raise error(f"{path} looks like YAML; needed is {columns}")
     if any(number(_with_point(title)) is not None or iso_time(title) is not None for title in header):
         raise error(f"{path} begins with {listed(header, 4)}; needed is a header row that names the columns")
+    week = _GPS_SECONDS.find(header) if _GPS_WEEK.find(header) is None else None
+    of_week = "" if week is None else f" (beside {quoted(header[week])}, needed is {_GPS_WEEK.name}, the GPS week)"
     alone = "" if len(header) != 1 else ", as one column: needed are commas, semicolons or tabs between the columns"
     raise error(
         f"{path} lacks the column {', '.join(lacking)}; needed are {', '.join(column.name for column in required)}, "
-        f"it holds {listed(header)}{alone}"
+        f"it holds {listed(header)}{alone}{of_week}"
     )
 
 
@@ -281,7 +315,10 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
         else "a Unix time or an ISO 8601 time such as 2025-10-09T08:53:22.237Z"
     )
     if unit is None and known and 0 <= known[len(known) // 2] < WEEK_MS:
-        needed += f"; if it is of a GPS week, add to its seconds {OF_GPS_WEEK}"
+        needed += "; if it counts from a recording's begin, add that in Unix time"
+        needed += f"; if it is of a GPS week, add to its seconds {OF_GPS_WEEK}, or give the columns gps_week, gps_tow_s"
+    if any(_DAY_OR_MONTH_FIRST.match(text) for text in texts):
+        needed += ", the year first: else the day may be the month"
     stamps: list[int] = []
     problems = {}
     for i, (text, value, moment) in enumerate(zip(texts, numbers, moments, strict=True)):
@@ -291,8 +328,8 @@ def stamps_ns(table: Table) -> Parsed[IntArray]:
         if stamp is None:
             problems[i] = f"timestamp is {quoted(text)}; needed is {needed}"
         stamps.append(stamp or 0)
-    notes = list(padding_notes)
-    if unit is not None and unit.ns != 10**9:
+    notes = [*table.time_notes, *padding_notes]
+    if unit is not None and unit.ns != 10**9 and not table.time_notes:
         notes.append(f"timestamp: Unix time in {unit.name}")
     without_zone = sum(moment is not None and not moment.has_zone for moment in moments)
     if without_zone:

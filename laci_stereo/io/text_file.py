@@ -4,15 +4,32 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from laci_stereo.core.errors import InputError
-from laci_stereo.io.file_content import read_content
+from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER, read_content
 
 _LONGEST_QUOTE = 60
 _LONGEST_LIST = 500
 _MOST_LETTERS = 0.1
 """Largest fraction of a text that is not ASCII, but taken for text nevertheless."""
+
+_OTHERS: Mapping[bytes, str] = {
+    b"PK\x03\x04": "a ZIP archive, as .xlsx and .npz are; needed is its content as text, unpacked or saved as CSV",
+    b"\xd0\xcf\x11\xe0": "an Excel workbook; needed is its sheet, saved as CSV",
+    b"PAR1": "a Parquet file; needed is its table as CSV (pandas: read_parquet, to_csv)",
+    b"\x93NUMPY": "an array of NumPy; needed is a text file (numpy.savetxt)",
+    b"BZh": "packed by bzip2; needed is it unpacked, or packed by gzip",
+    b"\xfd7zXZ": "packed by xz; needed is it unpacked, or packed by gzip",
+    b"\x28\xb5\x2f\xfd": "packed by zstd; needed is it unpacked, or packed by gzip",
+    b"7z\xbc\xaf": "a 7-Zip archive; needed is what is in it, unpacked",
+    b"%PDF": "a PDF document; needed is a text file",
+    LFS_MAGIC: LFS_POINTER,
+    b"<!DOCTYPE html": "a web page, as of a log-in; needed is the file itself",
+    b"<html": "a web page, as of a log-in; needed is the file itself",
+}
+"""What files begin with that are taken for text in error, what they are, and the remedy."""
 
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -29,6 +46,9 @@ def read_text(path: Path, error: type[InputError]) -> str:
         Of the class ``error``, if the file is missing, a folder, empty, unreadable or not text.
     """
     content = read_content(path, error)
+    other = next((words for magic, words in _OTHERS.items() if content[: len(magic)].lower() == magic.lower()), None)
+    if other is not None:
+        raise error(f"{path} is {other}")
     try:
         text = content.decode("utf-16" if content.startswith(_UTF16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as problem:

@@ -12,6 +12,7 @@ from laci_lidar.errors import ScanError
 from laci_lidar.pcd import is_pcd, read_pcd
 from laci_lidar.ply import is_ply, read_ply
 from laci_lidar.scan import Scan, scan_of
+from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER
 
 LARGEST_FILE = 1 << 30
 """Size of a scan with ten million points and ten fields; a larger file is a whole recording."""
@@ -100,6 +101,8 @@ def _content(path: Path) -> bytes:
         raise ScanError(f"{path} cannot be read: {found}; needed is a scan") from problem
     if not content:
         raise ScanError(f"{path} is empty (0 bytes); needed is a scan")
+    if content.startswith(LFS_MAGIC):
+        raise ScanError(f"{path} is {LFS_POINTER}")
     return content
 
 

@@ -60,9 +60,12 @@ END
 
 
 @cache
-def compiled(basic_addition: str = "") -> Any:
-    """Return the codec, with what a later version might add to the basic container, such as ``, a BOOLEAN``."""
-    return asn1tools.compile_string(DESCRIPTION.replace(" ADDITION", basic_addition), "uper")
+def compiled(basic_addition: str = "", rules: str = "uper") -> Any:
+    """Return the codec of some encoding rules.
+
+    The basic container has what a later version might add to it, such as ``, a BOOLEAN``.
+    """
+    return asn1tools.compile_string(DESCRIPTION.replace(" ADDITION", basic_addition), rules)
 
 
 def encode(message: dict[str, Any], basic_addition: str = "") -> bytes:

@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from laci_stereo.core.messages.cam import CamLog
+from laci_stereo.io.cam.export import to_geojson
 from tests.io.cam_asn1 import encode, vehicle_cam
 
 EPOCH_NS = 1_072_915_200 * 10**9
@@ -137,6 +138,15 @@ def ethernet(packet: bytes, ether_type: int = 0x8947, vlan: bool = False) -> byt
     return b"\xff" * 6 + bytes(6) + tag + struct.pack(">H", ether_type) + packet
 
 
+def udp(data: bytes, version: int = 4, protocol: int = 17, fragment: int = 0) -> bytes:
+    """Return an IP packet with a UDP datagram, from and to ports that mean nothing."""
+    inner = struct.pack(">HHHH", 40000, 50000, 8 + len(data), 0) + data
+    if version == 6:
+        return struct.pack(">IHBB", 6 << 28, len(inner), protocol, 64) + bytes(32) + inner
+    size = struct.pack(">HHHBBH", 20 + len(inner), 0, fragment, 64, protocol, 0)
+    return b"\x45\0" + size + bytes(8) + inner
+
+
 def wifi(packet: bytes, quality: bool = True, snap: bool = True) -> bytes:
     """Return a data frame outside the context of a BSS, as 802.11p sends it."""
     header = bytes([0x88 if quality else 0x08, 0]) + bytes(2) + b"\xff" * 6 + bytes(6) + b"\xff" * 6 + bytes(2)
@@ -206,6 +216,13 @@ def write_hex_gn(folder: Path, log: CamLog) -> Path:
     signed = [signed_packet(data, ns + 1000) for data, ns in zip(cams(log), log.stamps_ns.tolist(), strict=True)]
     (folder / "signed.hex").write_text("\n".join(data.hex(" ") for data in signed))
     return folder / "signed.hex"
+
+
+def write_pcap_udp(folder: Path, log: CamLog) -> Path:
+    """Write what a unit forwards: IP packets, with a CAM and nothing else in each."""
+    frames = [(ns, udp(data)) for ns, data in zip(received(log), cams(log), strict=True)]
+    (folder / "a.pcap").write_bytes(pcap(frames, 101))
+    return folder / "a.pcap"
 
 
 def write_pcap(folder: Path, log: CamLog) -> Path:
@@ -551,3 +568,24 @@ def write_gpx(folder: Path, log: CamLog) -> Path:
         f'xmlns="http://www.topografix.com/GPX/1/1"><trk><name>drive</name>{segments}</trk></gpx>\n'
     )
     return folder / "a.gpx"
+
+
+def write_geojson(folder: Path, log: CamLog) -> Path:
+    (folder / "a.geojson").write_text(to_geojson(log))
+    return folder / "a.geojson"
+
+
+def write_rtklib(folder: Path, log: CamLog, scale: str = "GPST", weeks: bool = False) -> Path:
+    """Write what RTKLIB's rnx2rtkp does, with positions in degrees."""
+    lines = ["% program   : RTKLIB ver.2.4.3", "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix)", "%"]
+    lines += [f"%  {scale}   latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)"]
+    for i, ns in enumerate(log.stamps_ns.tolist()):
+        ns += 18 * 10**9 if scale == "GPST" else 0
+        since_ns = ns - 315_964_800 * 10**9
+        week, rest_ns = divmod(since_ns, 7 * 86_400 * 10**9)
+        at = datetime.fromtimestamp(ns // 10**9, timezone.utc)
+        time = f"{week} {rest_ns / 1e9:.3f}" if weeks else f"{at:%Y/%m/%d %H:%M:%S}.{ns % 10**9 // 10**6:03d}"
+        place = f"{log.latitude_deg[i]:.9f} {log.longitude_deg[i]:.9f} {log.altitude_m[i]:.4f}"
+        lines.append(f"{time}   {place}   1  20   0.0200   0.0100   0.0100  -0.0050")
+    (folder / "a.pos").write_text("\n".join(lines) + "\n")
+    return folder / "a.pos"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -300,6 +300,32 @@ def depthai(folder: Path, rig: StereoRig) -> tuple[Path, ...]:
     ]
     told = {"leftCameraSocket": 1, "rightCameraSocket": 2, "rectifiedRotationLeft": np.eye(3).tolist()}
     return (write_json(folder / "oak.json", {"cameraData": cameras, "stereoRectificationData": told, "version": 7}),)
+
+
+def zed(folder: Path, rig: StereoRig, mode: str = "HD") -> Path:
+    """Write a ZED's file for one resolution, and another one's sections with nonsense in them."""
+
+    def section(title: str, entries: Mapping[str, object]) -> str:
+        return "\n".join([f"[{title}]", *(f"{name}={value}" for name, value in entries.items())]) + "\n"
+
+    def distortion(lens: Lens) -> dict[str, object]:
+        names = "k1 k2 k3 k4" if lens.model == "fisheye" else "k1 k2 p1 p2 k3 k4 k5 k6"
+        return dict(zip(names.split(), lens.distortion.tolist(), strict=False))
+
+    parts = []
+    for side, lens in (("LEFT", rig.left), ("RIGHT", rig.right)):
+        of_lens = dict(zip(("fx", "fy", "cx", "cy"), intrinsics(lens), strict=True))
+        in_section = len(lens.distortion) == 5
+        parts.append(section(f"{side}_CAM_{mode}", {**of_lens, **(distortion(lens) if in_section else {})}))
+        parts.append(section(f"{side}_CAM_XYZ", {"fx": 1}))
+        if not in_section:
+            parts.append(section(f"{side}_DISTO", distortion(lens)))
+    turn = Rotation.from_matrix(rig.R_right_left).as_rotvec().tolist()
+    x, y, z = (1000.0 * rig.t_right_left_m).tolist()
+    turns = dict(zip((f"RX_{mode}", f"CV_{mode}", f"RZ_{mode}"), turn, strict=True))
+    parts.append(section("STEREO", {"Baseline": -x, "TY": y, "TZ": z, "RX_XYZ": 9, **turns}))
+    (folder / "SN1.conf").write_text("\n".join([*parts, section("MISC", {"Sensor_ID": 1, "name": "a ZED"})]))
+    return folder / "SN1.conf"
 
 
 @dataclass(frozen=True)

@@ -233,11 +233,14 @@ def test_what_is_no_log(tmp_path: Path) -> None:
         (b"timestamp,x,y\n", "holds a header but no rows; needed is at least one detection"),
         (b"timestamp,x\n1760000000,3\n", "lacks the column y; needed are timestamp, x, y, it holds timestamp, x"),
         (b"1760000000,3,4\n1760000001,3,4\n", "begins with 1760000000, 3, 4; needed is a header row"),
+        (b'[{"timestamp": 1760000000, "x": 3}]', "is JSON; needed is CSV with the columns timestamp, x, y"),
+        (b"header:\n  stamp:\n    sec: 3\n", "looks like YAML; needed is CSV with the columns timestamp, x, y"),
+        (b"timestamp,x,y\n0.1,3,4\n", ".* if it counts from a recording's begin, add that in Unix time; if it is of"),
         (bytes(range(256)), "is not a text file"),
     ):
         if content is not None:
             path.write_bytes(content)
-        with pytest.raises(DetectionError, match=rf"d\.csv {message}"):
+        with pytest.raises(DetectionError, match=rf"d\.csv,? ?{message}"):
             read_detections(path)
     with pytest.raises(DetectionError, match="is a folder; needed is a file"):
         read_detections(tmp_path)

@@ -326,6 +326,9 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     file.write_bytes(b"")
     with pytest.raises(ImageError, match=r"x\.png is empty"):
         read_image(file)
+    file.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 2\n")
+    with pytest.raises(ImageError, match=r"x\.png is a pointer of Git LFS, not the file itself"):
+        read_image(file)
     file.write_text("not an image")
     with pytest.raises(ImageError, match=r"x\.png cannot be decoded \(12 bytes\)"):
         read_image(file)

@@ -31,6 +31,23 @@ def test_short_words_stay_as_they_are() -> None:
     assert listed(["x"] * 22) == ", ".join(["x"] * 20) + " and 2 more"
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"PK\x03\x04\x14\0\xff", r"a ZIP archive, as \.xlsx .* saved as CSV"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1", r"an Excel workbook; needed is its sheet, saved as CSV"),
+        (b"PAR1\x15\0", r"a Parquet file"),
+        (b"\xfd7zXZ\0", r"packed by xz; needed is it unpacked"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", r"a pointer of Git LFS, .* \(git lfs pull\)"),
+        (b"<!doctype HTML><html></html>", r"a web page"),
+    ],
+)
+def test_what_a_file_is_instead_of_text_is_named(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "log").write_bytes(content)
+    with pytest.raises(CamError, match=said):
+        read_text(tmp_path / "log", CamError)
+
+
 def test_letters_of_windows_are_read_and_bytes_are_not(tmp_path: Path) -> None:
     path = tmp_path / "cam.csv"
     text = "Zeit;Länge [m];Richtung [°]\r\n1;4,70;90\r\n"

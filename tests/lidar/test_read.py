@@ -262,6 +262,12 @@ def test_another_format_than_the_name_says(form: str, tmp_path: Path):
         assert "file by its content" in refusal(tmp_path / f"scan{named}")
 
 
+@pytest.mark.parametrize("suffix", sorted(SUFFIXES))
+def test_a_pointer_of_git_lfs(suffix: str, tmp_path: Path):
+    (tmp_path / f"scan{suffix}").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 2\n")
+    assert "is a pointer of Git LFS, not the file itself; needed is that" in refusal(tmp_path / f"scan{suffix}")
+
+
 def test_no_format_at_all(tmp_path: Path):
     (tmp_path / "scan.pcd").write_bytes(b"<html>not found</html>")
     assert "is no PCD file" in refusal(tmp_path / "scan.pcd")

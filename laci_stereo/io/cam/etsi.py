@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,11 @@ _PDU_KINDS: Mapping[int, str] = {
     16: "VAM",
 }
 """Kind of message by messageID (TS 102 894-2)."""
+
+_SHORT_NAMES: Mapping[str, str] = {"SPATEM": "SPAT", "MAPEM": "MAP", "IVIM": "IVI", "SREM": "SRM", "SSEM": "SSM"}
+"""What the body of a message is called, where that is not its kind: the standards of the roadside are of SAE J2735."""
+
+CAM_KIND = "CAM"
 
 
 class OtherKindError(Exception):
@@ -86,6 +92,13 @@ UNKNOWN = Cam(0, 0, 900000001, 1800000001, 4095, 4095, 3601, 800001, 3601, 16383
 def pdu_kind(message_id: int) -> str:
     """Return the kind of a message by the ``messageID`` in its header."""
     return _PDU_KINDS.get(message_id, f"ITS message {message_id}")
+
+
+@lru_cache(maxsize=1 << 10)  # it is asked for the names in all records
+def kind_named(name: str) -> str | None:
+    """Return the kind of message that a name stands for, such as ``denm`` or ``Spat``; None if it stands for none."""
+    plain = name.strip().upper().removesuffix("S")
+    return next((kind for kind in _PDU_KINDS.values() if plain in (kind, _SHORT_NAMES.get(kind))), None)
 
 
 def in_units(cams: Sequence[Cam]) -> Values:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -19,7 +20,15 @@ _FORMAT = "a GPX track"
 _TAGS: dict[str, Quantity] = {"ele": ALTITUDE, "speed": SPEED, "course": HEADING}
 """Tags in a track point (GPX 1.0), or in its extensions in any namespace (GPX 1.1)."""
 
-_MAPS = ("osm", "OpenDRIVE")
+_HINTS = {
+    **dict.fromkeys(("osm", "OpenDRIVE"), " (a lane map is given with --map)"),
+    "pdml": " (tshark's JSON is read: -T json)",
+}
+
+_OF_CAM = re.compile(r"<(generationDeltaTime|messageI[dD])>\s*\d")
+"""What XER, ASN.1's rules for XML, makes of elements that each CAM has."""
+
+_FIRST_CHARACTERS = 1 << 16
 
 _DEEPEST = 3
 """Levels below a track point that are searched: its extensions, in these a device's own element, in that the values."""
@@ -42,12 +51,18 @@ def read_cam_gpx(path: Path, text: str) -> CamRecording:
     CamError
         If it is no GPX, or as in `recorded_drive`.
     """
+    if _OF_CAM.search(text, 0, _FIRST_CHARACTERS):
+        raise CamError(
+            f"{path} holds messages as ASN.1's XML (XER), which tell no time of reception, and generationDeltaTime "
+            "begins anew every 65.536 s; needed are lines of JSON with a timestamp and the decoded message in each, or "
+            "of a time and the message's hexadecimal digits (UPER)"
+        )
     try:
         root = parse_xml(text)
     except XmlError as problem:
         raise CamError(f"{path} cannot be read: {problem}") from problem
     if _name(root) != "gpx":
-        hint = " (a lane map is given with --map)" if _name(root) in _MAPS else ""
+        hint = _HINTS.get(_name(root), "")
         raise CamError(f"{path} is XML with the root element {quoted(_name(root))}, no log{hint}; needed is gpx")
     fixes, problems = {}, {}
     points = [element for element in root.iter() if _name(element) == "trkpt"]

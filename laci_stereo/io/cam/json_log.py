@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE, Quantity
 from laci_stereo.io.cam.etsi import Cam, DamagedError, OtherKindError
 from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
@@ -54,14 +53,11 @@ def read_cam_json(path: Path, text: str) -> CamRecording:
     Raises
     ------
     CamError
-        If it is no JSON, or as in `read_received`, `recorded_drive` and `read_cam_records`.
+        As in `parsed`, `read_received`, `recorded_drive` and `read_cam_records`.
     """
-    try:
-        topics = parsed(text)
-    except (ValueError, RecursionError) as problem:
-        raise CamError(f"{path} cannot be read: {quoted(str(problem))}; needed is JSON") from problem
+    topics, notes = parsed(path, text)
     if not isinstance(topics, dict) or not any(name.startswith("/") for name in topics):
-        return read_cam_records(path, topics)
+        return read_cam_records(path, topics, notes)
     cams = [name for name, records in topics.items() if isinstance(records, list) and any(map(_is_cam, records))]
     fixes = [name for name, records in topics.items() if isinstance(records, list) and any(map(_is_fix, records))]
     if cams or len(fixes) != 1:

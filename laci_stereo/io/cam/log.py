@@ -13,6 +13,7 @@ from laci_stereo.io.cam.nmea_log import looks_like_nmea, read_cam_nmea
 from laci_stereo.io.cam.packet_capture import is_capture
 from laci_stereo.io.cam.pcap_log import read_cam_capture
 from laci_stereo.io.cam.recording import CamRecording
+from laci_stereo.io.cam.rtklib_log import looks_like_rtklib, read_cam_rtklib
 from laci_stereo.io.cam.uper import is_cam
 from laci_stereo.io.file_content import BAG_MAGICS, begins_with, read_content
 from laci_stereo.io.text_file import read_text
@@ -22,11 +23,12 @@ _TEXTS = (
     (looks_like_nmea, read_cam_nmea),
     (looks_like_hex, read_cam_hex),
     (looks_like_json, read_cam_json),
+    (looks_like_rtklib, read_cam_rtklib),
 )
 
 
 def read_cam_log(path: Path) -> CamRecording:
-    """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, JSON, NMEA or GPX.
+    """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, JSON, NMEA, GPX or RTKLIB's solutions.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""CAMs in packet captures: GeoNetworking over Ethernet or IEEE 802.11p."""
+"""CAMs in packet captures: GeoNetworking over Ethernet or IEEE 802.11p, or forwarded by UDP."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
+from laci_stereo.io.cam.datagrams import datagram, forwarded_cam
 from laci_stereo.io.cam.etsi import DamagedError, OtherKindError
 from laci_stereo.io.cam.geonetworking import ETHER_TYPE, Payload, cam_payload
 from laci_stereo.io.cam.packet_capture import PCAPNG_MAGIC, CaptureError, frames
@@ -13,6 +14,7 @@ from laci_stereo.io.cam.received import Packet, Source, packet_of, read_received
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.stamps import POSSIBLE_NS
 
+_IP = (0x0800, 0x86DD)
 _VLAN = (0x8100, 0x88A8)
 _ETHERNET_TYPES: Mapping[int, str] = {0x0800: "IPv4", 0x86DD: "IPv6", 0x0806: "ARP", 0x88DC: "WSMP"}
 
@@ -56,6 +58,8 @@ def _payload(link_type: int, frame: bytes) -> Payload:
     except DamagedError as problem:
         # The frame is too short to identify it as a CAM, so it does not count as a damaged one.
         raise OtherKindError(f"cut-off frame ({problem})") from problem
+    if ether_type in _IP and (data := datagram(rest)) is not None:
+        return forwarded_cam(data)
     if ether_type != ETHER_TYPE:
         raise OtherKindError(_ETHERNET_TYPES.get(ether_type, f"frame of ether type {ether_type:#06x}"))
     return cam_payload(rest)
@@ -78,6 +82,10 @@ def _linux_cooked_2(frame: bytes) -> tuple[int, bytes]:
 
 def _bare(frame: bytes) -> tuple[int, bytes]:
     return ETHER_TYPE, frame
+
+
+def _ip(frame: bytes) -> tuple[int, bytes]:
+    return _IP[_bytes(frame, 0, 1)[0] >> 4 == 6], frame
 
 
 def _wifi(frame: bytes, padded: bool = False) -> tuple[int, bytes]:
@@ -127,6 +135,7 @@ _LINKS: Mapping[int, Callable[[bytes], tuple[int, bytes]]] = {
     113: _linux_cooked,
     127: _radiotap,
     276: _linux_cooked_2,
+    **dict.fromkeys((101, 228, 229), _ip),
     **dict.fromkeys(range(147, 163), _bare),
 }
 """Parsers by link type; 147 to 162 are for private use, and some stacks use them for bare GeoNetworking packets."""

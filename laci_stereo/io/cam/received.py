@@ -21,6 +21,16 @@ from laci_stereo.io.text_file import listed
 _MOST_KINDS = 10
 
 
+def counted(kinds: Counter[str]) -> str:
+    """Return how many messages there are of each kind, in words."""
+    return listed([f"{count} x {kind}" for kind, count in kinds.most_common()], _MOST_KINDS)
+
+
+def left_out_note(kinds: Counter[str], noun: str) -> list[str]:
+    """Return a note on the messages that are no CAM of a vehicle, if any."""
+    return [f"{noun}s that are no CAM of a vehicle left out: {counted(kinds)}"] if kinds else []
+
+
 @dataclass(frozen=True)
 class Packet:
     """A received packet.
@@ -115,10 +125,10 @@ def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str
     found = _Gathered()
     for packet in packets:
         found.add(packet)
-    kinds = listed([f"{count} x {kind}" for kind, count in found.kinds.most_common()], _MOST_KINDS)
     if not found.cams:
         raise CamError(
-            f"{source.path} is {source.file_format} and holds no CAM of a vehicle, but {kinds or 'nothing at all'}; "
+            f"{source.path} is {source.file_format} and holds no CAM of a vehicle, but "
+            f"{counted(found.kinds) or 'nothing at all'}; "
             "needed are CAMs (BTP port 2001)"
         )
     stations = np.array([cam.station_id for cam in found.cams], dtype=np.int64)
@@ -127,7 +137,7 @@ def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str
     values = in_units(found.cams)
     backward = np.array([cam.drive_direction == BACKWARD for cam in found.cams], dtype=bool)
     messages = Messages(source.path, source.noun, found.places, stamps, stations, values, found.problems, backward)
-    other_notes = [f"{source.noun}s that are no CAM of a vehicle left out: {kinds}"] if kinds else []
+    other_notes = left_out_note(found.kinds, source.noun)
     if found.signed:
         other_notes.append(f"{found.signed} of {len(found.cams)} CAMs are signed; the signatures were not verified")
     return recorded(

@@ -171,11 +171,18 @@ def _misplaced(values: Values) -> Problems:
     return merged(
         {
             int(i): f"{quantity.name} is {values[quantity][i]:.10g} deg; "
-            f"needed is {quantity.lowest:g} to {quantity.highest:g}"
+            f"needed is {quantity.lowest:g} to {quantity.highest:g}{_as_minutes(values[quantity][i], quantity.highest)}"
             for i in np.flatnonzero(~quantity.possible(values[quantity]))
         }
         for quantity in POSITION
     )
+
+
+def _as_minutes(value: float, highest: float) -> str:
+    """Return a hint at degrees and minutes in one number, as NMEA has them, where a value may be these."""
+    degrees, minutes = divmod(abs(value), 100.0)
+    may_be = 1.0 <= degrees <= highest and minutes < 60.0
+    return " (if these are degrees and minutes, as in NMEA, decimal degrees)" if may_be else ""
 
 
 def _possible(messages: Messages, values: Values) -> tuple[Values, list[str]]:

@@ -26,6 +26,8 @@ _FARTHEST_FROM_SYMMETRIC = 1e-6
 _SAME = 1e-3
 """Largest difference of two transforms that are the same, in metres: UTM coordinates are written with more digits."""
 
+_NEEDED = f"needed is a {RESULT_FILE} (laci-stereo import makes one of what other tools, or export, wrote)"
+
 
 @dataclass(frozen=True)
 class StoredCalibration(Siting):
@@ -87,7 +89,9 @@ def read_calibration(result: Path) -> StoredCalibration:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as problem:
-        raise CalibrationFileError(f"{path} is no JSON: {problem}; needed is a {RESULT_FILE}") from problem
+        raise CalibrationFileError(f"{path} is no JSON: {problem}; {_NEEDED}") from problem
+    if not isinstance(document, dict) or "schema" not in document:
+        raise CalibrationFileError(f"{path} is no result, as it has no 'schema'; {_NEEDED}")
     try:
         validate(document)
     except CalibrationFileError as problem:

@@ -29,6 +29,7 @@ from laci_stereo.io.rig.stereo_rig import (
     with_baseline,
 )
 from laci_stereo.io.rig.syntax import read_document
+from laci_stereo.io.rig.zed import read_zed
 from laci_stereo.io.text_file import listed
 
 CALIBRATION_FILES: tuple[tuple[str, ...], ...] = (
@@ -38,12 +39,13 @@ CALIBRATION_FILES: tuple[tuple[str, ...], ...] = (
     ("*camchain*.yaml",),
     ("calib.txt",),
     ("calib_cam_to_cam.txt",),
+    ("SN*.conf",),
 )
 """File names by which a calibration is found, in order of preference; its format is recognised by its content."""
 
 _USUAL = (
-    "stereo.yaml, left.yaml with right.yaml, intrinsics.yml with extrinsics.yml, camchain*.yaml, calib.txt or "
-    "calib_cam_to_cam.txt"
+    "stereo.yaml, left.yaml with right.yaml, intrinsics.yml with extrinsics.yml, camchain*.yaml, calib.txt, "
+    "calib_cam_to_cam.txt or SN*.conf"
 )
 
 Reader: TypeAlias = Callable[[Sequence[Document], ForImages], StereoRig | None]
@@ -57,6 +59,7 @@ _FORMATS: tuple[Reader, ...] = (
     read_matlab,
     read_basalt,
     read_depthai,
+    read_zed,
     read_opencv,
 )
 """Readers in the order in which they are tried; a reader returns None for files of another format."""

@@ -181,6 +181,12 @@ def _scaled(rig: StereoRig, factor: float, note: str) -> StereoRig:
     )
 
 
+def side_by_side(size: Size, image_size: Size) -> str:
+    """Return words on images of which each shows what two cameras see, if their size is twice as wide; else none."""
+    twice = image_size == (2 * size[0], size[1])
+    return " (are both cameras' side by side in each? cut them in two)" if twice else ""
+
+
 def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
     """Raise if a calibration is for images of another size.
 
@@ -195,7 +201,7 @@ def check_size(name: str, rig: StereoRig, image_size: Size) -> None:
     scaled = abs(rig.left.size[1] * factor - image_size[1]) <= 1 and factor != 1
     raise RigError(
         f"{name}: the image size is {found}; the images are {needed} pixels, needed is a calibration for these"
-        + (f" (were they scaled by {factor:g}?)" if scaled else "")
+        + (f" (were they scaled by {factor:g}?)" if scaled else side_by_side(rig.left.size, image_size))
     )
 
 

@@ -1,8 +1,10 @@
-"""The syntaxes of calibration files, recognised by content: FileStorage, lines as KITTI's, MATLAB's, NumPy's."""
+"""The syntaxes of calibration files, recognised by content: FileStorage, lines, sections, MATLAB's, NumPy's."""
 
 from __future__ import annotations
 
 import re
+from configparser import ConfigParser
+from configparser import Error as ConfigError
 from pathlib import Path
 
 from laci_stereo.core.errors import RigError
@@ -11,7 +13,7 @@ from laci_stereo.io.file_storage import Node, StorageError, parse_file_storage
 from laci_stereo.io.numpy_file import ARCHIVE_MAGIC, archived
 from laci_stereo.io.rig.document import Document
 from laci_stereo.io.rig.mat_file import is_mat, parse_mat
-from laci_stereo.io.text_file import read_text
+from laci_stereo.io.text_file import read_text, shortened
 
 LARGEST_FILE = 1 << 23
 """Bytes: a calibration with all corners that were detected for it has a tenth of that."""
@@ -23,6 +25,9 @@ _KITTI = re.compile(r"^(?:K_0\d|P_rect_0\d|P\d):\s+[-+.\d]+e?[-+\d]*(?:\s|$)", r
 _KITTI_LINE = re.compile(r"(\w+):\s*(.*)")
 _MIDDLEBURY = re.compile(r"^\s*cam0\s*=\s*\[", re.MULTILINE)
 _MIDDLEBURY_LINE = re.compile(r"\s*(\w+)\s*=\s*(.*)")
+
+
+_ZED = re.compile(r"^\s*\[LEFT_CAM_\w+\]\s*$", re.MULTILINE)
 
 
 def read_document(path: Path) -> Document:
@@ -66,6 +71,8 @@ def _parsed(path: Path, text: str) -> dict[str, Node]:
         return _lines(text, _KITTI_LINE)
     if _MIDDLEBURY.search(text):
         return _lines(text, _MIDDLEBURY_LINE)
+    if _ZED.search(text):
+        return _sections(path, text)
     try:
         return dict(parse_file_storage(text))
     except StorageError as problem:
@@ -82,6 +89,18 @@ def _lines(text: str, pattern: re.Pattern[str]) -> dict[str, Node]:
         if match:
             root[match[1]] = _values(match[2])
     return root
+
+
+def _sections(path: Path, text: str) -> dict[str, Node]:
+    """Return the sections of an INI file, their names in capitals."""
+    parser = ConfigParser(strict=False, interpolation=None)
+    try:
+        parser.read_string(text)
+    except ConfigError as problem:
+        raise RigError(f"{path} cannot be read: {shortened(str(problem))}; needed is a ZED's SN*.conf") from problem
+    return {
+        name.upper(): {entry: _values(value) for entry, value in section.items()} for name, section in parser.items()
+    }
 
 
 def _values(text: str) -> Node:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timezone
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -280,6 +281,55 @@ def iso_parts(m: Message) -> tuple[str, str]:
 def test_a_time_in_two_columns(tmp_path: Path, log: CamLog, columns: Columns) -> None:
     others = {title: cell for title, cell in CANONICAL.items() if title != "timestamp"}
     assert_same(read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns | others))).log, log)
+
+
+def of_week(m: Message) -> tuple[int, int]:
+    """Return the GPS week, and the nanoseconds in it."""
+    since = datetime.fromtimestamp(m.ns // 10**9 + 18, timezone.utc) - datetime(1980, 1, 6, tzinfo=timezone.utc)
+    return since.days // 7, ((since.days % 7) * 86_400 + since.seconds) * 10**9 + m.ns % 10**9
+
+
+@pytest.mark.parametrize(
+    ("titles", "unit_ns"),
+    [
+        (("week", "tow"), 10**9),
+        (("GPS Week", "GPS TOW [s]"), 10**9),
+        (("gps_week", "time_of_week"), 10**6),
+        (("WNc", "iTOW"), 10**6),
+    ],
+)
+def test_a_gps_week_and_the_time_in_it(tmp_path: Path, log: CamLog, titles: tuple[str, str], unit_ns: int) -> None:
+    others = {title: cell for title, cell in CANONICAL.items() if title != "timestamp"}
+    columns: Columns = {
+        titles[0]: lambda m: str(of_week(m)[0]),
+        titles[1]: lambda m: str(Decimal(of_week(m)[1]) / unit_ns),
+    }
+    recording = read_cam_csv(write(tmp_path / "cam.csv", table(drive(), columns | others)))
+    assert_same(recording.log, log)
+    assert recording.notes == ("timestamp: from the GPS week and the time in it, less the 18 leap seconds of UTC",)
+
+
+def test_a_time_of_a_gps_week_needs_its_number(tmp_path: Path) -> None:
+    head, *rows = table(drive())
+    with pytest.raises(CamError, match=r"lacks the column timestamp.* \(beside 'TOW', needed is gps_week, the"):
+        read_cam_csv(write(tmp_path / "cam.csv", [["TOW", *head[1:]], *rows]))
+    numbered = [["gps_week", "TOW", *head[1:]], *(["2.5", "4", *row[1:]] for row in rows)]
+    with pytest.raises(CamError, match=r"row 2: timestamp is '2\.5 4'; needed is"):
+        read_cam_csv(write(tmp_path / "cam.csv", numbered))
+
+
+def test_degrees_and_minutes_in_one_number_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    minutes = {"latitude": lambda m: f"{4800 + (m.latitude - 48) * 60:.5f}"}
+    with pytest.raises(CamError, match=r"needed is -90 to 90 \(if these are degrees and minutes, as in NMEA, decimal"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), CANONICAL | minutes)))
+    with pytest.raises(CamError, match=r"latitude is 4870 deg; needed is -90 to 90 \(20 of"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), CANONICAL | {"latitude": lambda m: "4870.0"})))
+
+
+@pytest.mark.parametrize("text", ["11/10/2026 12:00:00.5", "10-11-2026 12:00:00", "1/2/26 1:00:00.5 PM"])
+def test_dates_whose_day_may_be_the_month_are_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(CamError, match=r"2025-10-09T08:53:22\.237Z, the year first: else the day may be the month"):
+        read_cam_csv(write(tmp_path / "cam.csv", table(drive(), CANONICAL | {"timestamp": lambda m: text})))
 
 
 @pytest.mark.parametrize("end", ["", ".value"])

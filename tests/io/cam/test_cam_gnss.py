@@ -16,6 +16,7 @@ from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam.log import read_cam_log
 from tests.io import cam_writers as writers
 from tests.io.cam.test_cam_log import assert_same_track
+from tests.io.cam_asn1 import compiled, vehicle_cam
 from tests.io.cam_writers import START_NS, WGS84, drive
 from tests.io.support import fuzz, noise, read_or_refused
 
@@ -183,6 +184,15 @@ def test_xml_that_grows_or_is_no_track_is_refused(tmp_path: Path):
     assert "a document type" in refusal(tmp_path, gpx("&b;", bomb))
     assert "root element 'kml', no log; needed is gpx" in refusal(tmp_path, "<kml></kml>")
     assert "a lane map is given with --map" in refusal(tmp_path, "<osm></osm>")
+    assert "(tshark's JSON is read: -T json)" in refusal(tmp_path, "<pdml></pdml>")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_messages_in_xer_are_named_and_the_remedy(count: int, tmp_path: Path):
+    data = compiled(rules="xer").encode("CAM", vehicle_cam()).decode()
+    said = refusal(tmp_path, '<?xml version="1.0"?>\n' + data * count)
+    assert "ASN.1's XML (XER), which tell no time of reception" in said
+    assert "needed are lines of JSON with a timestamp and the decoded message in each" in said
     assert "needed is well-formed XML" in refusal(tmp_path, "<gpx><trk>")
     assert "holds no position" in refusal(tmp_path, gpx(""))
     assert "point 1: it has no time" in refusal(tmp_path, gpx('<trkpt lat="1" lon="2"/>'))
@@ -207,6 +217,43 @@ def test_xml_that_grows_or_is_no_track_is_refused(tmp_path: Path):
 )
 def test_noise_of_gpx(tmp_path: Path, content: bytes):
     (tmp_path / "log").write_bytes(b"<gpx>" + content + b"</gpx>")
+    read_or_refused(lambda: read_cam_log(tmp_path / "log"), CamError)
+
+
+# RTKLIB
+
+
+@pytest.mark.parametrize("scale", ["GPST", "UTC"])
+@pytest.mark.parametrize("weeks", [True, False])
+def test_solutions_of_rtklib(scale: str, weeks: bool, tmp_path: Path):
+    log = drive(20)
+    recording = read_cam_log(writers.write_rtklib(tmp_path, log, scale, weeks))
+    assert_same_track(recording.log, log)
+    assert recording.is_receiver
+    assert ("times: GPS time, less the 18 leap seconds of UTC" in recording.notes) == (scale == "GPST")
+    expected = ellipse_95(np.array([[0.01**2, -(0.005**2)], [-(0.005**2), 0.02**2]]))
+    np.testing.assert_allclose(recording.log.semi_major_95_m, expected[SEMI_MAJOR])
+    np.testing.assert_allclose(recording.log.ellipse_orientation_deg, expected[ELLIPSE_ORIENTATION])
+
+
+def test_other_solutions_of_rtklib_are_refused(tmp_path: Path):
+    text = writers.write_rtklib(tmp_path, drive(20)).read_text()
+    for old, new in (("GPST", "JST"), ("latitude(deg)", "x-ecef(m)"), ("latitude(deg)", "latitude(d'\")")):
+        said = refusal(tmp_path, text.replace(old, new))
+        assert "needed are GPST or UTC, and latitude and longitude in degrees (out-solformat llh" in said
+    lines = text.splitlines()
+    assert "holds no position" in refusal(tmp_path, "\n".join(lines[:4]))
+    for bad, said in (("2025/10/09 08:53:22.2 48.4", "lacks numbers"), ("a b 48.4 9.9 1", "time is 'a b'")):
+        found, notes = read(tmp_path, "\n".join([*lines, bad]))
+        assert len(found) == 20
+        assert any("1 bad lines skipped" in note and said in note for note in notes)
+
+
+@fuzz
+@given(noise("2025/10/09 ", "08:53:22.2 ", "2387 ", "48.4 9.9 560 1 9 ", "-0.1 ", "nan ", "\n", "%", "9" * 30))
+def test_noise_of_rtklib(tmp_path: Path, content: bytes):
+    head = b"% GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m)\n"
+    (tmp_path / "log").write_bytes(head + b"2025/10/09 08:53:22.2 48.4 9.9 560 1 9 1 1 1 1\n" + content)
     read_or_refused(lambda: read_cam_log(tmp_path / "log"), CamError)
 
 

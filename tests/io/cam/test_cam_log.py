@@ -26,6 +26,7 @@ COMPLETE: dict[str, Callable[[Path, CamLog], Path]] = {
     "hex lines of signed packets without times": writers.write_hex_gn,
     "pcap": writers.write_pcap,
     "pcap of Wi-Fi, big-endian, ns, gzip": writers.write_pcap_wifi_signed,
+    "pcap of UDP": writers.write_pcap_udp,
     "pcapng": writers.write_pcapng,
     "ROS 1 bag": lambda folder, log: writers.write_bag1(folder / "a.bag", writers.ros_cams(log)),
     "ROS 2 bag, SQLite": lambda folder, log: writers.write_bag2(folder / "a", writers.ros_cams(log), "SQLITE3"),
@@ -36,6 +37,7 @@ COMPLETE: dict[str, Callable[[Path, CamLog], Path]] = {
     "V2AIX JSON": writers.write_json,
     "JSON lines": writers.write_json_lines,
     "JSON list": writers.write_json_list,
+    "GeoJSON": writers.write_geojson,
 }
 """Formats that carry all of a log."""
 
@@ -45,6 +47,7 @@ POSITIONS: dict[str, Callable[[Path, CamLog], Path]] = {
     "V2AIX JSON, fixes": writers.write_json_fixes,
     "NMEA": writers.write_nmea,
     "GPX": writers.write_gpx,
+    "RTKLIB": writers.write_rtklib,
 }
 """Formats of GNSS receivers: one vehicle, of unknown dimensions."""
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import dpkt
@@ -123,3 +124,74 @@ def test_packets_cut_short_by_the_capture_are_bad(tmp_path: Path):
     recording = read_frames(tmp_path, [sent[0][:70], *sent[1:]])
     assert len(recording.log) == 19
     assert any("1 bad packets skipped, the first of them packet 1" in note for note in recording.notes)
+
+
+# UDP
+
+ENVELOPES: dict[str, Callable[[bytes], bytes]] = {
+    "bare": lambda cam: cam,
+    "BTP": lambda cam: b"\x07\xd1\0\0" + cam,
+    "GeoNetworking": writers.gn_packet,
+    "GeoNetworking, signed": lambda cam: writers.signed_packet(cam, TIMES[0]),
+    "Ethernet": lambda cam: writers.ethernet(writers.gn_packet(cam)),
+}
+
+
+@pytest.mark.parametrize("envelope", ENVELOPES)
+@pytest.mark.parametrize("version", [4, 6])
+def test_cams_that_are_forwarded_by_udp(envelope: str, version: int, tmp_path: Path):
+    packets = [writers.udp(ENVELOPES[envelope](cam), version) for cam in CAMS]
+    framed = [writers.ethernet(packet, 0x0800 if version == 4 else 0x86DD) for packet in packets]
+    # Short frames are padded on Ethernet.
+    assert_same_track(read_frames(tmp_path, [frame + bytes(6) for frame in framed]).log, LOG)
+    assert_same_track(read_frames(tmp_path, packets, 101).log, LOG)
+
+
+PTP = bytes.fromhex("0102002c00000000000000000000000000000000001b19fffe000001000100070100")
+"""A Delay_Req of the Precision Time Protocol, which begins like a CAM."""
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        PTP.ljust(44, b"\0"),
+        b"",
+        CAMS[0][:-1],
+        CAMS[0] + b"\0",
+        CAMS[0][:-1] + bytes([CAMS[0][-1] | 1]),
+        b"\x03" + CAMS[0][1:],
+        b"\x02\x01" + CAMS[0][2:],
+        b"\x07\xd2\0\0" + CAMS[0],
+        encode(vehicle_cam(latitude=900000001, longitude=1800000001)),
+        writers.gn_packet(CAMS[0])[:60],
+        writers.gn_packet(CAMS[0][:20]),
+    ],
+)
+def test_other_datagrams_are_no_cams(data: bytes, tmp_path: Path):
+    sent = [writers.ethernet(writers.udp(cam), 0x0800) for cam in CAMS]
+    frames_sent = [*zip(TIMES, sent, strict=True), (TIMES[0], writers.ethernet(writers.udp(data), 0x0800))]
+    recording = read(tmp_path, writers.pcap(frames_sent))
+    assert_same_track(recording.log, LOG)
+    assert "packets that are no CAM of a vehicle left out: 1 x UDP" in recording.notes
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [
+        writers.udp(CAMS[0], protocol=6),
+        writers.udp(CAMS[0], fragment=0x2000),
+        writers.udp(CAMS[0], fragment=7),
+        writers.udp(CAMS[0])[:60],
+        writers.udp(CAMS[0])[:22],
+        b"",
+    ],
+)
+def test_other_ip_packets_are_no_cams(packet: bytes, tmp_path: Path):
+    with pytest.raises(CamError, match=r"holds no CAM of a vehicle, but 1 x IPv4"):
+        read(tmp_path, writers.pcap([(TIMES[0], writers.ethernet(packet, 0x0800))]))
+
+
+def test_kinds_behind_headers_are_counted(tmp_path: Path):
+    sent = [writers.udp(writers.gn_packet(cam, port=2002)) for cam in CAMS]
+    with pytest.raises(CamError, match=r"but 20 x DENM"):
+        read_frames(tmp_path, sent, 228)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from laci_stereo.io.cam.columns import AXES, HEADING, LATITUDE, LENGTH, LONGITUDE, QUANTITIES, SPEED, WIDTH
 from laci_stereo.io.cam.etsi import Cam, DamagedError, OtherKindError, in_units, value_notes
-from laci_stereo.io.cam.uper import decode_cam, is_cam
+from laci_stereo.io.cam.uper import decode_cam, is_cam, is_whole_cam
 from tests.io.cam_asn1 import decode, encode, vehicle_cam
 from tests.io.support import SHARED, mutations, needs_shared
 
@@ -71,6 +71,28 @@ def test_what_a_general_encoder_writes_is_read(values: dict[str, Any], optional:
     data = encode(message)
     assert is_cam(data)
     assert decode_cam(data) == told(message)
+    assert is_whole_cam(data) == (values["version"] < 3 and abs(values["latitude"]) < 900_000_000)
+
+
+def test_a_message_is_whole_with_its_last_bit_and_no_more():
+    message = vehicle_cam()
+    parameters = message["cam"]["camParameters"]
+    point = {"pathPosition": {"deltaLatitude": 5, "deltaLongitude": -6, "deltaAltitude": 12800}, "pathDeltaTime": 7}
+    low = {"vehicleRole": "r0", "exteriorLights": (b"\x00", 8), "pathHistory": [point] * 3}
+    assert is_whole_cam(encode(message))
+    parameters["lowFrequencyContainer"] = ("basicVehicleContainerLowFrequency", low)
+    data = encode(message)
+    assert is_whole_cam(data)
+    assert not any(is_whole_cam(data[:size]) for size in range(len(data)))
+    assert not is_whole_cam(data + b"\0")
+    parameters["specialVehicleContainer"] = ("none", None)
+    assert not is_whole_cam(encode(message))
+
+
+@given(mutations(encode(vehicle_cam(heading=100, speed=500))).filter(lambda data: data[:2] == b"\x02\x02"))
+@settings(max_examples=300, deadline=None)
+def test_what_is_whole_is_what_a_general_encoder_writes(data: bytes):
+    assert not is_whole_cam(data) or encode(decode(data)) == data
 
 
 @given(mutations(encode(vehicle_cam(heading=100, speed=500))).filter(lambda data: data[:2] == b"\x02\x02"))
@@ -145,6 +167,7 @@ def test_unavailable_and_out_of_range_are_missing():
 def test_a_real_message():
     data = bytes.fromhex((SHARED / "formats/cam/real_cam_hamburg.hex").read_text())
     cam = decode_cam(data)
+    assert is_whole_cam(data)
     assert cam == told(decode(data))
     assert cam.station_id == 3725855973
     values = in_units([cam])

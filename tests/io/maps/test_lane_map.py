@@ -175,7 +175,8 @@ def test_a_map_of_somewhere_else_is_refused_with_its_distance(tmp_path: Path) ->
     [
         ("", "is empty"),
         ("hello", r"is no map that is known; needed is Lanelet2 \(\.osm\), OpenDRIVE \(\.xodr\), GeoJSON, DXF or CSV"),
-        ("<html/>", "is XML of <html>; needed is Lanelet2"),
+        ("<svg/>", "is XML of <svg>; needed is Lanelet2"),
+        ("<html/>", "is a web page, as of a log-in; needed is the file itself"),
         ("<osm><way", "is neither Lanelet2 .* nor OpenDRIVE .*: unclosed token"),
         ('<!DOCTYPE osm [<!ENTITY a "b">]><osm>&a;</osm>', "is neither .* a document type .* is refused"),
         ("<osm/>", "holds no lines"),

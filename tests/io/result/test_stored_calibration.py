@@ -122,3 +122,12 @@ def test_a_baseline_may_be_a_whole_number(told: float | None, read: float | None
 def test_a_sound_one_is_read(tmp_path: Path) -> None:
     (tmp_path / "calibration.json").write_text(to_text(document(tmp_path)))
     np.testing.assert_allclose(read_calibration(tmp_path).T_utm_sensor, siting("stereo").T_utm_sensor, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"), [("1 0 0 5", "is no JSON"), ('{"T": 1}', "is no result"), ("[]", "is no result")]
+)
+def test_what_other_tools_wrote_is_to_be_imported(text: str, what: str, tmp_path: Path) -> None:
+    (tmp_path / "pose.txt").write_text(text)
+    with pytest.raises(CalibrationFileError, match=rf"{what}.*\(laci-stereo import makes one of what other tools"):
+        read_calibration(tmp_path / "pose.txt")

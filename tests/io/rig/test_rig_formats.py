@@ -379,7 +379,7 @@ def test_files_that_are_not_found(tmp_path: Path) -> None:
     left.mkdir()
     with pytest.raises(
         RigError,
-        match=r"no stereo\.yaml, left\.yaml with right\.yaml.*calib_cam_to_cam\.txt; needed is one, or --stereo FILE",
+        match=r"no stereo\.yaml, left\.yaml with right\.yaml.*or SN\*\.conf; needed is one, or --stereo FILE",
     ):
         calibration_files((), left)
     with pytest.raises(RigError, match=r"left is a folder; needed is a file, or a folder with"):
@@ -390,6 +390,13 @@ def test_files_that_are_not_found(tmp_path: Path) -> None:
         calibration_files((), left)
     with pytest.raises(RigError, match="3 files are given"):
         read_stereo_calibration([left, left, left])
+
+
+def test_images_of_both_cameras_side_by_side_are_named(tmp_path: Path) -> None:
+    (path,) = writers.FORMATS["opencv yaml"].write(tmp_path, RIGS["five"])
+    width, height = RIGS["five"].left.size
+    with pytest.raises(RigError, match=r"\(are both cameras' side by side in each\? cut them in two\)"):
+        read_stereo_calibration(path, (2 * width, height))
 
 
 def test_images_that_were_scaled_are_named(tmp_path: Path) -> None:
@@ -447,3 +454,58 @@ def test_a_real_pair_of_files_in_an_unknown_unit() -> None:
     assert rig.baseline_m == pytest.approx(0.06)
     assert rig.left.K[0, 0] == rig.right.K[0, 0] == 534.80326845051309  # the extrinsics' own K1 has no distortion
     assert rig.left.distortion[0] == 0.29589439552724328
+
+
+# ZED
+
+HD = (1280, 720)
+ZEDS = {
+    "five": rigs.rig(
+        rigs.lens(rigs.FIVE, size=HD), rigs.lens(rigs.FIVE, shift=(30.0, -20.0), size=HD), (0.2, -0.3, 0.1)
+    ),
+    "eight": rigs.rig(rigs.lens(rigs.EIGHT, size=HD), rigs.lens(rigs.EIGHT, size=HD), (-0.1, 0.2, 0.3)),
+    "fisheye": rigs.rig(*[rigs.lens(rigs.FISHEYE, "fisheye", size=HD)] * 2, (0.1, 0.2, -0.3)),
+}
+
+
+@pytest.mark.parametrize("name", ZEDS)
+def test_the_size_of_the_images_chooses_the_sections_of_a_zed(tmp_path: Path, name: str) -> None:
+    rig = ZEDS[name]
+    read = read_stereo_calibration(writers.zed(tmp_path, rig), HD)
+    assert read.left.model == rig.left.model
+    np.testing.assert_allclose(read.t_right_left_m, rig.t_right_left_m, atol=1e-9)
+    for found, expected in zip(maps(read), maps(rig), strict=True):
+        np.testing.assert_allclose(found, expected, atol=0.01)
+    assert "ZED: the sections of HD, for raw (unrectified) images of 1280 x 720 pixels" in read.notes
+    assert calibration_files((), tmp_path / "left") == (tmp_path / "SN1.conf",)
+
+
+def test_a_zeds_file_that_cannot_be_right_is_refused(tmp_path: Path) -> None:
+    path = writers.zed(tmp_path, ZEDS["five"])
+    for size, said in (
+        ((2560, 720), r"2560 x 720 pixels \(are both cameras' side by side in each\? cut them in two\); needed"),
+        ((640, 480), r"640 x 480 pixels; needed are 2208 x 1242, .*, 672 x 376"),
+        ((672, 376), r"LEFT_CAM_VGA is needed, the file lacks it; it holds .*LEFT_CAM_HD"),
+        (None, r"of a ZED, in several resolutions; needed are the images that it is for"),
+    ):
+        with pytest.raises(RigError, match=said):
+            read_stereo_calibration(path, size)
+    text = path.read_text()
+    for old, new, said in (
+        ("CV_HD", "CV_VGA", "lacks the CV"),
+        ("[LEFT_CAM_HD]", "x\n[LEFT_CAM_HD]", "cannot be read: .* needed is a ZED's"),
+        ("Baseline=", "Baseline=a", "baseline is no matrix"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(RigError, match=said):
+            read_stereo_calibration(path, HD)
+    path.write_text("\n".join(line for line in text.splitlines() if not line.startswith(("TY", "TZ"))))
+    assert "TY, which the file lacks, taken as 0" in read_stereo_calibration(path, HD).notes
+
+
+@fuzz
+@given(st.data())
+def test_a_damaged_file_of_a_zed_is_read_or_refused(tmp_path: Path, data: st.DataObject) -> None:
+    whole = writers.zed(tmp_path, ZEDS["eight"]).read_bytes()
+    (tmp_path / "SN2.conf").write_bytes(data.draw(mutations(whole)))
+    read_or_refused(lambda: read_stereo_calibration(tmp_path / "SN2.conf", HD), RigError)
