@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -23,7 +24,7 @@ from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.mask.apply import Moving, windows
 from laci_stereo.mask.picture import Crop
 from laci_stereo.mask.stage import GlimpseRays, VehicleMask
-from laci_stereo.stereo.disparity import Region, check_matched, match
+from laci_stereo.stereo.disparity import LARGEST_PX, Region, check_matched, match
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify, with_right_turned
 from laci_stereo.stereo.scene import Look, RoadDisparity, learn_look, regions, shrink
@@ -38,8 +39,10 @@ QUIET_FRAMES, FURTHER_FRAMES = 6, 4
 """Numbers of whole frames that are matched for the ground and the background. Frames with the least motion show most of
 both; the further ones, spread over the recording, show the places where an object stood for a while in the former."""
 
-SURVEY_STRIDE = 2
-"""Only every second pixel of a whole frame is used in both directions: adjacent pixels share the matching window."""
+SURVEY_STRIDE, SURVEY_PIXELS = 2, 700_000
+"""Only every second pixel of a whole frame is used in both directions: adjacent pixels share the matching window. Of
+images with more than 2.8 megapixels fewer are used, so that no more than the second number remain: with a field of view
+of 60 deg they are 6 cm apart at a distance of 50 m, and a frame takes 30 MB."""
 
 COARSE_WIDTH = 480
 """Width to which a pair is downscaled for the first estimate of the road plane, pixels."""
@@ -188,8 +191,8 @@ class StereoRecording:
         """Return the mask's effect on a frame in its latest pass; None without a mask."""
         if self.mask is None:
             return None
-        glimpse = self.mask.tally.glimpses.get(stamp_ns)
-        return GlimpseRays() if glimpse is None else glimpse.as_rays(self.rectification.rays)
+        glimpse, plane = self.mask.tally.glimpses.get(stamp_ns), self.rectification
+        return GlimpseRays() if glimpse is None else glimpse.as_rays(plane.rays_at, plane.size)
 
     @cached_property
     def rectification(self) -> Rectification:
@@ -259,7 +262,8 @@ class StereoRecording:
             return None
         width, height = self.rectification.size
         seen = np.zeros((height, width), dtype=bool)
-        seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
+        stride = max(SURVEY_STRIDE, math.ceil(math.sqrt(width * height / SURVEY_PIXELS)))
+        seen[::stride, ::stride] = True
         return self._points(pair.stamp_ns, self._matched(left, right, [self.whole_region()], seen))
 
     def _moving_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud:
@@ -308,8 +312,9 @@ class StereoRecording:
         """Apply the user's disparity range; without one, exclude disparities of points nearer than `NEAREST_M`."""
         if self.settings.disparities is not None:
             return replace(region, smallest=self.settings.disparities[0], largest=self.settings.disparities[1])
-        largest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
-        return replace(region, largest=min(region.largest, largest, region.x1))
+        nearest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
+        largest = min(region.largest, nearest, region.x1, LARGEST_PX)
+        return replace(region, smallest=min(region.smallest, largest), largest=largest)
 
     def _matched(self, left: Raster, right: Raster, found: Sequence[Region], seen: BoolArray) -> Pixels:
         parts = []
@@ -338,7 +343,7 @@ class StereoRecording:
         plane = self.rectification
         v, u, d = pixels.v, pixels.u, pixels.d
         depth = plane.focal_px * plane.baseline_m / d
-        points = plane.rays[v, u] * depth[:, None]
+        points = plane.rays_at(v, u) * depth[:, None]
         inner = plane.left.inner[v, u] & plane.right.inner[v, np.rint(u - d).astype(np.int64)]
         return PointCloud(
             stamp_ns,
@@ -356,6 +361,12 @@ def _check_disparities(settings: StereoSettings, rig: StereoRig) -> None:
     if settings.disparities is not None and settings.disparities[1] >= width:
         smallest, largest = settings.disparities
         raise SettingError(f"disparities are {smallest}..{largest}; needed is less than the images' width, {width}")
+    if settings.disparities is not None and settings.disparities[1] > LARGEST_PX:
+        smallest, largest = settings.disparities
+        raise SettingError(
+            f"disparities are {smallest}..{largest}; needed are at most {LARGEST_PX}, as OpenCV returns no more: "
+            "make the images and their calibration smaller"
+        )
 
 
 def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:

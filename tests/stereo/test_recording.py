@@ -308,3 +308,27 @@ def test_half_of_sky_is_no_mismatch(tmp_path: Path) -> None:
     survey = list(StereoRecording(write_pairs(tmp_path, exposed([sky] * 4)), RIGS["ideal"]).survey())
     assert len(survey) == 4
     assert np.mean(off_surfaces(survey[0], [], level) > 4) < 0.02
+
+
+def test_disparities_beyond_those_of_the_matcher_are_refused(ideal: list[StereoPair]) -> None:
+    rig = RIGS["ideal"]
+    wide = replace(rig, left=replace(rig.left, size=(4096, 2160)), right=replace(rig.right, size=(4096, 2160)))
+    StereoRecording(ideal, wide, StereoSettings(disparities=(0, 2031)))
+    with pytest.raises(SettingError, match=r"0\.\.2032; needed are at most 2031"):
+        StereoRecording(ideal, wide, StereoSettings(disparities=(0, 2032)))
+
+
+def test_no_disparity_beyond_those_of_the_matcher_is_searched(
+    recording: StereoRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert recording.whole_region().largest > 40
+    monkeypatch.setattr("laci_stereo.stereo.recording.LARGEST_PX", 40)
+    assert recording.whole_region().largest == 40
+
+
+def test_survey_of_large_images_is_thinned(recording: StereoRecording, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = next(iter(recording.survey()))
+    monkeypatch.setattr("laci_stereo.stereo.recording.SURVEY_PIXELS", SIZE[0] * SIZE[1] // 16)
+    thinned = next(iter(recording.survey()))
+    assert len(thinned) == pytest.approx(len(whole) / 4, rel=0.05)
+    np.testing.assert_allclose(np.ptp(thinned.points, axis=0), np.ptp(whole.points, axis=0), rtol=0.1)
