@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,6 +17,10 @@ from laci_stereo.stereo.reader import EightBit
 
 FEATURES = 2000
 """Features detected per image: some hundred in each twelfth of the image, even if texture is unevenly distributed."""
+
+SEARCHED_PIXELS = 2_800_000
+"""Features of larger images are searched at a size below this, and refined at full size: at 20 megapixels the search
+takes 5 GB."""
 
 DISTINCT = 0.8
 """A match is kept if its descriptor distance is less than this fraction of the second-best one's: Lowe's ratio."""
@@ -128,12 +133,15 @@ def match_pair(images: Compared) -> PairMatches:
     """
     even_left, even_right = _evened(images.left), _evened(images.right)
     finder = cv2.SIFT.create(nfeatures=FEATURES)
-    left_keys, left_words = finder.detectAndCompute(_stretched(images.left), None)
-    right_keys, right_words = finder.detectAndCompute(_stretched(images.right), None)
+    height, width = images.left.shape
+    factor = math.ceil(math.sqrt(width * height / SEARCHED_PIXELS))
+    left_keys, left_words = finder.detectAndCompute(_shrunken(_stretched(images.left), factor), None)
+    right_keys, right_words = finder.detectAndCompute(_shrunken(_stretched(images.right), factor), None)
     if left_words is None or right_words is None or min(len(left_keys), len(right_keys)) < 2:
         nothing = np.zeros((0, 2))
         return PairMatches(nothing, nothing, nothing, images.later_s, Partners(), Partners())
-    left, right = (np.array([key.pt for key in keys], dtype=np.float32) for keys in (left_keys, right_keys))
+    at = (np.array([key.pt for key in keys], dtype=np.float32) for keys in (left_keys, right_keys))
+    left, right = (points * factor + np.float32((factor - 1) / 2) for points in at)
     there, back = _distinct(left_words, right_words), _distinct(right_words, left_words)
     mutual = np.array([(i, j) for i, j in there.items() if back.get(j) == i], dtype=np.int64).reshape(-1, 2)
     found = np.full(left.shape, np.nan, dtype=np.float32)
@@ -166,6 +174,10 @@ def _stretched(image: Raster) -> Raster:
     low, high = np.percentile(image, [0.5, 99.5])
     stretched: Raster = np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
     return stretched
+
+
+def _shrunken(image: Raster, factor: int) -> Raster:
+    return cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA) if factor > 1 else image
 
 
 def _evened(image: Raster) -> Raster:

@@ -64,7 +64,7 @@ def calibrate(
     """
     settings = settings or Settings()
     senders = senders_of(messages, source.span_ns, reference, crs, settings.match.clock_sigma_s)
-    seen = on_the_road(observe(source, settings), source, senders.vehicles, settings)
+    seen = on_the_road(observe(source, settings, None, senders.vehicles), source, senders.vehicles, settings)
     return locate(seen, senders.vehicles, senders.world, settings, senders.by_other_clocks)
 
 

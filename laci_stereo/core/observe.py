@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,7 +33,7 @@ from laci_stereo.core.tracking.deskew import deskewed
 from laci_stereo.core.tracking.land import learn_land
 from laci_stereo.core.tracking.reframing import transformed_background, transformed_track, transformed_xy
 from laci_stereo.core.tracking.sighting import Sighting, find_vehicles
-from laci_stereo.core.tracking.tracks import Track, link_tracks
+from laci_stereo.core.tracking.tracks import GATE, Track, link_tracks
 from laci_stereo.core.vehicle.outline import SIDES_HIGHEST_M
 
 log = logging.getLogger(__name__)
@@ -51,6 +52,11 @@ again, which takes time."""
 
 OTHER_M = FARTHEST * OTHER[0]
 """Largest height of a road above or below the terrain beside it."""
+
+AROUND_S = 60.0
+"""Points are kept of what is seen up to so long before the first message and after the last one, or in a gap between
+them: no vehicle that is to be compared with the sender's, or may be a part of it, is in view for longer at a stretch.
+In an hour of traffic, the points of all objects in view would take gigabytes."""
 
 GROUND_POINTS = 100_000
 """Number of points of the survey that the ground is fitted to: with so many, the plane's error is due to the road and
@@ -90,7 +96,10 @@ class Observation:
 
 @in_one_thread
 def observe(
-    source: PointCloudSource, settings: Settings | None = None, ground: GroundPlane | None = None
+    source: PointCloudSource,
+    settings: Settings | None = None,
+    ground: GroundPlane | None = None,
+    vehicles: Mapping[int, VehicleTrack] | None = None,
 ) -> Observation:
     """Find the ground, the background and the moving objects of a recording (paper sections III-A to III-C).
 
@@ -101,6 +110,9 @@ def observe(
     settings : Settings
     ground : GroundPlane
         The ground if it is known already.
+    vehicles : mapping of int to VehicleTrack
+        The senders' tracks by station. Of what is seen long before or after their messages (`AROUND_S`), only few
+        points are kept; None keeps them throughout.
 
     Raises
     ------
@@ -125,15 +137,20 @@ def observe(
         frame_s = (cloud.stamp_ns - source.span_ns[0]) / 1e9
         return find_vehicles(cloud, frame_s, T_level_sensor, background, settings, land)
 
+    near_messages = _near_messages(vehicles, settings)
+
     def sightings() -> Iterator[list[Sighting]]:
         for cloud in source:
             found = seen_in(cloud)
             if cloud.stamp_ns in moving:
                 others = [] if cloud.others is None else seen_in(cloud.others)
                 moving[cloud.stamp_ns] += [sighting.box for sighting in (*found, *others)]
+            if found and not near_messages(found[0].frame_s):
+                found = [sighting.thinned(settings.vehicle.min_points) for sighting in found]
             yield found
 
-    tracks = tuple(deskewed(track, settings) for track in link_tracks(sightings(), settings.track))
+    linked = deque(link_tracks(sightings(), settings.track))
+    tracks = tuple(deskewed(linked.popleft(), settings) for _ in range(len(linked)))  # each replaces the one before
     still = standing(thinned, T_level_sensor, moving)
     return Observation(source.axes, ground, background, tracks, tuple(thinned), still)
 
@@ -180,8 +197,22 @@ def on_the_road(
         T_road_first = ground.T_level_sensor(first.axes) @ invert(first.T_level_sensor)
         if np.abs(way @ T_road_first[2, :2] + T_road_first[2, 3]).max() < SAME_M:
             return _laid(first, ground, T_road_first)
-        seen, before = observe(source, settings, ground), way
+        seen, before = observe(source, settings, ground, vehicles), way
     return seen
+
+
+def _near_messages(vehicles: Mapping[int, VehicleTrack] | None, settings: Settings) -> Callable[[float], bool]:
+    """Return whether any message was sent around a time, given in seconds since the recording's first stamp."""
+    if vehicles is None:
+        return lambda _: True
+    sent_s = np.sort(np.concatenate([vehicle.stamps_s for vehicle in vehicles.values()]))
+    reach_s = AROUND_S + GATE * settings.match.clock_sigma_s
+
+    def near(time_s: float) -> bool:
+        first, last = np.searchsorted(sent_s, [time_s - reach_s, time_s + reach_s])
+        return bool(first < last)
+
+    return near
 
 
 def _laid(seen: Observation, ground: GroundPlane, T_ground_seen: FloatArray) -> Observation:
@@ -205,17 +236,14 @@ def _where_driven(
     The track must also have points at the level of the ground. If there is no such ground, the first one is returned on
     which a track may be a sender's; if there is none either, ``seen`` and None.
     """
-    tried = []
-    for each in chain([seen], _on_other_grounds(seen, source, settings)):
+    possible: tuple[Observation, Choice] | None = None  # no other is kept: each has the points of all tracks
+    for each in chain([seen], _on_other_grounds(seen, source, vehicles, settings)):
         choice = _driven(each, vehicles, settings, surely=True)
         if choice is not None and _stands(choice.track):
             return each, choice
-        tried.append(each)
-    for each in tried:
-        choice = _driven(each, vehicles, settings)
-        if choice is not None:
-            return each, choice
-    return seen, None
+        if possible is None and (choice := _driven(each, vehicles, settings)) is not None:
+            possible = each, choice
+    return possible or (seen, None)
 
 
 def _stands(track: Track) -> bool:
@@ -251,7 +279,9 @@ def _sent(choice: Choice, vehicles: Mapping[int, VehicleTrack]) -> tuple[FloatAr
     return found[0], found[1]
 
 
-def _on_other_grounds(seen: Observation, source: PointCloudSource, settings: Settings) -> Iterator[Observation]:
+def _on_other_grounds(
+    seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
+) -> Iterator[Observation]:
     """Yield observations on planes above the ground, below it, and farther away, as far as such planes are found."""
     points, axes, told = _gathered(seen.survey), seen.axes, (settings.ground, _window_rad(seen.survey))
     fits: list[Callable[[], GroundPlane]] = [
@@ -262,7 +292,7 @@ def _on_other_grounds(seen: Observation, source: PointCloudSource, settings: Set
         fits.append(lambda: fit_farther_ground(*points, axes.up, *told))
     for fit in fits:
         try:
-            other = observe(source, settings, fit())
+            other = observe(source, settings, fit(), vehicles)
         except CalibrationError:
             continue
         yield other

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
@@ -49,13 +49,12 @@ class Glimpse:
     kept: IntArray
     dropped: IntArray
 
-    def as_rays(self, rays: FloatArray) -> GlimpseRays:
-        """Convert the pixels to rays, given those of all pixels, shape (height, width, 3)."""
+    def as_rays(self, rays_at: Callable[[IntArray, IntArray], FloatArray], size: tuple[int, int]) -> GlimpseRays:
+        """Convert the pixels, or the next ones in an image of this size, to rays, given those at rows and columns."""
 
         def of(pixels: FloatArray | IntArray) -> FloatArray:
             u, v = np.rint(pixels).astype(np.int64).reshape(-1, 2).T
-            found: FloatArray = rays[v.clip(0, len(rays) - 1), u.clip(0, rays.shape[1] - 1)]
-            return found
+            return rays_at(v.clip(0, size[1] - 1), u.clip(0, size[0] - 1))
 
         return GlimpseRays(tuple(map(of, self.outlines)), of(self.kept), of(self.dropped))
 

@@ -25,7 +25,7 @@ from laci_stereo.monitor.kept import Kept
 from laci_stereo.monitor.linking import Linker, Live
 from laci_stereo.monitor.tally import StripTally, Tally
 
-SCHEMA = "laci-monitor-state/1"
+SCHEMA = "laci-monitor-state/2"
 
 
 @dataclass
@@ -85,7 +85,7 @@ def write_state(path: Path, state: State) -> None:
         **{name: value for name, value in vars(state).items() if name not in ("linker", "tally")},
         "active": [_of_live(live) for live in state.linker.active],
         "lost": [_of_live(live) for live in state.linker.lost],
-        "before_s": state.linker.before_s,
+        "recent_s": state.linker.recent_s,
         "tally": _of_tally(state.tally),
     }
     write_file(path, (json.dumps(document, allow_nan=False) + "\n").encode())
@@ -144,7 +144,7 @@ def _parsed(document: Mapping[str, Any], settings: TrackSettings) -> State:
         linker=Linker(
             [_live(one, settings) for one in document["active"]],
             [_live(one, settings) for one in document["lost"]],
-            document["before_s"],
+            list(map(float, document["recent_s"])),
         ),
         tally=_tally(document["tally"]),
     )

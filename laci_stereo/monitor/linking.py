@@ -9,12 +9,15 @@ import numpy as np
 
 from laci_stereo.core.settings import Settings, TrackSettings
 from laci_stereo.core.tracking.sighting import NOTHING_LOW, Sighting, dense
-from laci_stereo.core.tracking.tracks import FILTERED, STRAY, Moving, assign, backwards, blind_s, strain
+from laci_stereo.core.tracking.tracks import STRAY, Moving, assign, backwards, blind_s, bridged_s, has_begun, strain
 from laci_stereo.monitor.body import merged, one_body
 from laci_stereo.monitor.kept import Kept, in_units
 
 REMEMBERED = 5
 """Number of sightings at the end of a track whose sizes the assignment considers."""
+
+RECENT = 11
+"""Number of the last frames whose median interval is that of the recording."""
 
 STANDS_M = 0.1
 """An object that has moved by less than this, or by less than its noise, since its outline was last kept is stationary;
@@ -33,7 +36,8 @@ class Live:
     moving : Moving
         The filter, with the last `REMEMBERED` sightings.
     head : list of Sighting
-        The first `FILTERED` sightings, without points.
+        The first sightings, without points, until the velocity at the beginning can be estimated (`has_begun`):
+        ten at 10 Hz, 28 at 30 Hz.
     kept : list of Kept
         The kept part of every sighting.
     """
@@ -63,13 +67,13 @@ class Linker:
         Tracks in sight, or out of sight for a moment.
     lost : list of Live
         Tracks out of sight for longer; a track that begins now may turn out to continue one of them.
-    before_s : float or None
-        Time of the last frame with sightings.
+    recent_s : list of float
+        Times of the last `RECENT` frames; their median interval is not misled by a pause.
     """
 
     active: list[Live] = field(default_factory=list)
     lost: list[Live] = field(default_factory=list)
-    before_s: float | None = None
+    recent_s: list[float] = field(default_factory=list)
 
     def add(
         self, frame: int, now_s: float, sightings: Sequence[Sighting], settings: Settings, longest_s: float
@@ -87,12 +91,12 @@ class Linker:
         longest_s : float
             A track that lasts longer is cut.
         """
-        limits = settings.track
-        interval_s = 0.0 if self.before_s is None else now_s - self.before_s
-        self._retire(now_s, min(max(blind_s(limits), 2.5 * interval_s), limits.max_lost_s), limits)
+        self.recent_s = [*self.recent_s, now_s][-RECENT:]
+        missing_s = bridged_s(np.array(self.recent_s))
+        limits = replace(settings.track, max_lost_s=max(settings.track.max_lost_s, missing_s))
+        self._retire(now_s, min(max(blind_s(limits), missing_s), limits.max_lost_s), limits)
         if sightings:
-            self._link(frame, sightings, settings)
-            self.before_s = now_s
+            self._link(frame, sightings, replace(settings, track=limits))
         too_long = [live for live in self.active if live.last_s - live.first_s > longest_s]
         self.active = [live for live in self.active if live.last_s - live.first_s <= longest_s]
         return self._alone(self._over(now_s, limits) + too_long)
@@ -111,7 +115,7 @@ class Linker:
         out = [live for live in self.active if now_s - live.last_s > patience_s]
         self.active = [live for live in self.active if now_s - live.last_s <= patience_s]
         for live in out:
-            if len(live.head) < FILTERED:
+            if not has_begun(live.head):
                 self._join(live, settings)
         self.lost += out
 
@@ -127,9 +131,9 @@ class Linker:
             live.moving.add(bare, settings.track)
             live.moving.sightings = live.moving.sightings[-REMEMBERED:]
             live.kept.append(_kept(frame, sighting, live, settings))
-            if len(live.head) < FILTERED:
+            if not has_begun(live.head):
                 live.head.append(bare)
-                if len(live.head) == FILTERED:
+                if has_begun(live.head):
                     self._join(live, settings.track)
 
     def _join(self, live: Live, settings: TrackSettings) -> None:
@@ -150,11 +154,11 @@ class Linker:
         if strains and min(strains.values()) < 1.0:
             number, stray = min(strains, key=lambda pair: strains[pair])
             before = self.lost.pop(number)
-            live.head, live.kept = (before.head + live.head[stray:])[:FILTERED], before.kept + live.kept[stray:]
+            live.head, live.kept = _beginning(before.head + live.head[stray:]), before.kept + live.kept[stray:]
 
     def _over(self, now_s: float, settings: TrackSettings) -> list[Live]:
         """Remove and return the lost tracks that no track can continue any more."""
-        undecided_s = [live.first_s for live in self.active if len(live.head) < FILTERED]
+        undecided_s = [live.first_s for live in self.active if not has_begun(live.head)]
         since_s = min([now_s, *undecided_s]) - settings.max_lost_s
         over = [live for live in self.lost if live.last_s < since_s]
         self.lost = [live for live in self.lost if live.last_s >= since_s]
@@ -175,6 +179,12 @@ class Linker:
                 body.head = min(body.head, live.head, key=lambda head: head[0].stamp_s)
                 body.kept = merged(body.kept, live.kept)
         return alone
+
+
+def _beginning(sightings: list[Sighting]) -> list[Sighting]:
+    """Return the first sightings, only as many as the velocity at the beginning is estimated from."""
+    counts = range(1, len(sightings))
+    return next((sightings[:count] for count in counts if has_begun(sightings[:count])), sightings)
 
 
 def _bare(sighting: Sighting) -> Sighting:

@@ -118,11 +118,12 @@ def passage_of(
     Returns
     -------
     Passage or None
-        None for an object seen in fewer than `MonitorSettings.min_frames` frames, or moving by less than
+        None for an object seen in too few frames (`MonitorSettings.min_frames`), or moving by less than
         `MonitorSettings.min_path_m`.
     """
     outlined = [one for one in kept if len(one.outline)]
-    if len(outlined) < settings.min_frames:
+    in_a_second = 1.0 / np.median(np.diff([one.stamp_s for one in kept])) if len(kept) > 1 else 0.0
+    if len(outlined) < np.clip(in_a_second, settings.least_frames, settings.min_frames):
         return None
     middles = np.array([one.middle for one in outlined])
     if np.linalg.norm(np.ptp(middles, axis=0)) < settings.min_path_m:

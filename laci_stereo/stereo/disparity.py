@@ -18,6 +18,10 @@ SATURATED = 254
 MIN_MATCHED_SHARE = 0.1
 BAND_ROWS = 128
 
+LARGEST_PX = 2031
+"""Largest disparity that can be searched: OpenCV returns sixteenths of a pixel as 16-bit integers, up to 2047, and the
+number searched is rounded up to a multiple of 16."""
+
 
 @dataclass(frozen=True)
 class Region:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -23,7 +24,7 @@ from laci_stereo.io.rig.stereo_rig import StereoRig
 from laci_stereo.mask.apply import Moving, windows
 from laci_stereo.mask.picture import Crop
 from laci_stereo.mask.stage import GlimpseRays, VehicleMask
-from laci_stereo.stereo.disparity import Region, check_matched, match
+from laci_stereo.stereo.disparity import LARGEST_PX, Disparity, Region, check_matched, match
 from laci_stereo.stereo.reader import GreyReader
 from laci_stereo.stereo.rectify import Rectification, View, already_rectified, rectify, with_right_turned
 from laci_stereo.stereo.scene import Look, RoadDisparity, learn_look, regions, shrink
@@ -38,8 +39,11 @@ QUIET_FRAMES, FURTHER_FRAMES = 6, 4
 """Numbers of whole frames that are matched for the ground and the background. Frames with the least motion show most of
 both; the further ones, spread over the recording, show the places where an object stood for a while in the former."""
 
-SURVEY_STRIDE = 2
-"""Only every second pixel of a whole frame is used in both directions: adjacent pixels share the matching window."""
+SURVEY_STRIDE, SURVEY_PIXELS = 2, 2_800_000
+"""Only every second pixel of a whole frame is used in both directions: adjacent pixels share the matching window. Of
+images with more pixels than the second number, whole frames are matched at a size below it, or the survey would take
+minutes and hundreds of megabytes for each: time grows with the cube of the width. Ground and background are then as
+exact as those of a camera of 1.4 to 2.8 megapixels; what moves is matched at full size."""
 
 COARSE_WIDTH = 480
 """Width to which a pair is downscaled for the first estimate of the road plane, pixels."""
@@ -188,8 +192,8 @@ class StereoRecording:
         """Return the mask's effect on a frame in its latest pass; None without a mask."""
         if self.mask is None:
             return None
-        glimpse = self.mask.tally.glimpses.get(stamp_ns)
-        return GlimpseRays() if glimpse is None else glimpse.as_rays(self.rectification.rays)
+        glimpse, plane = self.mask.tally.glimpses.get(stamp_ns), self.rectification
+        return GlimpseRays() if glimpse is None else glimpse.as_rays(plane.rays_at, plane.size)
 
     @cached_property
     def rectification(self) -> Rectification:
@@ -224,22 +228,14 @@ class StereoRecording:
         factor = max(plane.size[0] // COARSE_WIDTH, 1)
         small = (plane.size[0] // factor, plane.size[1] // factor)
         largest = min(int(plane.focal_px * plane.baseline_m / NEAREST_M / factor), small[0])
-        region = Region(0, 0, *small, 0, largest)
         images = [
             cv2.resize(view.look_up(image), small, interpolation=cv2.INTER_AREA)
             for view, image in ((plane.left, left), (plane.right, right))
         ]
-        padded = [cv2.copyMakeBorder(image, 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images]
-        disparity = match(padded[0], padded[1], region, self.settings)
+        disparity = self._matched_small(images, Region(0, 0, *small, 0, largest))
         check_matched(disparity, self.pairs[0].left.parent, images, self.settings)
-        v, u = np.nonzero(np.isfinite(disparity.values))
-        pixels = Pixels(
-            v * factor + factor // 2,
-            u * factor + factor // 2,
-            disparity.values[v, u] * factor,
-            disparity.sigma[v, u] * factor,
-        )
-        cloud = self._points(pair.stamp_ns, self._usable(pixels))
+        seen = np.ones(disparity.values.shape, dtype=bool)
+        cloud = self._points(pair.stamp_ns, self._enlarged(disparity, seen, factor))
         up, settings = self.axes.up, self._ground.any_support
         ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, up, settings, cloud.window_rad)
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
@@ -257,10 +253,36 @@ class StereoRecording:
         left, right = self.reader.read(pair.left), self.reader.read(pair.right)
         if left is None or right is None:
             return None
-        width, height = self.rectification.size
+        plane, region = self.rectification, self.whole_region()
+        factor = math.ceil(math.sqrt(plane.size[0] * plane.size[1] / SURVEY_PIXELS))
+        if factor == 1:
+            seen = np.zeros(plane.size[::-1], dtype=bool)
+            seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
+            return self._points(pair.stamp_ns, self._matched(left, right, [region], seen))
+        # Means of an odd number of pixels lie in the middle of one, as those of an even number do not.
+        first, mean = factor // 2, (factor // 2 * 2 + 1,) * 2
+        images = [
+            np.ascontiguousarray(cv2.blur(view.look_up(image, to_match=True), mean)[first::factor, first::factor])
+            for view, image in ((plane.left, left), (plane.right, right))
+        ]
+        height, width = images[0].shape
         seen = np.zeros((height, width), dtype=bool)
         seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
-        return self._points(pair.stamp_ns, self._matched(left, right, [self.whole_region()], seen))
+        small = Region(0, 0, width, height, region.smallest // factor, -(-region.largest // factor))
+        return self._points(pair.stamp_ns, self._enlarged(self._matched_small(images, small), seen, factor))
+
+    def _matched_small(self, images: Sequence[Raster], region: Region) -> Disparity:
+        """Match two whole images, downscaled and rectified."""
+        left, right = (cv2.copyMakeBorder(image, 0, 0, region.reach, 0, cv2.BORDER_REPLICATE) for image in images)
+        return match(left, right, region, self.settings)
+
+    def _enlarged(self, disparity: Disparity, seen: BoolArray, factor: int) -> Pixels:
+        """Return the usable ones of some pixels of an image that was downscaled, as they would be at full size."""
+        v, u = np.nonzero(np.isfinite(disparity.values) & seen)
+        values, sigma_px = disparity.values[v, u], disparity.sigma[v, u]
+        return self._usable(
+            Pixels(v * factor + factor // 2, u * factor + factor // 2, values * factor, sigma_px * factor)
+        )
 
     def _moving_cloud(self, scene: Scene, pair: StereoPair) -> PointCloud:
         seen = self._changes(scene, pair)
@@ -308,8 +330,9 @@ class StereoRecording:
         """Apply the user's disparity range; without one, exclude disparities of points nearer than `NEAREST_M`."""
         if self.settings.disparities is not None:
             return replace(region, smallest=self.settings.disparities[0], largest=self.settings.disparities[1])
-        largest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
-        return replace(region, largest=min(region.largest, largest, region.x1))
+        nearest = int(self.rectification.focal_px * self.rectification.baseline_m / NEAREST_M)
+        largest = min(region.largest, nearest, region.x1, LARGEST_PX)
+        return replace(region, smallest=min(region.smallest, largest), largest=largest)
 
     def _matched(self, left: Raster, right: Raster, found: Sequence[Region], seen: BoolArray) -> Pixels:
         parts = []
@@ -338,7 +361,7 @@ class StereoRecording:
         plane = self.rectification
         v, u, d = pixels.v, pixels.u, pixels.d
         depth = plane.focal_px * plane.baseline_m / d
-        points = plane.rays[v, u] * depth[:, None]
+        points = plane.rays_at(v, u) * depth[:, None]
         inner = plane.left.inner[v, u] & plane.right.inner[v, np.rint(u - d).astype(np.int64)]
         return PointCloud(
             stamp_ns,
@@ -356,6 +379,12 @@ def _check_disparities(settings: StereoSettings, rig: StereoRig) -> None:
     if settings.disparities is not None and settings.disparities[1] >= width:
         smallest, largest = settings.disparities
         raise SettingError(f"disparities are {smallest}..{largest}; needed is less than the images' width, {width}")
+    if settings.disparities is not None and settings.disparities[1] > LARGEST_PX:
+        smallest, largest = settings.disparities
+        raise SettingError(
+            f"disparities are {smallest}..{largest}; needed are at most {LARGEST_PX}, as OpenCV returns no more: "
+            "make the images and their calibration smaller"
+        )
 
 
 def surveyed(ranked: Sequence[Item], stamps: Sequence[int]) -> list[Item]:

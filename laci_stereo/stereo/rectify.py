@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.cloud import Cameras
-from laci_stereo.core.frames import BoolArray, FloatArray, Raster, rigid
+from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster, rigid
 from laci_stereo.io.rig.stereo_rig import Lens, StereoRig
 
 EDGE_PX = 22
@@ -57,7 +57,7 @@ class Rectification:
     """The common image plane of a stereo rig.
 
     If the second camera is left of the first (T positive), both rectified images are mirrored, so that disparity is
-    positive as usual; `rays` account for this.
+    positive as usual; `rays_at` accounts for this.
 
     Attributes
     ----------
@@ -67,9 +67,8 @@ class Rectification:
         Positive.
     size : tuple of int
         Width and height of the rectified images.
-    rays : ndarray, shape (height, width, 3)
-        Direction of each rectified pixel in the sensor frame (the raw left camera), with unit depth along the rectified
-        optical axis.
+    centre_px : tuple of float
+        Principal point, before any mirroring.
     T_sensor_rectified : ndarray, shape (4, 4)
         A pure rotation.
     mirrored : bool
@@ -80,9 +79,29 @@ class Rectification:
     focal_px: float
     baseline_m: float
     size: tuple[int, int]
-    rays: FloatArray
+    centre_px: tuple[float, float]
     T_sensor_rectified: FloatArray
     mirrored: bool
+
+    def rays_at(self, v: IntArray, u: IntArray) -> FloatArray:
+        """Return the directions of rectified pixels in the sensor frame (the raw left camera), shape (..., 3).
+
+        They have unit depth along the rectified optical axis.
+
+        Parameters
+        ----------
+        v, u : ndarray of int
+            Rows and columns, of one shape.
+        """
+        u = self.size[0] - 1 - u if self.mirrored else u
+        off = ((at - middle) / self.focal_px for at, middle in zip((u, v), self.centre_px, strict=True))
+        rays: FloatArray = np.stack([*off, np.ones(u.shape)], axis=-1) @ self.T_sensor_rectified[:3, :3].T
+        return rays
+
+    @property
+    def rays(self) -> FloatArray:
+        """The directions of all pixels, shape (height, width, 3): 24 bytes for each of up to 100 million."""
+        return self.rays_at(*np.mgrid[: self.size[1], : self.size[0]])
 
     @property
     def cameras(self) -> Cameras:
@@ -100,17 +119,13 @@ def rectify(rig: StereoRig) -> Rectification:
     left_R, right_R, left_P, right_P = bouguet(rig)
     mirrored = bool(right_P[0, 3] > 0)
     focal = float(left_P[0, 0])
-    width, height = rig.left.size
-    u, v = np.meshgrid(np.arange(width), np.arange(height))
-    rectified = np.dstack([(u - left_P[0, 2]) / focal, (v - left_P[1, 2]) / focal, np.ones_like(u)])
-    rays = rectified @ left_R  # (R^T x)^T = x^T R
     return Rectification(
         left=_view(rig.left, left_R, left_P, rig.left.size, mirrored),
         right=_view(rig.right, right_R, right_P, rig.left.size, mirrored),
         focal_px=focal,
         baseline_m=float(abs(right_P[0, 3]) / focal),
         size=rig.left.size,
-        rays=np.ascontiguousarray(rays[:, ::-1] if mirrored else rays),
+        centre_px=(float(left_P[0, 2]), float(left_P[1, 2])),
         T_sensor_rectified=rigid(left_R.T, np.zeros(3)),
         mirrored=mirrored,
     )
@@ -170,7 +185,7 @@ def _view(lens: Lens, R: FloatArray, P: FloatArray, size: tuple[int, int], mirro
     map_x, map_y = init(lens.K, lens.distortion, R, P[:, :3], size, cv2.CV_32FC1)
     if mirrored:
         map_x, map_y = np.ascontiguousarray(map_x[:, ::-1]), np.ascontiguousarray(map_y[:, ::-1])
-    u, v = np.meshgrid(np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32))
+    u, v = np.arange(size[0], dtype=np.float32)[None], np.arange(size[1], dtype=np.float32)[:, None]
     same = size == lens.size and max(np.abs(map_x - u).max(), np.abs(map_y - v).max()) < ROUNDING_PX
     fixed = None if same else cv2.convertMaps(map_x, map_y, cv2.CV_16SC2)
     inner = _inside(map_x, map_y, lens.size, EDGE_PX) & _inside(u, v, size, EDGE_PX)

@@ -195,7 +195,7 @@ class RoadDisparity:
     @classmethod
     def of(cls, ground: GroundPlane, rectification: Rectification) -> RoadDisparity:
         """Convert a plane: n . p = -h with p = ray f b / d gives d = -(f b / h) n . ray, which is linear in u and v."""
-        corner, right, down = (rectification.rays[v, u] @ ground.normal for v, u in ((0, 0), (0, 1), (1, 0)))
+        corner, right, down = rectification.rays_at(np.array([0, 0, 1]), np.array([0, 1, 0])) @ ground.normal
         scale = -rectification.focal_px * rectification.baseline_m / ground.height_m
         return cls(scale * np.array([right - corner, down - corner, corner]), ground.height_m)
 

@@ -17,7 +17,7 @@ def observed_once() -> Iterator[None]:
     # With the recording itself, so that no other one takes its number.
     kept: dict[tuple[int, Settings], tuple[PointCloudSource, Observation]] = {}
 
-    def once(source: PointCloudSource, settings: Settings) -> Observation:
+    def once(source: PointCloudSource, settings: Settings, *_: object) -> Observation:
         own = replace(settings, method="joint", match=MatchSettings(), joint=JointSettings(), quality=QualitySettings())
         key = (id(source), own)
         if key not in kept:

@@ -10,7 +10,9 @@ import pytest
 
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.frames import BoolArray, transform
-from laci_stereo.core.observe import observe
+from laci_stereo.core.messages.cam import FRONT
+from laci_stereo.core.messages.stations import senders_of
+from laci_stereo.core.observe import AROUND_S, Observation, observe
 from tests.simulated import LEFT_TURN, Drive, Mover, Recording, lidar, pedestrian, scene
 
 WALKER = pedestrian(Drive((24.0, 6.0), -90.0, speeds=((0.0, 1.4),)))
@@ -46,3 +48,23 @@ def test_what_a_mask_leaves_out_is_no_road() -> None:
     for index, cloud, without in zip(indices, masked.standing, whole.standing, strict=True):
         assert not recording.near(recording.movers[-1], index, cloud, 0.4).any()
         assert len(cloud) == len(without)
+
+
+def test_points_are_kept_around_messages_only() -> None:
+    """In an hour of traffic, of which a sender drives for a minute, those of all others would take gigabytes."""
+    made = scene(LEFT_TURN, lidar(32, 180), last_s=2.0)
+    (driven,) = senders_of(made.messages, made.recording.span_ns, FRONT, None, 0.01).vehicles.values()
+    always, near, far = (
+        observe(made.recording, vehicles=None if late_s is None else {1: replace(driven, stamps_s=late_s + times_s)})
+        for times_s in [driven.stamps_s]
+        for late_s in (None, AROUND_S - 1.0, AROUND_S + 5.0)
+    )
+    assert max(points_of(always)) > 10
+    assert points_of(near) == points_of(always)
+    assert max(points_of(far)) == 10
+    boxes = [[one.box.centre for track in seen.tracks for one in track.sightings] for seen in (always, far)]
+    np.testing.assert_array_equal(*boxes)
+
+
+def points_of(seen: Observation) -> list[int]:
+    return [len(one.points) for track in seen.tracks for one in track.sightings]

@@ -51,6 +51,7 @@ class Traffic:
     sensor: Sensor
     killed_at: int | None = None
     identity_: str = "first"
+    hz: float = HZ
     uri = "simulated"
 
     @property
@@ -59,7 +60,7 @@ class Traffic:
 
     @cached_property
     def _recordings(self) -> list[Recording]:
-        times = np.arange(0.0, EPISODE_S, 1.0 / HZ)
+        times = np.arange(0.0, EPISODE_S, 1.0 / self.hz)
         return [
             Recording(self.sensor, self.T_world_sensor, HOUSES, movers, times, seed)
             for seed, movers in enumerate(self.episodes)
@@ -67,8 +68,8 @@ class Traffic:
 
     @property
     def stamps_ns(self) -> IntArray:
-        count = len(self.episodes) * round(EPISODE_S * HZ)
-        stamps: IntArray = EPOCH_NS + (np.arange(count) * (1e9 / HZ)).round().astype(np.int64)
+        count = len(self.episodes) * round(EPISODE_S * self.hz)
+        stamps: IntArray = EPOCH_NS + (np.arange(count) * (1e9 / self.hz)).round().astype(np.int64)
         return stamps
 
     @property
@@ -84,7 +85,7 @@ class Traffic:
     def frame(self, number: int) -> PointCloud:
         if number == self.killed_at:
             raise Killed
-        episode, index = divmod(number, round(EPISODE_S * HZ))
+        episode, index = divmod(number, round(EPISODE_S * self.hz))
         cloud = self._recordings[episode].frame(index)
         return PointCloud(
             int(self.stamps_ns[number]), cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, cloud.at_edge

@@ -161,7 +161,7 @@ def test_checkpoint_of_another_recording_is_refused(tmp_path: Path) -> None:
 
 
 def without_schema(text: str) -> str:
-    return text.replace("laci-monitor-state/1", "laci-monitor-state/0")
+    return text.replace("laci-monitor-state/2", "laci-monitor-state/0")
 
 
 def cut(text: str) -> str:

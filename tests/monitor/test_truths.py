@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,16 @@ def test_offset_from_the_middle_of_a_lane_is_found_within_its_error(tmp_path: Pa
     assert found.offset_m == pytest.approx(left_m, abs=2 * found.error_m)
     # What passages differ by, not frames: 600 positions would claim a hundredth of it.
     assert found.error_m == pytest.approx(habits.std(ddof=1) / np.sqrt(len(habits)), rel=0.5)
+
+
+@pytest.mark.parametrize("hz", [1.0, 2.0])
+def test_vehicles_are_counted_in_few_frames(tmp_path: Path, hz: float) -> None:
+    """At 12 m/s one is whole in view for four seconds."""
+    left_m = 0.3
+    source = replace(one_by_one(drive(left_m), drive(left_m, 12.0), drive(left_m, 7.0)), hz=hz)
+    found = driven(tmp_path, source).state.tally.strips["1"]
+    assert found.along == 3
+    assert found.offset_m == pytest.approx(left_m, abs=0.1)
 
 
 def test_one_passage_has_no_error(tmp_path: Path) -> None:

@@ -308,3 +308,31 @@ def test_half_of_sky_is_no_mismatch(tmp_path: Path) -> None:
     survey = list(StereoRecording(write_pairs(tmp_path, exposed([sky] * 4)), RIGS["ideal"]).survey())
     assert len(survey) == 4
     assert np.mean(off_surfaces(survey[0], [], level) > 4) < 0.02
+
+
+def test_disparities_beyond_those_of_the_matcher_are_refused(ideal: list[StereoPair]) -> None:
+    rig = RIGS["ideal"]
+    wide = replace(rig, left=replace(rig.left, size=(4096, 2160)), right=replace(rig.right, size=(4096, 2160)))
+    StereoRecording(ideal, wide, StereoSettings(disparities=(0, 2031)))
+    with pytest.raises(SettingError, match=r"0\.\.2032; needed are at most 2031"):
+        StereoRecording(ideal, wide, StereoSettings(disparities=(0, 2032)))
+
+
+def test_no_disparity_beyond_those_of_the_matcher_is_searched(
+    recording: StereoRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert recording.whole_region().largest > 40
+    monkeypatch.setattr("laci_stereo.stereo.recording.LARGEST_PX", 40)
+    assert recording.whole_region().largest == 40
+
+
+def test_survey_of_large_images_is_matched_smaller(recording: StereoRecording, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = next(iter(recording.survey()))
+    monkeypatch.setattr("laci_stereo.stereo.recording.SURVEY_PIXELS", SIZE[0] * SIZE[1] // 4)
+    small = next(iter(recording.survey()))
+    assert len(small) == pytest.approx(len(whole) / 4, rel=0.2)
+    assert np.median(off_surfaces(small, STATIC)) < 1.0
+    assert np.median(small.sigma_along_m) > np.median(whole.sigma_along_m)
+    heights = [MOUNTING.to_road(cloud.points)[:, 2] for cloud in (small, whole)]
+    road_m = [np.median(z[np.abs(z) < 0.3]) for z in heights]
+    assert road_m[0] == pytest.approx(road_m[1], abs=0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -129,3 +131,20 @@ def test_rectified_images_are_shifted_only(name: str) -> None:
     if name == "ideal":
         assert plane.left.maps is None
         assert plane.right.maps is None
+
+
+@every_rig
+def test_rays_of_some_pixels_are_those_of_all(name: str) -> None:
+    plane = rectification(name)
+    v, u = np.random.default_rng(2).integers(0, plane.size[::-1], (100, 2)).T
+    np.testing.assert_allclose(plane.rays_at(v, u), plane.rays[v, u], atol=1e-12)
+
+
+def test_rectification_needs_little_memory_for_each_pixel() -> None:
+    """Images may have 100 megapixels: two views hold 8 bytes each for a pixel, making them takes a few times that."""
+    rig = RIGS["askew"]
+    tracemalloc.start()
+    plane = rectify(rig)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 40 * plane.size[0] * plane.size[1]

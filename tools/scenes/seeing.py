@@ -96,7 +96,7 @@ def see(scene: Scene, way: Way, settings: Settings | None = None) -> Seen:
         return Filmed(folder, scene.crs)
     source = Recorded(scene)
     senders = _senders(scene, source.span_ns, settings)
-    seen = on_the_road(observe(source, settings), source, senders.vehicles, settings)
+    seen = on_the_road(observe(source, settings, None, senders.vehicles), source, senders.vehicles, settings)
     return Observed(seen, senders.vehicles, senders.world)
 
 

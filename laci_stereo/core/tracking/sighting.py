@@ -128,6 +128,18 @@ class Sighting:
         bare = replace(self, points=points, sigma_along_m=along, sigma_across_m=across, late_s=None)
         return replace(bare, low=NOTHING_LOW, borders=NO_BORDERS)
 
+    def thinned(self, most: int) -> Sighting:
+        """Return the sighting with at most ``most`` of its points, and none of the low ones."""
+        kept = evenly(len(self.points), most)
+        return replace(
+            self,
+            points=self.points[kept],
+            sigma_along_m=self.sigma_along_m[kept],
+            sigma_across_m=self.sigma_across_m[kept],
+            late_s=None if self.late_s is None else self.late_s[kept],
+            low=NOTHING_LOW,
+        )
+
 
 def find_vehicles(
     cloud: PointCloud,

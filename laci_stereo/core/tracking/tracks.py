@@ -412,6 +412,11 @@ def backwards(sightings: Sequence[Sighting], settings: TrackSettings) -> Moving:
     return moving
 
 
+def has_begun(sightings: Sequence[Sighting]) -> bool:
+    """Return whether a growing track holds all sightings from which the velocity at its beginning is estimated."""
+    return len(sightings) >= FILTERED and sightings[-1].stamp_s >= sightings[0].stamp_s + FILTERED_S
+
+
 def _mirrored(sightings: Sequence[Sighting]) -> list[Sighting]:
     return [replace(one, stamp_s=-one.stamp_s) for one in sightings[::-1]]
 
