@@ -45,6 +45,12 @@ NO_WINDOW_RAD = 1e-6
 COARSE_M = 0.003
 """Standard deviation of the heights of cells on an even road: chippings, markings, covers."""
 
+SHARED_AT_M = 10.0
+"""Points of a cell share their noise as far as one matching window fills the cell at this distance, where those of
+a road are most precise. Farther away one window fills a cell, but most of the variance that is claimed there
+is the offset of all disparities, which the road's covariance contains already, or differs from frame to frame: on two
+recordings, one window's own variance was a third of the claimed one, and three fifths of it lasted."""
+
 LOW_M = 0.7
 """Points farther above or below the plane that was found before are not road; with their noise, up to twice this is
 allowed. Terrain that falls by 5 % is this far off after 14 m."""
@@ -354,12 +360,10 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     noise = np.bincount(cell, sigma_m**2) / count
     height = _medians(z, cell)
     spread = NORMAL * _medians(np.abs(z - height[cell]), cell)
-    # Points in one matching window share their noise: the fraction of the cell's solid angle that a window fills.
     window_rad = max(cloud.window_rad for cloud in clouds)
-    range_m = np.hypot(np.linalg.norm(middle, axis=1), sensor[2])
-    within = np.minimum(window_rad**2 * range_m**3 / (CELL_M**2 * sensor[2]), 1.0)
+    within = min((window_rad * SHARED_AT_M / CELL_M) ** 2, 1.0)
     # The variance of a median is pi / 2 times that of a mean.
-    variance = np.pi / 2 * np.maximum(noise, spread**2) * (1.0 - within) / count + within * noise + COARSE_M**2
+    variance = np.pi / 2 * np.maximum(noise, spread**2) / count + within * noise + COARSE_M**2
     nearest, left_m, beyond_m = _beside(way, middle)
     piece = 2 * (along_line(way)[nearest] // PIECE_M).astype(np.int64) + (left_m > 0.0)
     beside = np.abs(beyond_m) < 2 * CELL_M  # and neither before the path nor behind it
