@@ -235,7 +235,7 @@ class StereoRecording:
         disparity = self._matched_small(images, Region(0, 0, *small, 0, largest))
         check_matched(disparity, self.pairs[0].left.parent, images, self.settings)
         seen = np.ones(disparity.values.shape, dtype=bool)
-        cloud = self._points(pair.stamp_ns, self._enlarged(disparity, seen, factor))
+        cloud = self._points(pair.stamp_ns, self._enlarged(disparity, seen, factor), factor)
         up, settings = self.axes.up, self._ground.any_support
         ground = fit_ground(cloud.points, cloud.sigma_along_m, cloud.sigma_across_m, up, settings, cloud.window_rad)
         log.info("first look: the camera hangs %.2f m over the road", ground.height_m)
@@ -269,7 +269,7 @@ class StereoRecording:
         seen = np.zeros((height, width), dtype=bool)
         seen[::SURVEY_STRIDE, ::SURVEY_STRIDE] = True
         small = Region(0, 0, width, height, region.smallest // factor, -(-region.largest // factor))
-        return self._points(pair.stamp_ns, self._enlarged(self._matched_small(images, small), seen, factor))
+        return self._points(pair.stamp_ns, self._enlarged(self._matched_small(images, small), seen, factor), factor)
 
     def _matched_small(self, images: Sequence[Raster], region: Region) -> Disparity:
         """Match two whole images, downscaled and rectified."""
@@ -356,8 +356,11 @@ class StereoRecording:
         usable &= plane.right.valid[pixels.v, u_right.clip(0)]
         return Pixels(pixels.v[usable], pixels.u[usable], pixels.d[usable], pixels.sigma_px[usable])
 
-    def _points(self, stamp_ns: int, pixels: Pixels) -> PointCloud:
-        """Reproject pixels with a disparity into space: depth = f b / d along the pixel's ray."""
+    def _points(self, stamp_ns: int, pixels: Pixels, factor: int = 1) -> PointCloud:
+        """Reproject pixels with a disparity into space: depth = f b / d along the pixel's ray.
+
+        ``factor`` is that by which the images were downscaled for matching.
+        """
         plane = self.rectification
         v, u, d = pixels.v, pixels.u, pixels.d
         depth = plane.focal_px * plane.baseline_m / d
@@ -369,7 +372,7 @@ class StereoRecording:
             sigma_along_m=np.linalg.norm(points, axis=1) * pixels.sigma_px / d,
             sigma_across_m=depth * (POINTING_SIGMA_PX / plane.focal_px),
             at_edge=~inner,
-            window_rad=self.settings.refine_window_px / plane.focal_px,
+            window_rad=factor * self.settings.refine_window_px / plane.focal_px,
             cameras=plane.cameras,
         )
 

@@ -333,6 +333,7 @@ def test_survey_of_large_images_is_matched_smaller(recording: StereoRecording, m
     assert len(small) == pytest.approx(len(whole) / 4, rel=0.2)
     assert np.median(off_surfaces(small, STATIC)) < 1.0
     assert np.median(small.sigma_along_m) > np.median(whole.sigma_along_m)
+    assert small.window_rad == pytest.approx(2 * whole.window_rad)
     heights = [MOUNTING.to_road(cloud.points)[:, 2] for cloud in (small, whole)]
     road_m = [np.median(z[np.abs(z) < 0.3]) for z in heights]
     assert road_m[0] == pytest.approx(road_m[1], abs=0.01)

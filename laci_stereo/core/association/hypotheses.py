@@ -138,11 +138,13 @@ def choose_track(
     if not hypotheses:
         raise MatchError(no_fit(scene, seeds) + folding(vehicles) + lingering(scene) + towing(scene))
     far = {seed.track for seed in seeds if extent(tracks[seed.track].centres) >= settings.min_path_m}
-    weighed = _weighed(scene, _of_moving(scene, hypotheses), vehicles, likeness)
-    return _decide(scene, _of_moving(scene, weighed), far)
+    weighed = _weighed(scene, _of_moving(scene, hypotheses, vehicles), vehicles, likeness)
+    return _decide(scene, _of_moving(scene, weighed, vehicles), far)
 
 
-def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
+def _of_moving(
+    scene: Scene, hypotheses: Sequence[_Hypothesis], vehicles: Mapping[int, VehicleTrack]
+) -> list[_Hypothesis]:
     """Return the hypotheses whose vehicle moves while it is seen: a stationary object would fit the others as well."""
     least_m = scene.settings.min_path_m
     paths_m = [_seen_path(scene, one, one.account, _on_vehicle(scene, one, one.account)) for one in hypotheses]
@@ -151,7 +153,7 @@ def _of_moving(scene: Scene, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothe
         path_m, best = max(zip(paths_m, hypotheses, strict=True), key=lambda each: each[1].value)
         raise TrackError(
             f"the vehicle of station {best.account.station} moves {path_m:.1f} m while it is seen; needed are "
-            f"{least_m:.1f} m"
+            f"{least_m:.1f} m{folding(vehicles)}"
         )
     return moving
 
