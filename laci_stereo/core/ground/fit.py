@@ -81,10 +81,10 @@ class _Partition:
 class _Cells:
     """Means over those points of each cell that are on the plane within their noise.
 
-    ``variance`` is that of the mean residual; ``covaried`` the sum of its covariances with the other cells in the same
-    matching window; ``sigma`` the standard deviation of one point's 1 / range due to noise along its ray; ``per_metre``
-    the increase of 1 / range per metre above the plane; ``place`` the cell's azimuth sector and ring; ``area_m2`` the
-    area of the cell on the plane, apart from the slant.
+    ``variance`` is that of the mean residual by which cells are weighted; ``covaried`` what the covariance of points in
+    the same matching window adds to it in sums over many cells; ``sigma`` the standard deviation of one point's 1 /
+    range due to noise along its ray; ``per_metre`` the increase of 1 / range per metre above the plane; ``place`` the
+    cell's azimuth sector and ring; ``area_m2`` the area of the cell on the plane, apart from the slant.
     """
 
     residual: FloatArray
@@ -265,30 +265,22 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
     columns = [residual, *rays.directions.T, rays.sigma_of_inverse(inverse), variance, weight * variance, per_metre]
     means = [np.bincount(cell, weight * column, minlength=size)[kept] / total[kept] for column in columns]
     single, noise, inverse = means[6] / total[kept], means[5], means[7] / np.linalg.norm(m)
-    shared = _shared(rays.window_rad, inverse / np.linalg.norm(m), settings)
-    within = np.minimum(shared, 1.0)
+    # A matching window fills this fraction of a cell seen at a right angle, and more of one at a grazing angle. The
+    # weights do without the latter: a pavement would not stand out from what is claimed in full, since on two recordings
+    # the actual variance is half of it, of which two fifths differ from frame to frame. A scanner's points share the
+    # error of their laser.
+    window = (rays.window_rad / _CELL) ** 2
+    shared = min(window, 1.0) if window > 0.0 else settings.shared_noise_share**2
     return _Cells(
         residual=means[0],
         direction=np.stack(means[1:4], axis=1),
-        variance=(1.0 - within) * single + within * noise,
-        covaried=(shared - within) * noise,
+        variance=(1.0 - shared) * single + shared * noise,
+        covaried=np.maximum(window * np.linalg.norm(m) / inverse - shared, 0.0) * noise,
         sigma=means[4],
         per_metre=means[7],
         place=partition.place[kept],
         area_m2=(_CELL / inverse) ** 2,
     )
-
-
-def _shared(window_rad: float, steepness: FloatArray, settings: GroundSettings) -> FloatArray:
-    """Return which fraction of one point's variance the points of its cell share; above 1, other cells share it, too.
-
-    A matching window fills this fraction of the solid angle of a cell, which is foreshortened by ``steepness``, the
-    sine of the grazing angle, shape (n,). A scanner's points share the error of their laser.
-    """
-    if window_rad == 0.0:
-        return np.full(len(steepness), settings.shared_noise_share**2)
-    shared: FloatArray = (window_rad / _CELL) ** 2 / steepness
-    return shared
 
 
 def _unevenness(cells: _Cells, settings: GroundSettings) -> float:
