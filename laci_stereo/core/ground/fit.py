@@ -266,9 +266,9 @@ def _cell_means(partition: _Partition, m: FloatArray, settings: GroundSettings) 
     means = [np.bincount(cell, weight * column, minlength=size)[kept] / total[kept] for column in columns]
     single, noise, inverse = means[6] / total[kept], means[5], means[7] / np.linalg.norm(m)
     # A matching window fills this fraction of a cell seen at a right angle, and more of one at a grazing angle. The
-    # weights do without the latter: a pavement would not stand out from what is claimed in full, since on two recordings
-    # the actual variance is half of it, of which two fifths differ from frame to frame. A scanner's points share the
-    # error of their laser.
+    # weights do without the latter: a pavement would not stand out from noise that is claimed in full. On two
+    # recordings the actual variance is half of the claimed one, and two fifths of it differ from frame to frame. A
+    # scanner's points share the error of their laser.
     window = (rays.window_rad / _CELL) ** 2
     shared = min(window, 1.0) if window > 0.0 else settings.shared_noise_share**2
     return _Cells(
