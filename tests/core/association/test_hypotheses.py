@@ -394,6 +394,18 @@ def test_a_vehicle_that_hardly_moves_while_it_is_seen() -> None:
         choose_track([brief], {42: vehicle()}, MatchSettings(least_log_odds=-math.inf, min_path_m=10.0))
 
 
+def test_a_lorry_that_is_only_seen_to_stand_is_told_that_it_articulates() -> None:
+    # It turns while nothing is seen of it, and drives on until its trailer is straight again.
+    speeds = ((0.0, 0.2), (1.0, 0.2), (2.0, 15.0), (7.0, 15.0), (8.0, 0.2), (10.0, 0.2))
+    bend = Drive((0.0, 0.0), 0.0, ((5.0, 0.0), (12.0, 70.0)), speeds)
+    stamps = np.arange(0.0, 9.5, 0.1)
+    before, after = (seen(bend, part, noise_m=0.05) for part in (stamps[stamps < 1.0], stamps[stamps > 8.0]))
+    permissive = MatchSettings(least_log_odds=-math.inf, least_seen_log_odds=-math.inf, min_frames=5)
+    reason = r"moves 0\.\d m while it is seen; .*; station 42's, 15\.6 m long, articulates in bends"
+    with pytest.raises(TrackError, match=reason):
+        choose_track([before.joined(after)], {42: vehicle(bend, size=(15.6, 2.5))}, permissive)
+
+
 def test_what_stands_where_a_vehicle_came_from_and_where_it_went_is_not_the_vehicle() -> None:
     # A bus leaves after two seconds and is there four seconds later; meanwhile nothing of it is seen.
     leaving = Drive((0.0, 0.0), 0.0, speeds=((0.0, 0.2), (2.0, 0.2), (3.0, 10.0), (5.0, 10.0), (6.0, 0.2), (8.0, 0.2)))
