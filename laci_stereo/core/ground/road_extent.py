@@ -46,10 +46,15 @@ COARSE_M = 0.003
 """Standard deviation of the heights of cells on an even road: chippings, markings, covers."""
 
 SHARED_AT_M = 10.0
-"""Points of a cell share their noise as far as one matching window fills the cell at this distance, where those of
-a road are most precise. Farther away one window fills a cell, but most of the variance that is claimed there
-is the offset of all disparities, which the road's covariance contains already, or differs from frame to frame: on two
+"""Points of a cell share their noise as far as one matching window fills the cell at this distance, where those of a
+road are most precise. Farther away one window fills a cell, but most of the variance that is claimed there is the
+offset of all disparities, which the road's covariance contains already, or differs from frame to frame: on two
 recordings, one window's own variance was a third of the claimed one, and three fifths of it lasted."""
+
+SURFACE_SHARE = 0.2**2
+"""Fraction of a scanner's variance that the points of a cell share: their range errors depend on the reflectance and
+on the angle of incidence, which they have in common. Taken as a fifth of the noise; each laser's own error comes on
+top."""
 
 LOW_M = 0.7
 """Points farther above or below the plane that was found before are not road; with their noise, up to twice this is
@@ -361,7 +366,7 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     height = _medians(z, cell)
     spread = NORMAL * _medians(np.abs(z - height[cell]), cell)
     window_rad = max(cloud.window_rad for cloud in clouds)
-    within = min((window_rad * SHARED_AT_M / CELL_M) ** 2, 1.0)
+    within = min((window_rad * SHARED_AT_M / CELL_M) ** 2, 1.0) if window_rad > 0.0 else SURFACE_SHARE
     # The variance of a median is pi / 2 times that of a mean.
     variance = np.pi / 2 * np.maximum(noise, spread**2) / count + within * noise + COARSE_M**2
     nearest, left_m, beyond_m = _beside(way, middle)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -266,8 +267,8 @@ def test_a_recording_is_observed_again_only_where_the_road_is_far_from_the_groun
 ) -> None:
     grounds: list[GroundPlane] = []
 
-    def counted(source: PointCloudSource, settings: Settings, ground: GroundPlane | None = None) -> Observation:
-        seen = observe(source, settings, ground)
+    def counted(source: PointCloudSource, *known: Any) -> Observation:
+        seen = observe(source, *known)
         grounds.append(seen.ground)
         return seen
 
