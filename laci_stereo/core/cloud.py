@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -103,6 +103,11 @@ class PointCloud:
             self.window_rad,
             self.cameras,
         )
+
+
+def window_of(clouds: Sequence[PointCloud]) -> float:
+    """Return the side of the matching window of the camera that some clouds are of, radians; 0 for a scanner."""
+    return max(cloud.window_rad for cloud in clouds)
 
 
 class PointCloudSource(Protocol):

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from laci_stereo.core.association.choice import Choice
 from laci_stereo.core.association.hypotheses import HALF_LANE_M, choose_track
 from laci_stereo.core.association.pieces import whole
-from laci_stereo.core.cloud import PointCloud, PointCloudSource
+from laci_stereo.core.cloud import PointCloud, PointCloudSource, window_of
 from laci_stereo.core.errors import CalibrationError, GroundError
 from laci_stereo.core.frames import Axes, FloatArray, invert, rotate_xy, transform
 from laci_stereo.core.ground.axes import ground_below
@@ -283,7 +283,7 @@ def _on_other_grounds(
     seen: Observation, source: PointCloudSource, vehicles: Mapping[int, VehicleTrack], settings: Settings
 ) -> Iterator[Observation]:
     """Yield observations on planes above the ground, below it, and farther away, as far as such planes are found."""
-    points, axes, told = _gathered(seen.survey), seen.axes, (settings.ground, _window_rad(seen.survey))
+    points, axes, told = _gathered(seen.survey), seen.axes, (settings.ground, window_of(seen.survey))
     fits: list[Callable[[], GroundPlane]] = [
         lambda: fit_ground_beside(*points, seen.ground, (0.0, OTHER_M), *told),
         lambda: fit_ground_beside(*points, seen.ground, (-OTHER_M, 0.0), *told),
@@ -306,7 +306,7 @@ def _thinned(survey: Sequence[PointCloud]) -> list[PointCloud]:
 def _ground(survey: Sequence[PointCloud], axes: Axes, settings: Settings) -> GroundPlane:
     if not survey:
         raise GroundError("the survey has 0 whole frames; needed is at least 1 to find the ground plane")
-    return ground_below(*_gathered(survey), axes, settings.ground, _window_rad(survey))
+    return ground_below(*_gathered(survey), axes, settings.ground, window_of(survey))
 
 
 def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -316,8 +316,3 @@ def _gathered(survey: Sequence[PointCloud]) -> tuple[FloatArray, FloatArray, Flo
         np.concatenate([cloud.sigma_along_m for cloud in survey]),
         np.concatenate([cloud.sigma_across_m for cloud in survey]),
     )
-
-
-def _window_rad(survey: Sequence[PointCloud]) -> float:
-    """Return the side of the camera's matching window; 0 for a scanner."""
-    return max(cloud.window_rad for cloud in survey)

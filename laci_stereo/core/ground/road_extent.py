@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from laci_stereo.core.cloud import PointCloud
+from laci_stereo.core.cloud import PointCloud, window_of
 from laci_stereo.core.frames import (
     Axes,
     BoolArray,
@@ -365,7 +365,7 @@ def _cells(way: FloatArray, clouds: Sequence[PointCloud], T_level_sensor: FloatA
     noise = np.bincount(cell, sigma_m**2) / count
     height = _medians(z, cell)
     spread = NORMAL * _medians(np.abs(z - height[cell]), cell)
-    window_rad = max(cloud.window_rad for cloud in clouds)
+    window_rad = window_of(clouds)
     within = min((window_rad * SHARED_AT_M / CELL_M) ** 2, 1.0) if window_rad > 0.0 else SURFACE_SHARE
     # The variance of a median is pi / 2 times that of a mean.
     variance = np.pi / 2 * np.maximum(noise, spread**2) / count + within * noise + COARSE_M**2
