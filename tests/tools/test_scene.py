@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.frames import invert, rigid, transform
-from tools.scenes.disparity import SURFACES, Mounted, StereoFlaws, match_frame, reproject, stereo_camera
+from tools.scenes.disparity import SPREAD, SURFACES, Mounted, StereoFlaws, match_frame, reproject, stereo_camera
 from tools.scenes.geometry import Body, Material, Mesh, RayCaster
 from tools.scenes.scene import STATION, Factors, Recorded, SceneError, draw_scene, errors_of, own_axes, swept_frame
 from tools.scenes.sensors import LIDARS, Lidar, LidarFlaws, lidar, sweep
@@ -283,16 +283,16 @@ def test_a_lidars_points_lie_on_what_they_hit(hanging):
 SHARP = StereoFlaws(noise=0.0, bleed_px=0.0, gross=0.0, open_=0.0)
 
 
-def facing_a_patchwork(material, flaws):
+def facing_a_patchwork(material, flaws, frame=2, static=True):
     """Look at a wall 20 m away of 512 bodies, for texture belongs to bodies and triangles; return it and its errors."""
     corners = np.array([[-14.0, -8.0, 20.0], [-14.0, 8.0, 20.0], [14.0, -8.0, 20.0], [14.0, 8.0, 20.0]])
     cut = finer(finer(Mesh(corners, WALL.triangles, WALL.material)))
     pieces = [
         Mesh(cut.vertices[three], np.arange(3)[None], np.array([material], dtype=np.int64)) for three in cut.triangles
     ]
-    bodies = [Body(f"piece {number}", mesh, still(np.eye(4)), True) for number, mesh in enumerate(pieces)]
+    bodies = [Body(f"piece {number}", mesh, still(np.eye(4)), static) for number, mesh in enumerate(pieces)]
     mounted = Mounted(stereo_camera("stereo_05", 1000.0), RayCaster(bodies), np.eye(4))
-    matched = match_frame(mounted, flaws, 0.0, (1, 2))
+    matched = match_frame(mounted, flaws, 0.0, (1, frame))
     return mounted, matched, matched.disparity_px - 1000.0 * 0.5 / 20.0
 
 
@@ -317,6 +317,15 @@ def test_disparity_scatters_as_the_material_does_and_over_windows():
     for cells, expected in ((1, 0.87), (3, 0.28)):
         beside = np.nanmean(scaled[:, cells:] * scaled[:, :-cells]) / np.nanvar(scaled)
         assert beside == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize(("static", "expected"), [(True, 0.7), (False, 0.0)])
+def test_noise_lasts_where_nothing_moves(static, expected):
+    flaws = replace(SHARP, noise=0.3, lasting=0.7)
+    one, other = (facing_a_patchwork(Material.WALL, flaws, frame, static)[2] for frame in (2, 3))
+    # A third of the variance of the logarithm of the noise's size, 0.36, differs between frames as well.
+    alike = np.nanmean(one * other) / np.sqrt(np.nanmean(one**2) * np.nanmean(other**2))
+    assert alike == pytest.approx(np.exp(-SPREAD**2 / 3) * expected, abs=0.05)
 
 
 def test_as_much_is_open_and_gross_as_the_material_says():

@@ -248,11 +248,15 @@ def described_border(name: str, border: Border) -> str:
 
 @dataclass(frozen=True)
 class Figures:
-    """Errors by kind of surface, and at the sender's outline; ``contrast`` is that of the road."""
+    """Errors by kind of surface, and at the sender's outline; ``contrast`` is that of the road.
+
+    ``alike``, shape (2,), has the sums of the products of the road's errors in different frames, and of their squares.
+    """
 
     kinds: tuple[tuple[str, Errors], ...]
     border: Border
     contrast: FloatArray
+    alike: FloatArray
 
     def __add__(self, other: Figures) -> Figures:
         pairs = zip(self.kinds, other.kinds, strict=True)
@@ -260,11 +264,17 @@ class Figures:
             tuple((name, one + two) for (name, one), (_, two) in pairs),
             self.border + other.border,
             np.concatenate([self.contrast, other.contrast]),
+            self.alike + other.alike,
         )
 
 
-def figures(values: FloatArray, sigma: FloatArray, truth: Truth, sender: int, left: Raster) -> Figures:
-    """Measure one frame; arrays have shape (height, width)."""
+def figures(
+    values: FloatArray, sigma: FloatArray, truth: Truth, sender: int, left: Raster, before: FloatArray | None
+) -> tuple[Figures, FloatArray]:
+    """Measure one frame, and return its errors on the road as well; arrays have shape (height, width).
+
+    ``before`` are those of another frame.
+    """
     filled = np.nan_to_num(truth.disparity).astype(np.float32)
     jump = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > JUMP_PX
     inner = cv2.dilate(jump.astype(np.uint8), np.ones((2 * INNER_PX + 1,) * 2, np.uint8)) == 0
@@ -278,7 +288,13 @@ def figures(values: FloatArray, sigma: FloatArray, truth: Truth, sender: int, le
     kinds.append(("sky", inner & np.isnan(truth.disparity)))
     measured = tuple((name, errors_in(values, sigma, np.nan_to_num(truth.disparity), where)) for name, where in kinds)
     road = fair & (truth.material == Material.ROAD)
-    return Figures(measured, border_of(values, truth, sender), contrast_of(left)[road][::50])
+    errors = np.where(road & (np.abs(values - truth.disparity) < GROSS_PX), values - truth.disparity, np.nan)
+    errors -= np.nanmedian(errors)
+    alike = np.zeros(2)
+    if before is not None:
+        alike[:] = np.nansum(errors * before), np.nansum((errors**2 + before**2) / 2 * np.isfinite(errors * before))
+    found = Figures(measured, border_of(values, truth, sender), contrast_of(left)[road][::50], alike)
+    return found, errors
 
 
 SENDER_KINDS = (Material.CAR_PAINT, Material.GLASS, Material.TYRE, Material.METAL)
@@ -323,15 +339,18 @@ def of_scene(scene: Scene, look: Look, frames: int) -> tuple[Figures, Figures]:
     times = scene.times_s[(np.linspace(0.35, 0.65, frames) * (len(scene.times_s) - 1)).astype(np.int64)]
     rendered: list[Figures] = []
     simulated: list[Figures] = []
+    of_rendered = of_simulated = None
     with tempfile.TemporaryDirectory() as name:
         stamps = [10**18 + round(1e9 * time_s) for time_s in times.tolist()]
         write_stereo(scene.bodies, camera.rig, scene.T_world_sensor, times, stamps, Path(name), look, scene.seed)
         for index, plane, left, values, sigma in matched_frames(Path(name), np.arange(frames)):
             time_s = float(times[index])
             truth = exact_truth(scene.caster, plane, scene.T_world_sensor, time_s)
-            rendered.append(figures(values, sigma, truth, sender, left))
+            one, of_rendered = figures(values, sigma, truth, sender, left, of_rendered)
             fast = match_frame(mounted, flaws, time_s, (scene.seed, index))
-            simulated.append(figures(fast.disparity_px, fast.sigma_px, truth, sender, left))
+            other, of_simulated = figures(fast.disparity_px, fast.sigma_px, truth, sender, left, of_simulated)
+            rendered.append(one)
+            simulated.append(other)
     return summed(rendered), summed(simulated)
 
 
@@ -375,6 +394,8 @@ def print_figures(rendered: Figures, simulated: Figures) -> None:
             print(described(name, one, other))
     print(described_border("sender, rendered", rendered.border))
     print(described_border("sender, simulated", simulated.border))
+    shares = "/".join(f"{100 * each.alike[0] / max(each.alike[1], 1e-9):.0f}" for each in (rendered, simulated))
+    print(f"variance of the road's errors that is the same in consecutive frames: {shares} %")
 
 
 def main() -> None:

@@ -248,6 +248,8 @@ class StereoFlaws:
     ----------
     noise : float
         Scales the standard deviation of disparities.
+    lasting : float
+        Fraction of their variance that is the same in all frames, where nothing moves.
     offset_px : float
         Offset of all disparities: rectification leaves 0.03 to 0.05 px.
     bleed_px : float
@@ -263,6 +265,7 @@ class StereoFlaws:
     """
 
     noise: float = 1.0
+    lasting: float = 0.6
     offset_px: float = 0.0
     bleed_px: float = 1.25
     gross: float = 1.0
@@ -320,7 +323,7 @@ def match_frame(mounted: Mounted, flaws: StereoFlaws, time_s: float, seed: tuple
     hidden = _occluded(camera, true) & (matched <= true + JUMP_PX)
     sigma = flaws.noise * sigma * np.exp(SPREAD * (middle - texture))
     told = np.hypot(StereoSettings().disparity_floor_px, TOLD * sigma)
-    values = matched + flaws.offset_px + camera.turned_px + sigma * _smooth(shape, WINDOW_SIGMA_PX / camera.stride, rng)
+    values = matched + flaws.offset_px + camera.turned_px + sigma * _noise(mounted, flaws, hits.body, seed[0], rng)
     elsewhere = _smooth(shape, GROSS_SIGMA_PX / camera.stride, rng) > -ndtri(flaws.gross * gross)
     values -= flaws.gloss_px * _mirrored(mounted, hits, shiny.ravel(), seed[0]).reshape(shape)
     too_far = GROSS_PX[0] + GROSS_PX[1] * np.abs(_smooth(shape, GROSS_SIGMA_PX / camera.stride, rng))
@@ -430,6 +433,15 @@ def _occluded(camera: StereoCamera, true: FloatArray) -> BoolArray:
     hidden[:, :-1] = beyond[:, 1:] < column[:, :-1] - 0.5
     outside: BoolArray = column < -camera.size_px[0] / 2
     return hidden | outside
+
+
+def _noise(mounted: Mounted, flaws: StereoFlaws, body: IntArray, seed: int, rng: np.random.Generator) -> FloatArray:
+    """Return the noise of disparities over its standard deviation, shape (rows, columns)."""
+    camera = mounted.camera
+    shape, width = camera.pixels[0].shape, WINDOW_SIGMA_PX / camera.stride
+    lasting = np.where(mounted.moving[body].reshape(shape), 0.0, flaws.lasting)
+    noise: FloatArray = np.sqrt(lasting) * _smooth(shape, width, np.random.default_rng([seed, 7]))
+    return noise + np.sqrt(1.0 - lasting) * _smooth(shape, width, rng)
 
 
 def _smooth(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> FloatArray:

@@ -149,7 +149,7 @@ class Factors:
         Standard deviation of the error of the frames' stamps.
     systematic : float
         Scales the sensors' errors that are common to many points.
-    bleed_px, gross, gloss_px
+    lasting, bleed_px, gross, gloss_px
         For stereo cameras; ``gross`` scales the fraction of mismatches, for the others see `StereoFlaws`.
     width_px, focal_px
         Width of a stereo camera's images, of format 16:9, and its focal length.
@@ -207,6 +207,7 @@ class Factors:
     lean_deg: float = 0.0
     stamp_jitter_s: float = 0.0
     systematic: float = 1.0
+    lasting: float | None = None
     bleed_px: float | None = None
     gross: float | None = None
     gloss_px: float | None = None
@@ -668,6 +669,7 @@ def _lidar_flaws(draw: Draw, factors: Factors, sensor: Lidar | StereoCamera) -> 
 def _stereo_flaws(draw: Draw, factors: Factors) -> StereoFlaws:
     return StereoFlaws(
         noise=factors.noise,
+        lasting=draw.given(factors.lasting, "lasting", lambda rng: float(rng.uniform(0.3, 0.9))),
         offset_px=factors.systematic * float(draw.rng("offset").normal(0.0, 0.04)),
         bleed_px=draw.given(factors.bleed_px, "bleed", lambda rng: float(rng.uniform(0.5, 2.0))),
         gross=draw.given(factors.gross, "gross", lambda rng: float(rng.uniform(0.0, 2.0))),
