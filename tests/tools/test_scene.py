@@ -325,7 +325,7 @@ def test_noise_lasts_where_nothing_moves(static, expected):
     one, other = (facing_a_patchwork(Material.WALL, flaws, frame, static)[2] for frame in (2, 3))
     # A third of the variance of the logarithm of the noise's size, 0.36, differs between frames as well.
     alike = np.nanmean(one * other) / np.sqrt(np.nanmean(one**2) * np.nanmean(other**2))
-    assert alike == pytest.approx(np.exp(-SPREAD**2 / 3) * expected, abs=0.05)
+    assert alike == pytest.approx(np.exp(-(SPREAD**2) / 3) * expected, abs=0.05)
 
 
 def test_as_much_is_open_and_gross_as_the_material_says():
