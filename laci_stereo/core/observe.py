@@ -26,8 +26,9 @@ from laci_stereo.core.ground.road_surface import OTHER
 from laci_stereo.core.ground.uneven import ONE_SURFACE_M
 from laci_stereo.core.messages.cam import VehicleTrack
 from laci_stereo.core.settings import Settings
+from laci_stereo.core.subsampling import spread
 from laci_stereo.core.threads import in_one_thread
-from laci_stereo.core.tracking.background import Background, learn_background
+from laci_stereo.core.tracking.background import BACKGROUND_FRAMES, Background, learn_background
 from laci_stereo.core.tracking.box import Box
 from laci_stereo.core.tracking.deskew import deskewed
 from laci_stereo.core.tracking.land import learn_land
@@ -125,7 +126,7 @@ def observe(
     ground = ground or _ground(thinned, source.axes, settings)
     log.info("ground: %.3f m below the sensor", ground.height_m)
     T_level_sensor = ground.T_level_sensor(source.axes)
-    whole_frames = [transform(T_level_sensor, cloud.points) for cloud in survey]
+    whole_frames = [transform(T_level_sensor, cloud.points) for cloud in spread(survey, BACKGROUND_FRAMES)]
     background = learn_background(whole_frames, ground.height_m, settings.background, settings.cluster, settings.box)
     land = learn_land(whole_frames, settings)
     del survey, whole_frames  # whole clouds are large

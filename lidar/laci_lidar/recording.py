@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,17 +20,20 @@ from laci_lidar.settings import LidarSettings, Sweep
 from laci_lidar.view import View, learn_view
 from laci_stereo.core.cloud import PointCloud, empty_cloud
 from laci_stereo.core.frames import Axes, BoolArray, FloatArray, IntArray
+from laci_stereo.core.observe import GROUND_POINTS
 from laci_stereo.core.settings import GroundSettings
 from laci_stereo.core.subsampling import evenly, spread
+from laci_stereo.core.tracking.background import BACKGROUND_FRAMES
 from laci_stereo.io.ahead import workers
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.text_file import listed
 
 log = logging.getLogger(__name__)
 
-SURVEY_FRAMES = 20
-"""Number of whole frames for the ground and the background, uniformly spaced: a vehicle is at the same place in few of
-them."""
+SURVEY_FRAMES = BACKGROUND_FRAMES
+"""Least number of whole frames of a survey, uniformly spaced. Of a scanner with few lasers, as many more are surveyed as
+the ground needs: twenty scans with eight lasers have 20,000 points, and their noise tilts the road by as much as all
+else."""
 
 NOISE_SCANS = 5
 """Number of scans from which the noise is estimated: each has thousands of points on the ground."""
@@ -63,6 +67,8 @@ class Scanner:
         These times are of the scanner's own clock, so that a scan's first point is assumed to be taken at its stamp.
     unused : tuple of str
         Fields of the points that contain no position, intensity or time.
+    points : float
+        Mean number of points of a scan.
     """
 
     view: View
@@ -70,6 +76,7 @@ class Scanner:
     timed: bool
     own_clock: bool
     unused: tuple[str, ...]
+    points: float
 
 
 class LidarRecording:
@@ -104,7 +111,7 @@ class LidarRecording:
         self._ground = ground or GroundSettings()
         self._threads = self.settings.workers or min(workers(0), MAX_READERS)
         self._frames = group_scans(scans.stamps_ns, self.settings.accumulate)
-        self._quiet, self._quiet_frames = self._survey_frames(background)
+        self._quiet, self._quiet_frames = self._frames_without_movers(background)
 
     @property
     def axes(self) -> Axes:
@@ -136,7 +143,9 @@ class LidarRecording:
 
     def survey(self) -> Iterator[PointCloud]:
         """Yield some of the frames, uniformly spaced, or of those without moving objects if these are known."""
-        return (cloud for cloud in self._clouds(self._quiet, self._quiet_frames) if len(cloud))
+        needed = math.ceil(GROUND_POINTS / (self.scanner.points * self.settings.accumulate))
+        frames = spread(self._quiet_frames, max(SURVEY_FRAMES, needed))
+        return (cloud for cloud in self._clouds(self._quiet, frames) if len(cloud))
 
     @cached_property
     def scanner(self) -> Scanner:
@@ -149,9 +158,10 @@ class LidarRecording:
         GroundError
             If the noise of ranges is not set, and no ground is found.
         """
-        indices = np.unique([frame[len(frame) // 2] for frame in self._quiet_frames])
+        indices = np.unique([frame[len(frame) // 2] for frame in spread(self._quiet_frames, SURVEY_FRAMES)])
         sampled = indices[evenly(len(indices), NOISE_SCANS)]
         kept: list[FloatArray] = []
+        counts: list[int] = []
         spans_s: list[float] = []
         starts: list[tuple[float, Clock]] = []
         unused: dict[str, None] = {}
@@ -164,6 +174,7 @@ class LidarRecording:
                         starts.append((float(scan.offset_s.min()), scan.clock))
                     unused.update(dict.fromkeys(scan.unused))
                     points = scan.points[self._far_enough(scan.points)]
+                    counts.append(len(points))
                     if index in sampled:
                         kept.append(points)
                     yield points
@@ -176,7 +187,8 @@ class LidarRecording:
         period_s = float(np.median(steps_ns)) / 1e9 if len(steps_ns) else np.inf
         if spans_s and np.median(spans_s) > GAP_PERIODS * period_s:
             self._check_once(float(np.median(spans_s)), period_s, int(indices[len(indices) // 2]))
-        scanner = Scanner(view, self._noise(kept), bool(starts), is_own_clock(starts, period_s), tuple(unused))
+        noise, own_clock = self._noise(kept), is_own_clock(starts, period_s)
+        scanner = Scanner(view, noise, bool(starts), own_clock, tuple(unused), float(np.mean(counts)))
         log.info(
             "scanner: %.0f deg wide, range within %.1f cm, bearing within %.2f deg",
             np.degrees(view.width_rad),
@@ -202,15 +214,15 @@ class LidarRecording:
                 "point in one scan"
             )
 
-    def _survey_frames(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:
+    def _frames_without_movers(self, background: ScanSequence | range | None) -> tuple[ScanSequence, list[IntArray]]:
         if background is None:
-            return self.scans, spread(self._frames, SURVEY_FRAMES)
+            return self.scans, self._frames
         if not isinstance(background, range):
-            return background, spread(group_scans(background.stamps_ns, self.settings.accumulate), SURVEY_FRAMES)
+            return background, group_scans(background.stamps_ns, self.settings.accumulate)
         check_frames(background.start, background.stop - 1, len(self.scans), "scans")
         chosen = np.array(background)
         groups = group_scans(self.scans.stamps_ns[chosen], self.settings.accumulate)
-        return self.scans, spread([chosen[group] for group in groups], SURVEY_FRAMES)
+        return self.scans, [chosen[group] for group in groups]
 
     def _noise(self, scans: Sequence[FloatArray]) -> Noise:
         angle, along = self.settings.angle_sigma_rad, self.settings.range_sigma_m

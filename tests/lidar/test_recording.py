@@ -17,6 +17,7 @@ from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
+from laci_stereo.core.observe import GROUND_POINTS
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.cam.csv_log import read_cam_csv
 from tests.io.support import SHARED, needs_shared
@@ -38,10 +39,10 @@ from tests.simulated import scene as crossing
 EXACT = LidarSettings(range_sigma_m=0.02, angle_sigma_rad=1e-3)
 
 
-def scans(count: int, offset: bool = True) -> list[Scan]:
+def scans(count: int, offset: bool = True, layers: int = 16) -> list[Scan]:
     found = []
     for seed in range(count):
-        points = road(sigma_m=0.02, seed=seed, layers=16, step_deg=0.8)
+        points = road(sigma_m=0.02, seed=seed, layers=layers, step_deg=0.8)
         found.append(Scan(points, None, np.linspace(0.0, 0.09, len(points)) if offset else None))
     return found
 
@@ -181,7 +182,7 @@ def test_unreadable_scans_are_empty_frames_until_they_are_too_many():
 
 
 def test_the_survey_is_spread_or_what_is_told_to_be_quiet():
-    sequence = listed(scans(50, offset=False))
+    sequence = listed(scans(50, offset=False, layers=100))
     spread = [cloud.stamp_ns for cloud in LidarRecording(sequence, EXACT).survey()]
     assert len(spread) == SURVEY_FRAMES
     assert (spread[0], spread[-1]) == (sequence.stamps_ns[0], sequence.stamps_ns[-1])
@@ -195,6 +196,17 @@ def test_the_survey_is_spread_or_what_is_told_to_be_quiet():
     for wrong in (range(48, 51), range(0), range(-1, 3)):
         with pytest.raises(SettingError, match="background scans are"):
             LidarRecording(sequence, EXACT, background=wrong)
+
+
+@pytest.mark.parametrize("accumulate", [1, 2])
+def test_of_sparse_scans_the_survey_has_as_many_as_the_ground_needs(accumulate: int):
+    sparse = scans(150, offset=False)
+    recording = LidarRecording(listed(sparse), replace(EXACT, accumulate=accumulate))
+    counts = [len(cloud) for cloud in recording.survey()]
+    assert SURVEY_FRAMES < len(counts) < len(recording)
+    assert GROUND_POINTS <= sum(counts) < GROUND_POINTS + max(counts)
+    few = LidarRecording(listed(sparse[:30]), EXACT)
+    assert len(list(few.survey())) == 30
 
 
 @pytest.mark.parametrize("form", ["folder", "bag"])

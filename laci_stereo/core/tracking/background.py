@@ -19,6 +19,10 @@ from laci_stereo.core.tracking.box import Box, fit_box
 from laci_stereo.core.tracking.cluster import cells_of, cluster, widened
 from laci_stereo.core.tracking.free_space import places_of, seen_through
 
+BACKGROUND_FRAMES = 20
+"""Number of whole frames, spread over a recording, that the background is learnt from: a vehicle is at the same place
+in few of them. Frames in quick succession would show it at one place in several."""
+
 
 @dataclass(frozen=True)
 class BackgroundBox:
