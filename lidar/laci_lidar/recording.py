@@ -31,9 +31,9 @@ from laci_stereo.io.text_file import listed
 log = logging.getLogger(__name__)
 
 SURVEY_FRAMES = BACKGROUND_FRAMES
-"""Least number of whole frames of a survey, uniformly spaced. Of a scanner with few lasers, as many more are surveyed as
-the ground needs: twenty scans with eight lasers have 20,000 points, and their noise tilts the road by as much as all
-else."""
+"""Least number of whole frames of a survey, uniformly spaced. Of a scanner with few lasers, as many more are surveyed
+as the ground needs: twenty scans of eight lasers have 20,000 points, and their noise tilts the road by as much as its
+waves do."""
 
 NOISE_SCANS = 5
 """Number of scans from which the noise is estimated: each has thousands of points on the ground."""
