@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from laci_stereo.io.cam.columns import (
     Quantity,
     Values,
 )
+from laci_stereo.io.cam.etsi import DamagedError
 from laci_stereo.io.cam.recording import CamRecording, Messages, recorded
 
 STATION = 0
@@ -36,17 +37,30 @@ OF_ANTENNA = (
 """Note on the antenna's lever arm: an error of metres that no result reveals, because along a straight road it is
 indistinguishable from a shift of the sensor."""
 
+Fix: TypeAlias = tuple[int, Mapping[Quantity, float]]
+"""Unix time in nanoseconds, and the known quantities."""
+
+Record = TypeVar("Record")
+
 # WGS84
 _SEMI_MAJOR_AXIS_M = 6_378_137.0
 _ECCENTRICITY_SQUARED = 6.694379990141e-3
 
 
-def gnss_messages(
-    path: Path,
-    noun: str,
-    fixes: Mapping[int, tuple[int, Mapping[Quantity, float]]],
-    problems: Mapping[int, str],
-) -> Messages:
+def fixes_in(
+    records: Iterable[tuple[int, Record]], fix: Callable[[Record], Fix]
+) -> tuple[dict[int, Fix], dict[int, str]]:
+    """Return the fixes in numbered records, and why others cannot be read: for what ``fix`` raises `DamagedError`."""
+    fixes, problems = {}, {}
+    for place, record in records:
+        try:
+            fixes[place] = fix(record)
+        except DamagedError as problem:
+            problems[place] = str(problem)
+    return fixes, problems
+
+
+def gnss_messages(path: Path, noun: str, fixes: Mapping[int, Fix], problems: Mapping[int, str]) -> Messages:
     """Return fixes in the form of messages.
 
     Parameters
@@ -54,8 +68,8 @@ def gnss_messages(
     path : Path
     noun : str
         The format's noun for the record of a fix.
-    fixes : mapping of int to tuple of int and mapping of Quantity to float
-        By record number: Unix time in nanoseconds, and the known quantities.
+    fixes : mapping of int to Fix
+        By record number.
     problems : mapping of int to str
         The records that could not be read, with the reason, by record number.
     """
