@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError
 
+from laci_stereo.io.file_content import read_bytes
 from laci_stereo.io.text_file import listed, shortened
 from laci_stereo.mask.errors import MaskError
 
@@ -106,10 +107,7 @@ def read_contract(path: Path) -> Contract:
         If it cannot be read, is no JSON, or does not follow the schema; unknown keys are named.
     """
     try:
-        content = path.read_bytes()[:MOST_BYTES]
-        document = json.loads(content.decode("utf-8"))
-    except OSError as problem:
-        raise MaskError(f"{path}: cannot be read ({problem.strerror}); needed is a contract (JSON)") from problem
+        document = json.loads(read_bytes(path, MaskError, "a contract (JSON)", MOST_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as problem:
         raise MaskError(
             f"{path}: is no JSON ({problem}); needed is a contract as docs/vehicle_mask.md has it"
