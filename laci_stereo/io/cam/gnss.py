@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
@@ -135,22 +134,14 @@ def _motion(stamps_ns: IntArray, latitude_deg: FloatArray, longitude_deg: FloatA
     _, first, inverse = np.unique(stamps_ns[located], return_index=True, return_inverse=True)
     order = located[first]
     seconds = (stamps_ns[order] - stamps_ns[order[:1]]) / 1e9
-    drives = np.cumsum(np.diff(seconds, prepend=0.0) > MAX_GAP_S).astype(np.int64)
     north, east = np.full(len(order), np.nan), np.full(len(order), np.nan)
-    for start, end in _runs(drives):
-        if end - start >= 2:
-            part = order[start:end]
-            velocity = _velocity(seconds[start:end], latitude_deg[part], longitude_deg[part])
-            north[start:end], east[start:end] = velocity
+    for drive in np.split(np.arange(len(order)), np.flatnonzero(np.diff(seconds) > MAX_GAP_S) + 1):
+        if len(drive) >= 2:
+            fixes = order[drive]
+            north[drive], east[drive] = _velocity(seconds[drive], latitude_deg[fixes], longitude_deg[fixes])
     heading[located] = (np.degrees(np.arctan2(east, north)) % 360.0)[inverse]
     speed[located] = np.hypot(north, east)[inverse]
     return {HEADING: heading, SPEED: speed}
-
-
-def _runs(numbers: IntArray) -> list[tuple[int, int]]:
-    """Return the begin and end indices of runs of equal numbers."""
-    edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
-    return list(pairwise(edges))
 
 
 def _velocity(

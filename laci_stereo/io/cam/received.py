@@ -154,6 +154,5 @@ def _stamps(found: _Gathered, stations: IntArray, good: BoolArray) -> tuple[IntA
         return stamps, ()
     received = np.array(found.received_ns, dtype=np.int64)[good]
     delta = np.array([cam.delta_ms for cam in found.cams], dtype=np.int64)[good]
-    times = generation_times(received, delta, stations[good])
-    stamps[good] = times.stamps_ns
-    return stamps, times.notes
+    stamps[good], notes = generation_times(received, delta, stations[good])
+    return stamps, notes
