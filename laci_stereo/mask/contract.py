@@ -130,17 +130,14 @@ def _in_words(problem: ValidationError) -> str:
 
 def _contract(document: dict[str, Any], path: Path) -> Contract:
     kind: Kind = document["kind"]
-    given = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in document.get("input", {}).items()
-    }
-    fields: Any = given  # the schema has checked their types
-    spec = InputSpec(**fields)
+    given: list[dict[str, Any]] = [  # the schema has checked their types
+        {key: tuple(value) if isinstance(value, list) else value for key, value in document.get(part, {}).items()}
+        for part in ("input", "output")
+    ]
+    spec = InputSpec(**given[0])
     for name in ("mean", "std"):
         count = len(getattr(spec, name))
         if count not in (1, spec.channels):
             raise MaskError(f"{path}: input.{name} has {count} numbers; needed are 1 or {spec.channels} ({spec.color})")
     boxes: dict[str, Any] = {"box_format": "cxcywh", "normalized": True} if kind == "detr" else {}
-    output = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in document.get("output", {}).items()
-    }
-    return Contract(kind, tuple(document["vehicle_ids"]), spec, OutputSpec(**{**boxes, **output}), path)
+    return Contract(kind, tuple(document["vehicle_ids"]), spec, OutputSpec(**{**boxes, **given[1]}), path)

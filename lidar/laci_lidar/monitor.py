@@ -99,9 +99,7 @@ class LidarFrames:
 
     def learn(self, frames: range) -> LidarScene:
         """Learn the field of view, the noise and the static background from some scans."""
-        assert self._scans is not None
-        quiet = Part(self._scans, frames)
-        return LidarScene(self, LidarRecording(quiet, self._settings))
+        return LidarScene(self, LidarRecording(self.scans(frames), self._settings))
 
     def scans(self, frames: range) -> Part:
         """Return a range of scans."""
