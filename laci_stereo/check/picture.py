@@ -43,19 +43,8 @@ def draw_check(
 ) -> Raster:
     """Draw the map's lines according to the calibration, dashed where hidden, and the places where they were found.
 
-    Parameters
-    ----------
-    backdrop : ndarray, shape (height, width) or (height, width, 3)
-    project : callable
-    check : LaneCheck
-    placed : Placed
-    lane_map : LaneMap
-    kinds : sequence of str
-        Kinds of lines that the sensor can see.
-
-    Returns
-    -------
-    ndarray of uint8, shape (height, width, 3)
+    ``backdrop`` is grey or in colour; ``kinds`` are those of the lines that the sensor can see. The picture has the
+    shape (height, width, 3), uint8.
     """
     canvas = Canvas(backdrop, halo=NIGHT)
     drawn: list[FloatArray] = []

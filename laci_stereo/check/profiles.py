@@ -48,15 +48,7 @@ class Profiles:
 
 
 def profiles_in_image(image: Raster, camera: Camera, sections: Sections) -> Profiles:
-    """Sample an image across sections of lines on the ground, with lens distortion taken into account.
-
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        Raw, grey.
-    camera : Camera
-    sections : Sections
-    """
+    """Sample a raw grey image across sections of lines on the ground, with lens distortion taken into account."""
     values = np.full((len(sections), len(OFFSETS_M)), np.nan)
     cell_m = cell_across(camera, sections)
     # If a pixel covers more than the width of the paint, the paint blends with its surroundings.

@@ -25,15 +25,7 @@ BAR_SHARE = 0.25
 def draw_log(recording: CamRecording) -> Raster:
     """Draw the messages' positions, with one colour for each of the stations with most messages and grey for the rest.
 
-    Parameters
-    ----------
-    recording : CamRecording
-        With at least one message that has a position.
-
-    Returns
-    -------
-    ndarray of uint8, shape (h, w, 3)
-        Blue, green, red.
+    At least one message has a position. The picture has the shape (h, w, 3), uint8, in blue, green, red.
     """
     canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), WHITE)
     log = recording.log[np.isfinite(recording.log.latitude_deg) & np.isfinite(recording.log.longitude_deg)]

@@ -37,19 +37,10 @@ LANE = Stroke(YELLOW, LANE_WIDTH)
 
 
 def overlay_stamps(calibration: Calibration, moments: Sequence[float] = MOMENTS) -> list[float]:
-    """Choose the frames to draw, spread over the time in which the vehicle was seen and used.
+    """Choose the frames to draw, at fractions ``moments`` of the time in which the vehicle was seen and used.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    moments : sequence of float
-        Fractions of that time, from 0 to 1.
-
-    Returns
-    -------
-    list of float
-        Stamps of sightings, ascending, each once. In all of them both the sensor and the messages determine the
-        vehicle's position.
+    Returned are stamps of sightings, ascending, each once. In all of them both the sensor and the messages determine
+    the vehicle's position.
     """
     stamps_s = known_stamps(calibration)
     if len(stamps_s) == 0:

@@ -73,18 +73,7 @@ TIE = Stroke(BLACK, 1.2, halo=False)
 
 
 def draw_topdown(calibration: Calibration, lane_map: LaneMap | None = None) -> Raster:
-    """Draw the map of a calibration, north up.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    lane_map : LaneMap or None
-
-    Returns
-    -------
-    ndarray of uint8, shape (1200, 1600, 3)
-        Blue, green, red.
-    """
+    """Draw the map of a calibration, north up: shape (1200, 1600, 3), uint8, in blue, green, red."""
     canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), halo=WHITE)
     view = map_view(calibration, (PLOT[2] - PLOT[0], PLOT[3] - PLOT[1]))
     with canvas.within(PLOT) as plot:

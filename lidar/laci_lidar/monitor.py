@@ -165,13 +165,7 @@ class LidarScene:
 
 
 def stored_settings(path: Path, workers: int) -> LidarSettings:
-    """Return the settings with which the scans of a calibration were read, its axes included.
-
-    Parameters
-    ----------
-    path : Path
-        Path of its ``calibration.json``.
-    workers : int
+    """Return the settings with which the scans of a ``calibration.json`` were read, its axes included.
 
     Raises
     ------

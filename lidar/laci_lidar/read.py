@@ -70,13 +70,8 @@ SUFFIXES = frozenset(suffix for known in FORMATS for suffix in known.suffixes)
 def read_scan(path: Path, stamp_ns: int | None = None) -> Scan:
     """Read a scan: PCD, PLY, LAS, LAZ, KITTI's .bin, .npy or .npz.
 
-    The format is recognised by the content, that of KITTI, which has no signature, by the name.
-
-    Parameters
-    ----------
-    path : Path
-    stamp_ns : int or None
-        The scan's Unix time, nanoseconds, to which the points' own times may refer.
+    The format is recognised by the content, that of KITTI, which has no signature, by the name. The points' own times
+    may refer to the scan's Unix time, ``stamp_ns``.
 
     Raises
     ------

@@ -41,12 +41,6 @@ class Bag(Protocol):
 def open_bag(path: Path, error: type[InputError]) -> Bag:
     """Open a ROS 1 bag, a folder that ROS 2 recorded, or one of its files.
 
-    Parameters
-    ----------
-    path : Path
-    error : type of InputError
-        The error class to raise if the path is none of these.
-
     Raises
     ------
     InputError

@@ -30,10 +30,7 @@ _TEXTS = (
 def read_cam_log(path: Path) -> CamRecording:
     """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, JSON, NMEA, GPX or RTKLIB's solutions.
 
-    Parameters
-    ----------
-    path : Path
-        A file, which may be compressed by gzip, or the folder of a ROS 2 bag.
+    ``path`` is a file, which may be compressed by gzip, or the folder of a ROS 2 bag.
 
     Raises
     ------

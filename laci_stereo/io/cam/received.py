@@ -108,14 +108,7 @@ class _Gathered:
 
 
 def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str] = ()) -> CamRecording:
-    """Return the log of the CAMs among received packets.
-
-    Parameters
-    ----------
-    source : Source
-    packets : iterable of Packet
-    notes : sequence of str
-        Notes on how the file was interpreted.
+    """Return the log of the CAMs among received packets; ``notes`` are on how their file was interpreted.
 
     Raises
     ------

@@ -46,15 +46,7 @@ def station_ids(table: Table) -> Parsed[IntArray]:
 
 
 def generated(table: Table, stamps: Parsed[IntArray], stations: IntArray) -> Parsed[IntArray]:
-    """Return the messages' times of generation, where a column `GENERATION_DELTA` tells them beside the reception.
-
-    Parameters
-    ----------
-    table : Table
-    stamps : Parsed
-        The rows' times, shape (n,).
-    stations : ndarray of int64, shape (n,)
-    """
+    """Return the messages' times of generation, where a column `GENERATION_DELTA` tells them beside the reception."""
     texts = table.texts(GENERATION_DELTA)
     if texts is None:
         return stamps

@@ -17,14 +17,7 @@ _Positions = Mapping[str, "tuple[float, float] | None"]
 
 
 def read_lanelet2(path: Path, root: Element, *, prefer_local: bool) -> DrawnMap:
-    """Read the ways of a map.
-
-    Parameters
-    ----------
-    path : Path
-    root : Element
-    prefer_local : bool
-        Use ``local_x`` and ``local_y`` where the nodes have both these and degrees.
+    """Read the ways of a map; ``prefer_local``: by ``local_x`` and ``local_y`` where nodes have both these and degrees.
 
     Raises
     ------

@@ -66,12 +66,8 @@ _IN_ONE_FILE: tuple[Reader, ...] = (
 def calibration_files(given: Path | Sequence[Path], left_folder: Path) -> tuple[Path, ...]:
     """Return the files of a stereo calibration: those given, or those found beside the left images.
 
-    Parameters
-    ----------
-    given : path, or sequence of path
-        One or two files, or a folder that holds them under their usual names; if empty, the folder of ``left_folder``
-        is searched.
-    left_folder : path
+    One or two files are given, or a folder that holds them under their usual names; if nothing is, the folder of
+    ``left_folder`` is searched.
 
     Raises
     ------
