@@ -45,12 +45,7 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 class ImageFolder:
     """The image files of one camera, ordered by time; no image has been read yet.
 
-    Attributes
-    ----------
-    path : Path
-    files : tuple of Path
-    stamps_ns : ndarray of int64, shape (n,)
-        Unix time, nanoseconds, strictly ascending.
+    ``stamps_ns``, shape (n,), are Unix times, strictly ascending.
     """
 
     path: Path

@@ -42,14 +42,7 @@ class PlacedRanging(Placed):
 
 @dataclass(frozen=True)
 class Seeing:
-    """Searches a LiDAR's points for the lines of a map.
-
-    Attributes
-    ----------
-    lines : sequence of LaneLine
-    placed : PlacedRanging
-    around : Surroundings
-    """
+    """Searches a LiDAR's points for the lines of a map."""
 
     lines: Sequence[LaneLine]
     placed: PlacedRanging

@@ -48,11 +48,7 @@ _SMALLEST_STEEPNESS = 0.05
 class Noise:
     """Standard deviations of a scanner's ranges and bearings.
 
-    Attributes
-    ----------
-    range_sigma_m, angle_sigma_rad : float
-    assumed : str
-        What is assumed rather than estimated, as a sentence; empty if nothing is.
+    ``assumed`` is what is assumed rather than estimated, as a sentence; empty if nothing is.
     """
 
     range_sigma_m: float
