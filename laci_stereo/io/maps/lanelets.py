@@ -13,6 +13,7 @@ from laci_stereo.core.errors import MapError
 from laci_stereo.core.frames import FloatArray, along_line
 from laci_stereo.io.file_content import read_content
 from laci_stereo.io.maps.lane_map import LaneMap
+from laci_stereo.io.maps.lanelet2 import tags_of
 from laci_stereo.io.safe_xml import XmlError, parse_xml
 from laci_stereo.io.text_file import text_in
 
@@ -82,7 +83,7 @@ def read_lanelets(path: Path, lane_map: LaneMap) -> tuple[Lane, ...]:
 
 
 def _lane(relation: Element, lines: dict[str, FloatArray]) -> Lane | None:
-    tags = {tag.get("k", ""): tag.get("v", "") for tag in relation.iterfind("tag")}
+    tags = tags_of(relation)
     if tags.get("type") != "lanelet" or tags.get("subtype", "") in FOR_PEOPLE:
         return None
     sides = []
