@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 
@@ -75,11 +77,7 @@ class Site:
         return run(self.arguments(*options, out=out), self.root)
 
     def refused(self, code: int, *words: str, options: Sequence[str | Path] = (), out: Path | None = None) -> str:
-        """Run the command, which must refuse with one line that holds these words and leave everything as it was."""
-        before = snapshot(self.root)
-        line = refusal(self.run(*options, out=out), code, *words)
-        assert snapshot(self.root) == before
-        return line
+        return refused(lambda: self.run(*options, out=out), self.root, code, *words)
 
     def replace_text(self, path: Path, old: str, new: str) -> None:
         text = path.read_text(encoding="utf-8")
@@ -121,16 +119,30 @@ def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, "TMPDIR": str(folder), "COLUMNS": "200"}
 
 
-def refusal(ran: Ran, code: int, *words: str) -> str:
+def refused(start: Callable[[], Ran], folder: Path, code: int, *words: str, program: str = COMMAND.name) -> str:
+    """Start a command, which must refuse with one line that holds these words and leave the folder as it was."""
+    before = snapshot(folder)
+    line = refusal(start(), code, *words, program=program)
+    assert snapshot(folder) == before
+    return line
+
+
+def refusal(ran: Ran, code: int, *words: str, program: str = COMMAND.name) -> str:
     """Hold a run against what a refusal must be, and return its line."""
     assert ran.code == code, ran
     assert ran.out == ""
     lines = ran.err.splitlines()
     assert len(lines) == 1, ran.err
-    assert lines[0].startswith("laci-stereo: ")
+    assert lines[0].startswith(f"{program}: ")
     for word in words:
         assert word in lines[0]
     return lines[0]
+
+
+def document_in(result: Path) -> dict[str, Any]:
+    """Return the calibration.json of a result's folder."""
+    read: dict[str, Any] = json.loads((result / "calibration.json").read_text(encoding="utf-8"))
+    return read
 
 
 def snapshot(folder: Path) -> dict[str, str]:

@@ -26,8 +26,10 @@ from tests.cli_support import (
     SMALL_LIMIT,
     Finished,
     Site,
+    document_in,
     link_recording,
     refusal,
+    refused,
     rewrite,
     run,
     run_installed,
@@ -121,7 +123,7 @@ def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bo
     ran = site.run(*SMALL_LIMIT)
     assert ran.code == 0, ran
     words = f"left and right images are {later_ms:.1f} ms apart by their times (median; {later_ms:.1f} ms at most)"
-    document = json.loads((site.out / "calibration.json").read_text())
+    document = document_in(site.out)
     assert (words in ran.err) == told
     assert any(note.startswith(words) for note in document["notes"]) == told
     assert document["config"]["joint"]["apart_sigma_s"] == pytest.approx(later_ms / 1e3)
@@ -148,9 +150,7 @@ def test_height_that_the_ground_contradicts_is_named(site: Site) -> None:
 def test_paths_that_no_file_can_have_are_refused(site: Site, place: int, name: str) -> None:
     arguments = site.arguments()
     arguments[place] = name
-    before = snapshot(site.root)
-    refusal(run(arguments, site.root), UNUSABLE, name, "needed is a")
-    assert snapshot(site.root) == before
+    refused(lambda: run(arguments, site.root), site.root, UNUSABLE, name, "needed is a")
 
 
 # ------------------------------------------------------------------------------------- stereo calibration
@@ -258,7 +258,7 @@ def test_one_bad_image_of_many_is_skipped_counted_and_named(site: Site) -> None:
     assert ran.err.splitlines() == [f"note: {note}" for note in notes]
     assert "23 image pairs" in ran.out
     assert "1 unreadable" in ran.out
-    assert json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"] == notes
+    assert document_in(site.out)["notes"] == notes
 
 
 @pytest.mark.slow
@@ -268,7 +268,7 @@ def test_any_image_may_be_the_damaged_one(site: Site) -> None:
         cut(path)
     ran = site.run("--quiet")
     assert (ran.code, ran.out, ran.err) == (0, "", "")
-    _, *notes = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["notes"]
+    _, *notes = document_in(site.out)["notes"]
     assert len(notes) == 3
     assert all("is cut off after 5000 bytes" in note for note in notes)
 
@@ -500,7 +500,7 @@ def test_overwrite_replaces_a_result_as_a_whole(site: Site) -> None:
     after = snapshot(site.root)
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
     assert all(Path(name).parts[0] == site.out.name for name in changed)
-    assert json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))["station_id"] == 4711
+    assert document_in(site.out)["station_id"] == 4711
     assert not (site.out / "overlay_9.png").exists()
 
 
@@ -642,7 +642,7 @@ def test_the_result_holds_what_the_schema_and_the_readme_say(demonstration: Fini
     topdown = cv2.imread(str(demonstration.out / "topdown.png"))
     assert topdown is not None
     assert len(np.unique(topdown)) > 10
-    document = json.loads((demonstration.out / "calibration.json").read_text(encoding="utf-8"))
+    document = document_in(demonstration.out)
     schema = Path(laci_stereo.__file__).parent / "io" / "result" / "calibration.schema.json"
     Draft202012Validator(json.loads(schema.read_text(encoding="utf-8"))).validate(document)
     assert document["notes"] == [ASSUMED]
@@ -654,7 +654,7 @@ def test_nothing_else_is_left(demonstration: Finished) -> None:
 
 
 def test_the_demonstration_finds_where_the_camera_really_is(demonstration: Finished) -> None:
-    document = json.loads((demonstration.out / "calibration.json").read_text(encoding="utf-8"))
+    document = document_in(demonstration.out)
     truth = json.loads((DEMONSTRATION / "truth.json").read_text(encoding="utf-8"))
     found = np.array(document["T_utm_sensor"])
     true = np.array(truth["stereo"]["T_world_camera_utm"])

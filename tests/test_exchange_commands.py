@@ -15,7 +15,7 @@ from laci_stereo.commands.cli import cli
 from laci_stereo.core.frames import invert, rigid
 from laci_stereo.io.result.calibration_file import to_document, to_text
 from laci_stereo.io.result.exports import FORMATS
-from tests.cli_support import Ran, Site, refusal, run, run_installed, write_small_recording
+from tests.cli_support import Ran, Site, document_in, refusal, run, run_installed, write_small_recording
 from tests.report.page_support import PROVENANCE
 from tests.report.support import calibration
 
@@ -66,7 +66,7 @@ def test_imported_result_is_compared_but_not_judged(result: Path, tmp_path: Path
     T[0, 3] += 0.25
     moved = tmp_path / "moved.txt"
     np.savetxt(moved, T, fmt="%.12f")
-    document = json.loads((result / "calibration.json").read_text())
+    document = document_in(result)
     world = document["world"]
     centre = np.array(world["origin_utm"]) + world["grid_scale"] * np.array(document["covariance_centre_world"][:2])
     said = invoke(
@@ -74,7 +74,7 @@ def test_imported_result_is_compared_but_not_judged(result: Path, tmp_path: Path
         *("--centre", "{},{}".format(*centre), "--out", tmp_path / "theirs"),
     )
     assert said.exception is None, said.output
-    theirs = json.loads((tmp_path / "theirs" / "calibration.json").read_text())
+    theirs = document_in(tmp_path / "theirs")
     assert (theirs["method"], theirs["covariance"], theirs["quality"]) == ("imported", None, None)
     theirs["sensor"] = document["sensor"]  # the words for the frame
     (tmp_path / "theirs" / "calibration.json").write_text(json.dumps(theirs))
@@ -116,7 +116,7 @@ def test_a_direction_is_read_or_asked_for(result: Path, tmp_path: Path) -> None:
     """In a map whose origin is far off to its side, the inverse of a sensor's pose is a possible one as well."""
     invoke("export", result, "--to", "matrix", "--out", tmp_path / "utm.txt")
     T = np.loadtxt(tmp_path / "utm.txt")
-    crs = json.loads((result / "calibration.json").read_text())["world"]["crs"]
+    crs = document_in(result)["world"]["crs"]
     rotation = Rotation.from_euler("x", 2.5, degrees=True).as_matrix()
     origin = T[:2, 3] - (0.0, 300.0)
     inverse = invert(rigid(rotation, np.array([0.0, 300.0, T[2, 3]])))[:3]
@@ -131,7 +131,7 @@ def test_a_direction_is_read_or_asked_for(result: Path, tmp_path: Path) -> None:
     for file, direction in ((matrix, ("--direction", "map-to-sensor")), (kitti, ())):
         said = invoke("import", file, *options, *direction, "--out", tmp_path / "theirs", "--overwrite")
         assert said.exception is None, said.exception
-        found = json.loads((tmp_path / "theirs" / "calibration.json").read_text())["T_utm_sensor"]
+        found = document_in(tmp_path / "theirs")["T_utm_sensor"]
         np.testing.assert_allclose(np.array(found)[:3, 3], T[:3, 3], rtol=0, atol=1e-6)
     assert "note: transform Tr_map_to_lidar of calib.txt, map-to-sensor, as the file says" in said.stderr
 
@@ -170,7 +170,7 @@ def map_csv(osm: Path, path: Path) -> None:
 @pytest.mark.slow
 def test_a_map_in_metres_serves_as_well(calibrated: Calibrated) -> None:
     assert "the map's coordinates are WGS 84 / UTM zone 32N, as --map-crs says" in calibrated.said
-    document = json.loads((calibrated.site.out / "calibration.json").read_text())
+    document = document_in(calibrated.site.out)
     assert document["lane_check"]["verdict"] == "pass"
     assert document["config"]["map_crs"] == "EPSG:32632"
 
@@ -209,7 +209,7 @@ def test_a_check_takes_the_baseline_that_the_result_was_made_with(calibrated: Ca
     entries = site.stereo.read_text()
     assert entries.count("-0.59999999999999998") == 1
     centimetres.write_text(entries.replace("-0.59999999999999998", "-60."))
-    document = json.loads((site.out / "calibration.json").read_text())
+    document = document_in(site.out)
     document["config"]["stereo"]["baseline_m"] = 0.6
     (tmp_path / "told").mkdir()
     (tmp_path / "told" / "calibration.json").write_text(json.dumps(document))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from pyproj import CRS
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from laci_stereo.core.frames import FloatArray, invert, transform
-from tests.cli_support import Ran, link_recording, rewrite, run_installed, snapshot
+from tests.cli_support import Ran, document_in, link_recording, refused, rewrite, run_installed
 from tests.cli_support import run as start
 from tests.detections import cam_rows
 from tests.lidar.support import (
@@ -76,17 +76,8 @@ class Site:
         return run(["calibrate", scans or self.scans, self.cam, "--out", self.out, *options], self.root, **how)
 
     def refused(self, code: int, *words: str, options: Sequence[str] = (), **how: Any) -> str:
-        """Run the command, which must refuse with one line that holds these words and leave everything as it was."""
-        before = snapshot(self.root)
-        ran = self.run("--quiet", *options, **how)
-        assert snapshot(self.root) == before
-        assert ran.code == code, ran
-        assert ran.out == ""
-        (line,) = ran.err.splitlines()
-        assert line.startswith("laci-lidar: ")
-        for word in words:
-            assert word in line
-        return line
+        start = partial(self.run, "--quiet", *options, **how)
+        return refused(start, self.root, code, *words, program=COMMAND.name)
 
 
 # ------------------------------------------------------------------------------------- a recording with its truth
@@ -123,11 +114,6 @@ def site(written: Path, tmp_path: Path) -> Site:
     return Site(tmp_path)
 
 
-def document(site: Site) -> dict[str, Any]:
-    read: dict[str, Any] = json.loads((site.out / "calibration.json").read_text(encoding="utf-8"))
-    return read
-
-
 def errors(made: Scene, T_utm_sensor: FloatArray) -> tuple[float, float]:
     """Return by how much the vehicle's track is off, root mean square in metres, and the turn in degrees."""
     T_true = made.recording.T_world_sensor
@@ -159,7 +145,7 @@ def test_files_in_and_the_true_transform_out(
         ["note: by the drive, the scanner measures a scan's ", ASSUMED[:50]] if method is None else []
     )
     assert {"calibration.json", "topdown.png"} <= {path.name for path in site.out.iterdir()}
-    found = document(site)
+    found = document_in(site.out)
     assert found["method"] == (method or "joint")
     assert found["sensor"] == {"name": "mast 3", "kind": "lidar", "frame": "as in the scans"}
     assert found["inputs"][str(site.scans)] == len(made.recording)
@@ -184,7 +170,7 @@ def test_sweep_that_contradicts_the_points_own_times_is_refused(
     site.refused(UNUSABLE, *words, options=("--sweep", "start,cw,10"))
     ran = site.run("--sweep", "none")
     assert ran.code == 0, ran
-    assert errors(made, np.array(document(site)["T_utm_sensor"]))[0] < 0.03
+    assert errors(made, np.array(document_in(site.out)["T_utm_sensor"]))[0] < 0.03
 
 
 # ------------------------------------------------------------------------------------- scans that are none
@@ -275,7 +261,7 @@ def test_single_bad_scans_are_left_out_counted_and_named(site: Site, made: Scene
     assert "--sweep" in of_the_scanner
     assert len(left_out) == 3
     assert all(any(note.startswith(f"note: {path}") for note in left_out) for path in damaged)
-    found = document(site)
+    found = document_in(site.out)
     assert [f"note: {note}" for note in found["notes"]] == notes
     assert errors(made, np.array(found["T_utm_sensor"]))[0] < 0.03
 
@@ -362,7 +348,7 @@ def test_of_a_bag_that_is_cut_off_the_rest_is_calibrated(
     (bag / "a.mcap").write_bytes(content[: len(content) * 3 // 4])
     ran = site.run(scans=bag)
     assert ran.code == 0, ran
-    found = document(site)
+    found = document_in(site.out)
     used = found["inputs"][str(bag)]
     assert 35 < used <= 45
     assert f"the {used} whole messages of /points are used, {60 - used} are lost" in ran.err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from laci_stereo.core.tracking.box_point import BoxPoint
 from laci_stereo.io.result.calibration_file import schema
 from laci_stereo.job import Result
 from laci_stereo.match import MatchOptions, match, prepare
-from tests.cli_support import refusal, run, run_installed, snapshot
+from tests.cli_support import document_in, refusal, refused, run, run_installed
 from tests.detections import (
     EXACT,
     Noise,
@@ -69,17 +68,13 @@ class Site:
         return self.root / "result"
 
     def document(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self.out / "calibration.json").read_text(encoding="utf-8"))
-        return found
+        return document_in(self.out)
 
     def arguments(self, *options: str) -> list[str]:
         return ["match", str(self.detections), str(self.cam), "--out", str(self.out), *options]
 
     def refused(self, code: int, *words: str, options: tuple[str, ...] = ()) -> None:
-        """Run the command, which must refuse with one line that holds these words and leave everything as it was."""
-        before = snapshot(self.root)
-        refusal(run(self.arguments(*options), self.root), code, *words)
-        assert snapshot(self.root) == before
+        refused(lambda: run(self.arguments(*options), self.root), self.root, code, *words)
 
 
 def lay(folder: Path, made: Traffic, track_ids: bool = True) -> Site:

@@ -13,9 +13,8 @@ from laci_stereo.check.placed import Placed
 from laci_stereo.check.sections import PAINTED, WALLS
 from laci_stereo.core.frames import FloatArray, Raster
 from laci_stereo.io.maps.lane_map import LaneLine, LaneMap
-from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
+from laci_stereo.report.canvas import Canvas, Entry
 from laci_stereo.report.lines import subdivide
-from laci_stereo.report.overlay import MARGIN, PANEL_SHARE
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
 
 Project: TypeAlias = Callable[[FloatArray], list[FloatArray]]
@@ -25,6 +24,13 @@ LINE_WIDTH, DOT_RADIUS = 1.4, 2.2
 LANE = Stroke(YELLOW, LINE_WIDTH, halo=False)
 HIDDEN = Stroke(YELLOW, LINE_WIDTH, dash=(4.0, 9.0), halo=False)
 STEP_M = 0.5
+
+LEGEND = (
+    Entry("line of the map", "line", LANE),
+    Entry("the same, hidden by the background", "line", HIDDEN),
+    Entry("where a line was found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
+    Entry("found, off on its own", "dot", Stroke(VERMILLION, DOT_RADIUS)),
+)
 
 
 def draw_check(
@@ -37,19 +43,8 @@ def draw_check(
 ) -> Raster:
     """Draw the map's lines according to the calibration, dashed where hidden, and the places where they were found.
 
-    Parameters
-    ----------
-    backdrop : ndarray, shape (height, width) or (height, width, 3)
-    project : callable
-    check : LaneCheck
-    placed : Placed
-    lane_map : LaneMap
-    kinds : sequence of str
-        Kinds of lines that the sensor can see.
-
-    Returns
-    -------
-    ndarray of uint8, shape (height, width, 3)
+    ``backdrop`` is grey or in colour; ``kinds`` are those of the lines that the sensor can see. The picture has the
+    shape (height, width, 3), uint8.
     """
     canvas = Canvas(backdrop, halo=NIGHT)
     drawn: list[FloatArray] = []
@@ -62,9 +57,8 @@ def draw_check(
         dots = [pixels[:1] for each in places for pixels in project(each)]
         if dots:
             canvas.dots(np.concatenate(dots), colour, DOT_RADIUS)
-    top = canvas.height - 1.2 * LINE_HEIGHT * TEXT * canvas.unit_px
-    _draw_legend(canvas, top, drawn)
-    _draw_caption(canvas, top, check)
+    canvas.legend_panel(LEGEND, [np.concatenate([*drawn, np.zeros((0, 2))])], WHITE)
+    canvas.caption(_caption(check), WHITE)
     return canvas.image
 
 
@@ -87,26 +81,7 @@ def _found(check: LaneCheck, astray: bool) -> Iterator[FloatArray]:
         yield np.stack([place, place + 0.01 * ahead])
 
 
-def _draw_legend(canvas: Canvas, bottom: float, lines: Sequence[FloatArray]) -> None:
-    entries = [
-        Entry("line of the map", "line", LANE),
-        Entry("the same, hidden by the background", "line", HIDDEN),
-        Entry("where a line was found", "dot", Stroke(SKY_BLUE, DOT_RADIUS)),
-        Entry("found, off on its own", "dot", Stroke(VERMILLION, DOT_RADIUS)),
-    ]
-    margin = MARGIN * canvas.unit_px
-    width, height = (extent + 2 * margin for extent in canvas.legend_size(entries))
-    occupied = [np.concatenate([*lines, np.zeros((0, 2))])]
-    left, top = emptiest_corner((width, height), (0.0, 0.0, canvas.width, bottom), occupied)
-    canvas.shade((left, top, left + width, top + height), PANEL_SHARE)
-    canvas.legend(entries, (left + margin, top + margin), WHITE)
-
-
-def _draw_caption(canvas: Canvas, top: float, check: LaneCheck) -> None:
+def _caption(check: LaneCheck) -> str:
     found = f"{check.lines_found} of {check.lines_sought} lines found"
     residual = "" if check.residual_m is None else f", {100 * check.residual_m:.0f} cm off (RMS)"
-    text = f"{found}{residual}. {verdict_text(check)}"
-    margin = MARGIN * canvas.unit_px
-    canvas.shade((0, top, canvas.width, canvas.height), PANEL_SHARE)
-    size = canvas.fitting(text, canvas.width - 2 * margin)
-    canvas.text(text, (margin, (top + canvas.height) / 2), WHITE, size=size)
+    return f"{found}{residual}. {verdict_text(check)}"

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from laci_stereo.check.sections import SECTION_M, Sections
-from laci_stereo.core.frames import BoolArray, FloatArray, IntArray, Raster
+from laci_stereo.core.frames import BoolArray, FloatArray, Raster
 from laci_stereo.report.camera import Camera
+from laci_stereo.report.drawn import on_ground
 
 REACH_M = 1.5
 """Range on either side of a line: farther off, a lane's other line is nearer."""
@@ -45,26 +46,15 @@ class Profiles:
     cell_m: FloatArray
     in_image: bool
 
-    def __getitem__(self, chosen: BoolArray | IntArray) -> Profiles:
-        return Profiles(self.values[chosen], self.cell_m[chosen], self.in_image)
-
 
 def profiles_in_image(image: Raster, camera: Camera, sections: Sections) -> Profiles:
-    """Sample an image across sections of lines on the ground, with lens distortion taken into account.
-
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        Raw, grey.
-    camera : Camera
-    sections : Sections
-    """
+    """Sample a raw grey image across sections of lines on the ground, with lens distortion taken into account."""
     values = np.full((len(sections), len(OFFSETS_M)), np.nan)
     cell_m = cell_across(camera, sections)
     # If a pixel covers more than the width of the paint, the paint blends with its surroundings.
-    seen = np.flatnonzero((cell_m <= sections.width_m) & _inside(project_ground(camera, sections.xy), image))
+    seen = np.flatnonzero((cell_m <= sections.width_m) & _inside(camera.project(on_ground(sections.xy)), image))
     places = _window(sections[seen])
-    pixels = project_ground(camera, places.reshape(-1, 2)).reshape(places.shape)
+    pixels = camera.project(on_ground(places.reshape(-1, 2))).reshape(places.shape)
     values[seen] = np.where(_inside(pixels, image), _look_up(image.astype(np.float32), pixels), np.nan).mean(axis=1)
     return Profiles(values, cell_m, in_image=True)
 
@@ -94,13 +84,8 @@ def _look_up(image: Raster, pixels: FloatArray) -> FloatArray:
     return np.concatenate(parts).astype(np.float64).reshape(pixels.shape[:-1])
 
 
-def project_ground(camera: Camera, xy: FloatArray) -> FloatArray:
-    """Project points on the ground, shape (n, 2), world, to pixels, shape (n, 2); NaN if they cannot be seen."""
-    return camera.project(np.column_stack([xy, np.zeros(len(xy))]))
-
-
 def cell_across(camera: Camera, sections: Sections) -> FloatArray:
     """Return the width that a pixel covers across sections, metres, shape (n,); infinite if they are not in view."""
-    ends = [project_ground(camera, sections.xy + side * STEP_M * sections.left) for side in (-1.0, 1.0)]
+    ends = [camera.project(on_ground(sections.xy + side * STEP_M * sections.left)) for side in (-1.0, 1.0)]
     apart_px = np.linalg.norm(ends[1] - ends[0], axis=1)
     return np.where(apart_px > 0, 2 * STEP_M / np.maximum(apart_px, 1e-9), np.inf)

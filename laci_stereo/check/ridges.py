@@ -28,13 +28,9 @@ which is 9 % of the pixel values in an image with a gamma of 2.2, and just above
 
 
 def find_stripes(profiles: Profiles, line: IntArray) -> Traces:
-    """Detect stripes.
+    """Detect stripes across sections of lines.
 
-    Parameters
-    ----------
-    profiles : Profiles
-    line : ndarray of int, shape (n,)
-        Index of each section's line, in order along it: sections of one line share its noise.
+    ``line``, shape (n,), is the index of each section's line, in order along it: sections of one line share its noise.
     """
     traces = Traces.unseen(len(profiles.values))
     seen = np.isfinite(profiles.values[:, len(OFFSETS_M) // 2])

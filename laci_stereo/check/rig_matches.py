@@ -85,14 +85,9 @@ class PairMatches:
 
 @dataclass(frozen=True)
 class Compared:
-    """A pair of images and the following left image, as grey, uint8.
+    """A pair of images and the following left image, as grey, uint8, shape (height, width).
 
-    Attributes
-    ----------
-    left, right : ndarray, shape (height, width)
-    later : ndarray or None
-        None at the end of the recording, if it cannot be read, if its size differs, or if the times are unknown.
-    later_s : float
+    ``later`` is None at the end of the recording, if it cannot be read, its size differs, or the times are unknown.
     """
 
     left: Raster

@@ -130,14 +130,9 @@ class Parallax:
 
 @dataclass(frozen=True)
 class Lag:
-    """Delay of the right images relative to the left ones, measured with moving points.
+    """Delay of the right images relative to the left ones, measured with moving points, ``count`` of them.
 
-    Attributes
-    ----------
-    seconds, sigma_s : float
-    effect_px : float
-        95th percentile of the resulting displacement of the moving points.
-    count : int
+    ``effect_px`` is the 95th percentile of the displacement of these points by it.
     """
 
     seconds: float

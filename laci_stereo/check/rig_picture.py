@@ -8,8 +8,7 @@ from laci_stereo.check.rig_images import RigCheck
 from laci_stereo.check.rig_points import Rectified
 from laci_stereo.check.rig_verdict import FAIL_PX, WARN_PX
 from laci_stereo.core.frames import FloatArray, Raster
-from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, emptiest_corner
-from laci_stereo.report.overlay import PANEL_SHARE
+from laci_stereo.report.canvas import Canvas, Entry
 from laci_stereo.report.style import NIGHT, SKY_BLUE, VERMILLION, WHITE, YELLOW, Stroke
 from laci_stereo.stereo.rectify import rectify
 
@@ -18,7 +17,6 @@ ROWS = 12
 
 ROW = Stroke(WHITE, 0.5, halo=False)
 RADIUS = 2.6
-MARGIN = 12.0
 _COLOURS = (
     (SKY_BLUE, f"within {WARN_PX:g} px of its row", 0.0, WARN_PX),
     (YELLOW, f"within {FAIL_PX:g} px", WARN_PX, FAIL_PX),
@@ -42,7 +40,9 @@ def draw_rig(check: RigCheck) -> Raster:
     heights = (np.arange(ROWS) + 0.5) * height / ROWS
     canvas.lines([np.array([[0.0, y], [2.0 * width, y]]) for y in heights], ROW)
     dots = [] if check.fit is None else _draw_matches(canvas, check.fit.points, width)
-    _draw_words(canvas, check, dots)
+    canvas.legend_panel([Entry(label, "dot", Stroke(colour, RADIUS)) for colour, label, _, _ in _COLOURS], dots, WHITE)
+    words = check.findings[0].text if check.findings else "partners lie in their rows"
+    canvas.caption(f"{check.outcome.upper()}: {words}", WHITE)
     return canvas.image
 
 
@@ -62,17 +62,3 @@ def _draw_matches(canvas: Canvas, matches: Rectified, width: int) -> list[FloatA
 def _seen(pixels: FloatArray, sign: int, width: int) -> FloatArray:
     """Return the positions of points in images that are mirrored if the second camera is left of the first."""
     return pixels.copy() if sign > 0 else np.column_stack([width - 1 - pixels[:, 0], pixels[:, 1]])
-
-
-def _draw_words(canvas: Canvas, check: RigCheck, dots: list[FloatArray]) -> None:
-    entries = [Entry(label, "dot", Stroke(colour, RADIUS)) for colour, label, _, _ in _COLOURS]
-    margin = MARGIN * canvas.unit_px
-    top = canvas.height - 1.2 * LINE_HEIGHT * TEXT * canvas.unit_px
-    width, height = (extent + 2 * margin for extent in canvas.legend_size(entries))
-    x, y = emptiest_corner((width, height), (0.0, 0.0, canvas.width, top), dots)
-    canvas.shade((x, y, x + width, y + height), PANEL_SHARE)
-    canvas.legend(entries, (x + margin, y + margin), WHITE)
-    canvas.shade((0, top, canvas.width, canvas.height), PANEL_SHARE)
-    text = check.outcome.upper() + (f": {check.findings[0].text}" if check.findings else ": partners lie in their rows")
-    size = canvas.fitting(text, canvas.width - 2 * margin)
-    canvas.text(text, (margin, (top + canvas.height) / 2), WHITE, size=size)

@@ -102,13 +102,7 @@ class RightTurn:
 
 
 def find_turn(rig: StereoRig, pairs: Sequence[StereoPair]) -> RightTurn:
-    """Estimate the right camera's pitch and roll from matches in some pairs.
-
-    Parameters
-    ----------
-    rig : StereoRig
-        Rig of the images as they are.
-    pairs : sequence of StereoPair
+    """Estimate the right camera's pitch and roll from matches in some pairs; ``rig`` is that of the images as they are.
 
     Raises
     ------

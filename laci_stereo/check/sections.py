@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.columns import Columns
-from laci_stereo.core.frames import FloatArray, IntArray
+from laci_stereo.core.frames import FloatArray, IntArray, along_line
 from laci_stereo.io.maps.lane_map import LaneLine
 
 SECTION_M = 1.0
@@ -81,8 +81,7 @@ def sections_of(lines: Sequence[LaneLine], around_xy: FloatArray, kinds: Sequenc
 
 
 def _cut(number: int, xy: FloatArray, width_m: float) -> Sections:
-    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    at = np.append(0.0, np.cumsum(steps))
+    at = along_line(xy)
     count = max(round(at[-1] / SECTION_M), 1) if at[-1] > 0 else 0
     edges = np.linspace(0.0, at[-1], count + 1)
     ends = np.column_stack([np.interp(edges, at, axis) for axis in xy.T])

@@ -40,10 +40,9 @@ def cam(log: Path, form: Format | None, out: Path | None, overwrite: bool) -> No
 
     Exit codes: 0 a run could use it, or it was converted; 1 it could use none of its stations; 2 it cannot be read.
     """
-    if out is not None:
-        check_files([out], overwrite=overwrite)
-        if form is None:
-            check_png(out)
+    check_files([out], overwrite=overwrite)
+    if form is None:
+        check_png(out)
     recording = read_cam_log(log)
     if form is None:
         summary = summarise_log(recording, str(log))

@@ -106,7 +106,7 @@ def check_free(picture: Path, json_file: Path | None, *, overwrite: bool) -> Non
     ------
     OutputError
     """
-    check_files([path for path in (picture, json_file) if path is not None], overwrite=overwrite)
+    check_files([picture, json_file], overwrite=overwrite)
     check_png(picture)
 
 
@@ -157,6 +157,6 @@ def deliver(checked: Checked, map_sigma_m: float, picture: Path, json_file: Path
     write_picture(picture, checked.picture)
     if json_file is not None:
         write_document(json_file, check_document(checked.check, map_sigma_m))
-    say_written(*(path for path in (picture, json_file) if path is not None))
+    say_written(picture, json_file)
     if checked.check.judgement.outcome == "fail":
         sys.exit(NEGATIVE)

@@ -21,6 +21,7 @@ from laci_stereo.commands.monitor import monitor as monitor_command
 from laci_stereo.commands.options import (
     PATH,
     Asked,
+    axes_option,
     baseline_option,
     calibrating,
     deliver,
@@ -119,12 +120,7 @@ def calibrate(
 @cli.command()
 @click.argument("detections", type=PATH)
 @click.argument("cam", type=PATH)
-@click.option(
-    "--axes",
-    default="x forward, z up",
-    show_default=True,
-    help="Which way the sensor's axes point, such as 'y forward' or 'z down'.",
-)
+@axes_option
 @click.option(
     "--box-origin",
     type=click.Choice(get_args(BoxOrigin)),

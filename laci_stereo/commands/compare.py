@@ -31,8 +31,7 @@ def compare_command(
     Exit codes: 0 they agree within what they claim, or one was imported and claims nothing; 1 some contradict each
     other; 2 the input cannot be read or makes no sense.
     """
-    files = [path for path in (csv_file, page_file) if path is not None]
-    check_files(files, overwrite=overwrite)
+    check_files([csv_file, page_file], overwrite=overwrite)
     comparisons = compare(results, renamed=renamed)
     click.echo("\n\n".join(map(to_table, comparisons)))
     for words in filter(None, (to_summary(comparisons), SHARED)):
@@ -41,8 +40,7 @@ def compare_command(
         write_file(csv_file, to_csv(comparisons).encode())
     if page_file is not None:
         write_file(page_file, write_compare_page([_pair(each) for each in comparisons], SHARED).encode())
-    if files:
-        say_written(*files)
+    say_written(csv_file, page_file)
     if any(each.outcome == "contradict" for each in comparisons):
         sys.exit(NEGATIVE)
 

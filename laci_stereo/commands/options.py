@@ -87,12 +87,11 @@ class Asked:
             crs=self.crs,
             name=self.name,
             background=background,
-            core=core_settings(
-                self.method,
-                self.height,
-                clock_sigma(self.clock, self.clock_sigma),
-                limits(self.max_sigma_m, self.max_sigma_deg),
-            ),
+            core=Settings(
+                method=self.method,
+                ground=ground_near(self.height),
+                quality=limits(self.max_sigma_m, self.max_sigma_deg),
+            ).with_clock(clock_sigma(self.clock, self.clock_sigma)),
         )
 
 
@@ -121,6 +120,13 @@ map_crs_option = click.option(
     "--map-crs",
     metavar="CRS[@E,N]",
     help="Coordinate system of a map that does not state it, as EPSG:25832; E,N is the origin of its coordinates.",
+)
+
+axes_option = click.option(
+    "--axes",
+    default="x forward, z up",
+    show_default=True,
+    help="Which way the sensor's axes point, such as 'y forward' or 'z down'.",
 )
 
 baseline_option = click.option(
@@ -294,9 +300,11 @@ def deliver(result: Result, out: Path, *, overwrite: bool, quiet: bool, said: Co
         raise VerdictError(f"the verdict is fail: {'; '.join(quality.reasons)}; {out} shows what was found")
 
 
-def say_written(*written: Path | str, err: bool = False) -> None:
-    """Print which files were written: for the path of a folder, the files in it; strings are printed as they are."""
-    click.echo(f"{'Written':<11}{', '.join(map(_with_content, written))}", err=err)
+def say_written(*written: Path | str | None, err: bool = False) -> None:
+    """Print which files were written, if any: of a folder, the files in it; strings are printed as they are."""
+    there = [_with_content(each) for each in written if each is not None]
+    if there:
+        click.echo(f"{'Written':<11}{', '.join(there)}", err=err)
 
 
 def _with_content(written: Path | str) -> str:
@@ -449,11 +457,6 @@ def limits(max_sigma_m: float, max_sigma_deg: float) -> QualitySettings:
         max_sigma_m=above_zero("--max-sigma-m", max_sigma_m, "m"),
         max_sigma_deg=above_zero("--max-sigma-deg", max_sigma_deg, "deg"),
     )
-
-
-def core_settings(method: Method, height_m: float | None, clock_sigma_s: float, quality: QualitySettings) -> Settings:
-    """Return the core's default settings with the options' values in their place."""
-    return Settings(method=method, ground=ground_near(height_m), quality=quality).with_clock(clock_sigma_s)
 
 
 def log_to_stderr(*, quiet: bool, verbose: bool) -> None:

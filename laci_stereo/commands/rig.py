@@ -45,10 +45,8 @@ def rig(
     Exit codes: 0 it fits, perhaps with a warning; 1 it does not; 2 something cannot be read or makes no sense.
     """
     calibration, left, right = _parted(paths)
-    outputs = [path for path in (picture, json_file) if path is not None]
-    check_files(outputs, overwrite=overwrite)
-    if picture is not None:
-        check_png(picture)
+    check_files([picture, json_file], overwrite=overwrite)
+    check_png(picture)
     files = calibration_files(calibration, left)
     pairs = _pairs(left, right)
     found = read_rig(files, ForImages(first_size(pair.left for pair in pairs), left, baseline, right))
@@ -58,8 +56,7 @@ def rig(
         write_picture(picture, draw_rig(check))
     if json_file is not None:
         write_document(json_file, rig_document(files, check))
-    if outputs:
-        say_written(*outputs)
+    say_written(picture, json_file)
     if check.outcome == "fail":
         sys.exit(NEGATIVE)
 

@@ -29,14 +29,7 @@ from laci_stereo.io.text_file import listed
 
 @dataclass(frozen=True)
 class Measure(Column):
-    """A column of numbers.
-
-    Attributes
-    ----------
-    unit : str
-    above, highest : float
-        Range of possible values: greater than the first, at most the second.
-    """
+    """A column of numbers, possible if greater than ``above`` and at most ``highest``."""
 
     unit: str
     above: float

@@ -94,10 +94,7 @@ OTHER_CLOCKS = (
 def epoch_notes(stamps_ns: IntArray) -> list[str]:
     """Return a note on messages from before there were CAMs, and on the clocks by which they would be of later years.
 
-    Parameters
-    ----------
-    stamps_ns : ndarray of int64, shape (n,)
-        Times of messages, ascending; at least one.
+    Their times, ``stamps_ns``, are ascending; there is at least one.
     """
     middle_ns, last_ns = int(stamps_ns[len(stamps_ns) // 2]), int(stamps_ns[-1])
     if middle_ns >= FIRST_CAMS_NS:

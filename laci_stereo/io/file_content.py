@@ -1,4 +1,4 @@
-"""The bytes of a file, unpacked if it is compressed by gzip."""
+"""The bytes of a file, as they are or unpacked if it is compressed by gzip."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from laci_stereo.core.errors import InputError
 GZIP_MAGIC = b"\x1f\x8b"
 
 LFS_MAGIC = b"version https://git-lfs"
-LFS_POINTER = "a pointer of Git LFS, not the file itself; needed is that (git lfs pull)"
-"""What stands instead of a large file in a checkout without it, and the remedy."""
+"""With which begins what stands instead of a large file in a checkout without it."""
 
 MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
 BAG_MAGICS = (b"#ROSBAG", MCAP_MAGIC, SQLITE_MAGIC)
@@ -33,25 +32,49 @@ def begins_with(path: Path, magics: tuple[bytes, ...]) -> bool:
         return False
 
 
-def read_content(path: Path, error: type[InputError]) -> bytes:
-    """Return the content of a file, unpacked if it is compressed by gzip.
+def read_bytes(path: Path, error: type[InputError], needed: str = "a file", largest: int | None = None) -> bytes:
+    """Return the content of a file.
+
+    Parameters
+    ----------
+    path : Path
+    error : type of InputError
+    needed : str
+        What the file should be, with its article.
+    largest : int or None
+        Largest size, bytes.
 
     Raises
     ------
     InputError
-        Of the class ``error``, if the file is missing, a folder or unreadable, or if its packed content is damaged or
-        too large.
+        Of the class ``error``, if the file is missing, a folder, unreadable, too large or a pointer of Git LFS.
     """
     try:
+        size = path.stat().st_size
+        if largest is not None and size > largest:
+            raise error(f"{path} has {size} bytes; needed is {needed}, of at most {largest}")
         content = path.read_bytes()
     except FileNotFoundError:
-        raise error(f"{path} does not exist; needed is a file") from None
+        raise error(f"{path} does not exist; needed is {needed}") from None
     except IsADirectoryError:
-        raise error(f"{path} is a folder; needed is a file") from None
-    except OSError as problem:
-        raise error(f"{path} cannot be read: {problem.strerror}; needed is a file") from problem
-    except ValueError as problem:
-        raise error(f"{path} cannot be read: {problem}; needed is a file") from problem
+        raise error(f"{path} is a folder; needed is {needed}") from None
+    except (OSError, ValueError) as problem:
+        why = getattr(problem, "strerror", None) or problem
+        raise error(f"{path} cannot be read: {why}; needed is {needed}") from problem
+    if content.startswith(LFS_MAGIC):
+        raise error(f"{path} is a pointer of Git LFS, not the file itself; needed is that (git lfs pull)")
+    return content
+
+
+def read_content(path: Path, error: type[InputError], needed: str = "a file", largest: int | None = None) -> bytes:
+    """Return the content of a file, unpacked if it is compressed by gzip; parameters are those of `read_bytes`.
+
+    Raises
+    ------
+    InputError
+        As in `read_bytes`, or if the packed content is damaged or unpacks to more than `LARGEST_UNPACKED`.
+    """
+    content = read_bytes(path, error, needed, largest)
     return _unpacked(path, content, error) if content.startswith(GZIP_MAGIC) else content
 
 

@@ -24,17 +24,9 @@ _TIFF = rb"II[*+]\0|MM\0[*+]"
 
 
 def stated_size(content: bytes) -> Size | None:
-    """Return the width and height that an image file states.
+    """Return the width and height that an image file states: PNG, JPEG, TIFF, BMP, WebP or a portable anymap.
 
-    Parameters
-    ----------
-    content : bytes
-        A PNG, JPEG, TIFF, BMP, WebP or portable anymap file, recognised by its first bytes.
-
-    Returns
-    -------
-    tuple of int or None
-        None if the content is in none of these formats, or its header is cut off.
+    None if the first bytes are of none of these formats, or the header is cut off.
     """
     read = next((read for start, read in _HEADERS if re.match(start, content, re.DOTALL)), None)
     try:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from laci_stereo.core.errors import ImageError, OutputError
 from laci_stereo.core.frames import IntArray, Raster
-from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER
+from laci_stereo.io.file_content import read_bytes
 from laci_stereo.io.image_integrity import damage
 from laci_stereo.io.image_size import stated_bits, stated_size
 from laci_stereo.io.output import write_file
@@ -45,12 +45,7 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 class ImageFolder:
     """The image files of one camera, ordered by time; no image has been read yet.
 
-    Attributes
-    ----------
-    path : Path
-    files : tuple of Path
-    stamps_ns : ndarray of int64, shape (n,)
-        Unix time, nanoseconds, strictly ascending.
+    ``stamps_ns``, shape (n,), are Unix times, strictly ascending.
     """
 
     path: Path
@@ -162,11 +157,7 @@ def read_image(path: Path) -> Image:
     ImageError
         If the file is missing, no image, larger than `MOST_PIXELS`, cut off or otherwise damaged.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as problem:
-        what = "is a folder" if path.is_dir() else problem.strerror
-        raise ImageError(f"{path} cannot be read: {what}; needed is an image") from problem
+    content = read_bytes(path, ImageError, "an image")
     damaged = damage(content)
     if damaged is not None:
         raise ImageError(f"{path} {damaged}; needed is a whole image")
@@ -191,8 +182,6 @@ def _decoded(path: Path, content: bytes) -> npt.NDArray[np.generic]:
             image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:
             problem = error
-    if image is None and content.startswith(LFS_MAGIC):
-        raise ImageError(f"{path} is {LFS_POINTER}")
     if image is None:
         raise ImageError(f"{path} cannot be decoded ({len(content)} bytes); needed is a whole image") from problem
     return image

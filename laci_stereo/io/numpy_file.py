@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-import zlib
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ _HEADER_AT = 12
 
 
 def archived(
-    content: bytes, what: str, error: type[InputError], largest: int | None = None
+    content: bytes, what: str, error: type[InputError], *, largest: int | None = None, most: int | None = None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of an archive (``.npz``) by their names.
 
@@ -35,28 +34,28 @@ def archived(
     error : type of InputError
     largest : int or None
         Arrays of more bytes are left out.
+    most : int or None
+        Largest size of all arrays together, bytes.
 
     Raises
     ------
     InputError
-        Of the class ``error``, if the archive is damaged, or as in `array_in`.
+        Of the class ``error``, if the archive is damaged or too large, or as in `array_in`.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = archive.infolist()
+            unpacked = sum(member.file_size for member in members)
+            if most is not None and unpacked > most:
+                raise error(f"{what} unpacks to {unpacked} bytes; needed are at most {most}")
             return {
                 member.filename.removesuffix(".npy"): _member(archive, member, what, error)
-                for member in archive.infolist()
+                for member in members
                 if largest is None or member.file_size <= largest
             }
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        OSError,
-        NotImplementedError,
-        ValueError,
-        RuntimeError,
-    ) as problem:
+    except error:
+        raise
+    except Exception as problem:  # of many types: the bytes may be anything
         raise error(f"{what} is damaged: {quoted(str(problem))}; needed is a whole archive of arrays") from problem
 
 

@@ -60,8 +60,8 @@ def _check_replaceable(out: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{out}: holds a result already; needed is another --out, or --overwrite to replace it")
 
 
-def check_files(paths: Iterable[Path], *, overwrite: bool) -> None:
-    """Check before any work is done that files can be written.
+def check_files(paths: Iterable[Path | None], *, overwrite: bool) -> None:
+    """Check before any work is done that files can be written; None: none was asked for.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def check_files(paths: Iterable[Path], *, overwrite: bool) -> None:
         If a file exists already, is a folder, is in no existing folder, or is named twice.
     """
     known: set[Path] = set()
-    for path in paths:
+    for path in filter(None, paths):
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; needed is the name of a file")
         if path.exists() and not overwrite:
@@ -81,14 +81,14 @@ def check_files(paths: Iterable[Path], *, overwrite: bool) -> None:
         known.add(path.resolve())
 
 
-def check_png(picture: Path) -> None:
-    """Raise if a picture's file name does not end in ``.png``.
+def check_png(picture: Path | None) -> None:
+    """Raise if the file name of a picture that was asked for does not end in ``.png``.
 
     Raises
     ------
     OutputError
     """
-    if picture.suffix.lower() != ".png":
+    if picture is not None and picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture's name ends in {picture.suffix or 'nothing'}; needed is .png")
 
 

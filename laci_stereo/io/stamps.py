@@ -26,14 +26,7 @@ from 1980 (GPS) or 2004 (ETSI) are in it, too."""
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """A unit of Unix times.
-
-    Attributes
-    ----------
-    name : str
-    ns : int
-        Its length in nanoseconds.
-    """
+    """A unit of Unix times, and its length in nanoseconds."""
 
     name: str
     ns: int

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from laci_stereo.core.errors import InputError
-from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER, read_content
+from laci_stereo.io.file_content import read_content
 
 _LONGEST_QUOTE = 60
 _LONGEST_LIST = 500
@@ -25,7 +25,6 @@ _OTHERS: Mapping[bytes, str] = {
     b"\x28\xb5\x2f\xfd": "packed by zstd; needed is it unpacked, or packed by gzip",
     b"7z\xbc\xaf": "a 7-Zip archive; needed is what is in it, unpacked",
     b"%PDF": "a PDF document; needed is a text file",
-    LFS_MAGIC: LFS_POINTER,
     b"<!DOCTYPE html": "a web page, as of a log-in; needed is the file itself",
     b"<html": "a web page, as of a log-in; needed is the file itself",
 }
@@ -45,7 +44,17 @@ def read_text(path: Path, error: type[InputError]) -> str:
     InputError
         Of the class ``error``, if the file is missing, a folder, empty, unreadable or not text.
     """
-    content = read_content(path, error)
+    return text_in(read_content(path, error), path, error)
+
+
+def text_in(content: bytes, path: Path, error: type[InputError]) -> str:
+    """Return the text in the content of a file, as `read_text` does.
+
+    Raises
+    ------
+    InputError
+        Of the class ``error``, if it is empty or not text.
+    """
     other = next((words for magic, words in _OTHERS.items() if content[: len(magic)].lower() == magic.lower()), None)
     if other is not None:
         raise error(f"{path} is {other}")

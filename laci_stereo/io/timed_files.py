@@ -116,22 +116,10 @@ def in_time(folder: Path, names: Sequence[str], kind: FileKind) -> tuple[tuple[P
 
 
 def folder_stamps(folder: Path, names: Sequence[str], kind: FileKind) -> IntArray:
-    """Return the times of the files in a folder.
+    """Return the times of the files in a folder, Unix, nanoseconds, in the order of their names, which are sorted.
 
     They are read from ``timestamps.txt`` or ``timestamps.csv`` if there is one, else from the files' names; where these
     hold no time, from such a file beside the folder, as in KITTI's recordings.
-
-    Parameters
-    ----------
-    folder : Path
-    names : sequence of str
-        Sorted names of the files; at least one.
-    kind : FileKind
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Unix time in nanoseconds, in the order of the names.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError
 
+from laci_stereo.io.file_content import read_bytes
 from laci_stereo.io.text_file import listed, shortened
 from laci_stereo.mask.errors import MaskError
 
@@ -106,10 +107,7 @@ def read_contract(path: Path) -> Contract:
         If it cannot be read, is no JSON, or does not follow the schema; unknown keys are named.
     """
     try:
-        content = path.read_bytes()[:MOST_BYTES]
-        document = json.loads(content.decode("utf-8"))
-    except OSError as problem:
-        raise MaskError(f"{path}: cannot be read ({problem.strerror}); needed is a contract (JSON)") from problem
+        document = json.loads(read_bytes(path, MaskError, "a contract (JSON)", MOST_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as problem:
         raise MaskError(
             f"{path}: is no JSON ({problem}); needed is a contract as docs/vehicle_mask.md has it"
@@ -132,17 +130,14 @@ def _in_words(problem: ValidationError) -> str:
 
 def _contract(document: dict[str, Any], path: Path) -> Contract:
     kind: Kind = document["kind"]
-    given = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in document.get("input", {}).items()
-    }
-    fields: Any = given  # the schema has checked their types
-    spec = InputSpec(**fields)
+    given: list[dict[str, Any]] = [  # the schema has checked their types
+        {key: tuple(value) if isinstance(value, list) else value for key, value in document.get(part, {}).items()}
+        for part in ("input", "output")
+    ]
+    spec = InputSpec(**given[0])
     for name in ("mean", "std"):
         count = len(getattr(spec, name))
         if count not in (1, spec.channels):
             raise MaskError(f"{path}: input.{name} has {count} numbers; needed are 1 or {spec.channels} ({spec.color})")
     boxes: dict[str, Any] = {"box_format": "cxcywh", "normalized": True} if kind == "detr" else {}
-    output = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in document.get("output", {}).items()
-    }
-    return Contract(kind, tuple(document["vehicle_ids"]), spec, OutputSpec(**{**boxes, **output}), path)
+    return Contract(kind, tuple(document["vehicle_ids"]), spec, OutputSpec(**{**boxes, **given[1]}), path)

@@ -304,12 +304,16 @@ def _enlarged(level: Raster, size: tuple[int, int]) -> BoolArray:
 
 def _pasted(level: Raster, box: FloatArray, size: tuple[int, int]) -> BoolArray:
     """Return the mask over the whole input, from one that covers only its box."""
-    width, height = size
-    x0, y0, x1, y1 = np.rint(box.clip(0, [width, height, width, height])).astype(int).tolist()
-    mask = np.zeros((height, width), dtype=bool)
+    mask, (x0, y0, x1, y1) = np.zeros(size[::-1], dtype=bool), _inside(box, size)
     if x1 > x0 and y1 > y0:
         mask[y0:y1, x0:x1] = _enlarged(level, (x1 - x0, y1 - y0))
     return mask
+
+
+def _inside(box: FloatArray, size: tuple[int, int]) -> list[int]:
+    """Return the left, top, right and bottom of a box, whole pixels, within an input of this width and height."""
+    whole: list[int] = np.rint(box.clip(0, np.tile(size, 2))).astype(int).tolist()
+    return whole
 
 
 def _yolo_seg(returned: Returned) -> Candidates:
@@ -326,9 +330,7 @@ def _yolo_seg(returned: Returned) -> Candidates:
 
     def mask_of(index: int) -> BoolArray:
         level = _sigmoid(np.tensordot(values[index, 4 + classes_count :], prototypes, axes=1))
-        width, height = returned.size
-        x0, y0, x1, y1 = np.rint(boxes[index].clip(0, [width, height, width, height])).astype(int).tolist()
-        mask = np.zeros((height, width), dtype=bool)
+        mask, (x0, y0, x1, y1) = np.zeros(returned.size[::-1], dtype=bool), _inside(boxes[index], returned.size)
         mask[y0:y1, x0:x1] = _enlarged(level.astype(np.float32), returned.size)[y0:y1, x0:x1]
         return mask
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from laci_stereo.core.frames import Raster
+from laci_stereo.io.text_file import shortened
 from laci_stereo.mask.contract import Contract, InputSpec, contract_beside, read_contract
 from laci_stereo.mask.decode import Found, decode, in_roles
 from laci_stereo.mask.errors import MaskError
@@ -217,11 +218,11 @@ def _size(model: Path, shape: tuple[int | None, int | None], spec: InputSpec | N
 
 def _said(problem: Exception) -> str:
     """Return the runtime's message in one line, without references to its source code."""
-    text = " ".join(str(problem).split()) or type(problem).__name__
+    text = str(problem).strip() or type(problem).__name__
     for noise in (
         r"\[ONNXRuntimeError\] : \d+ : \w+ : ",
         r"Load model from .*? failed: ?",
         r"/\S+\.(?:h|cc|cpp):\d+ .*?\) ",
     ):
         text = re.sub(noise, "", text)
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    return shortened(text, LONGEST)

@@ -98,16 +98,7 @@ def place(crop: Crop, cell: Cell, resize: Resize) -> Placed:
 def tensor(placed: list[Placed], size: tuple[int, int], spec: InputSpec) -> Raster:
     """Draw crops into an input and convert it to the network's layout, type, colour order and value range.
 
-    Parameters
-    ----------
-    placed : list of Placed
-    size : tuple of int
-        Width and height of the input.
-    spec : InputSpec
-
-    Returns
-    -------
-    ndarray, shape (1, channels, height, width) or (1, height, width, channels)
+    ``size`` is the input's width and height. Its shape is (1, channels, height, width) or (1, height, width, channels).
     """
     canvas: Raster = np.full((size[1], size[0], 3), round(spec.pad), dtype=np.uint8)
     for placement in placed:

@@ -25,14 +25,7 @@ UNIT = 1 / 255
 
 @dataclass(frozen=True)
 class Ports:
-    """The inputs and outputs that a network's file declares.
-
-    Attributes
-    ----------
-    inputs, outputs : tuple of (str, tuple)
-        Names and shapes.
-    metadata : mapping of str to str
-    """
+    """The inputs and outputs that a network's file declares, their names and shapes, and its metadata."""
 
     inputs: tuple[tuple[str, Shape], ...]
     outputs: tuple[tuple[str, Shape], ...]

@@ -30,13 +30,8 @@ calibration."""
 class LaneFinding:
     """The traffic in a lane, or beside a boundary.
 
-    Attributes
-    ----------
-    strip : Strip
-    tally : StripTally
-    calibration_sigma_m : float
-        Standard deviation of the offset from the line according to the calibration's own covariance, at the point of
-        the line nearest to the centre of the calibration's track.
+    ``calibration_sigma_m`` is the standard deviation of the offset from the line according to the calibration's own
+    covariance, at the point of the line nearest to the centre of the calibration's track.
     """
 
     strip: Strip

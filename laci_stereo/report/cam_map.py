@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray, Raster
@@ -25,15 +23,7 @@ BAR_SHARE = 0.25
 def draw_log(recording: CamRecording) -> Raster:
     """Draw the messages' positions, with one colour for each of the stations with most messages and grey for the rest.
 
-    Parameters
-    ----------
-    recording : CamRecording
-        With at least one message that has a position.
-
-    Returns
-    -------
-    ndarray of uint8, shape (h, w, 3)
-        Blue, green, red.
+    At least one message has a position. The picture has the shape (h, w, 3), uint8, in blue, green, red.
     """
     canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), WHITE)
     log = recording.log[np.isfinite(recording.log.latitude_deg) & np.isfinite(recording.log.longitude_deg)]
@@ -45,7 +35,8 @@ def draw_log(recording: CamRecording) -> Raster:
     entries = [Entry("others", "dot", Stroke(GREY, _DOT))] if others.any() else []
     for station, colour in reversed(list(zip(named, _COLOURS, strict=False))):
         of_station = log.station_id == station
-        for piece in _pieces(log.stamps_ns[of_station] / 1e9, xy[of_station]):
+        gaps = np.diff(log.stamps_ns[of_station] / 1e9) > MAX_GAP_S
+        for piece in np.split(xy[of_station], np.flatnonzero(gaps) + 1):
             canvas.lines([view.pixels(piece)], Stroke(colour, _LINE))
         canvas.dots(view.pixels(xy[of_station]), colour, _DOT)
         entries.insert(0, Entry(f"station {station}, {int(of_station.sum())} messages", "dot", Stroke(colour, _DOT)))
@@ -67,8 +58,3 @@ def _view(xy: FloatArray) -> MapView:
     low, high = xy.min(axis=0), xy.max(axis=0)
     extent = np.maximum((1 + 2 * MARGIN_SHARE) * (high - low), _LEAST_EXTENT_M)
     return MapView((low + high) / 2, float((np.array(SIZE) / extent).min()), (float(SIZE[0]), float(SIZE[1])))
-
-
-def _pieces(stamps_s: FloatArray, xy: FloatArray) -> Iterator[FloatArray]:
-    """Yield the pieces of a track between gaps longer than `MAX_GAP_S`."""
-    yield from np.split(xy, np.flatnonzero(np.diff(stamps_s) > MAX_GAP_S) + 1)

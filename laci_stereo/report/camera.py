@@ -31,14 +31,7 @@ angle from the optical axis, and its limit."""
 
 @dataclass(frozen=True)
 class Camera:
-    """A lens and its pose.
-
-    Attributes
-    ----------
-    lens : Lens
-    T_camera_world : ndarray, shape (4, 4)
-        From the world to the raw camera's frame (x right, y down, z forward).
-    """
+    """A lens and its pose: ``T_camera_world`` leads into the raw camera's frame (x right, y down, z forward)."""
 
     lens: Lens
     T_camera_world: FloatArray

@@ -34,6 +34,12 @@ CAPITAL = 0.7
 LINE_HEIGHT = 1.45
 """Distance between lines of text, as a multiple of the font size."""
 
+PANEL_SHARE = 0.62
+"""Opacity of the panels behind text."""
+
+MARGIN = 14.0
+"""Distance between a panel, its contents and the picture's border, units."""
+
 HALO = 1.1
 """Width of a halo on either side of a line, units."""
 
@@ -178,6 +184,26 @@ class Canvas:
         widest = max((self.text_width(entry.label) for entry in entries), default=0.0)
         width = self._swatch_px + 0.5 * TEXT * self.unit_px + widest
         return width, len(entries) * LINE_HEIGHT * TEXT * self.unit_px
+
+    @property
+    def caption_top(self) -> float:
+        """Upper edge of the panel of a caption, pixels."""
+        return self.height - LINE_HEIGHT * 1.2 * TEXT * self.unit_px
+
+    def caption(self, text: str, colour: Colour) -> None:
+        """Write a line on a panel along the lower border, smaller if it is too long."""
+        margin = MARGIN * self.unit_px
+        self.shade((0, self.caption_top, self.width, self.height), PANEL_SHARE)
+        size = self.fitting(text, self.width - 2 * margin)
+        self.text(text, (margin, (self.caption_top + self.height) / 2), colour, size=size)
+
+    def legend_panel(self, entries: Sequence[Entry], occupied: Sequence[FloatArray], colour: Colour) -> None:
+        """Draw a legend on a panel in a corner above the caption, where it hides least, see `emptiest_corner`."""
+        margin = MARGIN * self.unit_px
+        width, height = (extent + 2 * margin for extent in self.legend_size(entries))
+        left, top = emptiest_corner((width, height), (0.0, 0.0, self.width, self.caption_top), occupied)
+        self.shade((left, top, left + width, top + height), PANEL_SHARE)
+        self.legend(entries, (left + margin, top + margin), colour)
 
     def shade(self, rect: Rect, share: float) -> None:
         """Blend a rectangle with the halo's colour, which gets the weight ``share``, so that text on it is legible."""

@@ -70,16 +70,7 @@ def sender_track(calibration: Calibration) -> list[FloatArray]:
 def sender_box(calibration: Calibration, stamp_s: float) -> Box | None:
     """Return the vehicle's box according to its messages, on the ground plan of the world, with yaw to its front.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    stamp_s : float
-        Time on the sensor's clock, seconds since the recording's first stamp.
-
-    Returns
-    -------
-    Box or None
-        None where the messages do not determine the position.
+    ``stamp_s`` is a time on the sensor's clock. None where the messages do not determine the position.
     """
     vehicle = calibration.drive.vehicle
     xy, yaw_rad, known = vehicle.at(np.array([stamp_s + calibration.drive.time_offset_s]))

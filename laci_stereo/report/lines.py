@@ -19,13 +19,9 @@ def subdivide(line: FloatArray, step: float) -> FloatArray:
 
 
 def clip(line: FloatArray, inside: FloatArray) -> list[FloatArray]:
-    """Return the pieces of a line on which a linear function is not negative.
+    """Return the pieces of a line, shape (n, d), on which a linear function is not negative.
 
-    Parameters
-    ----------
-    line : ndarray, shape (n, d)
-    inside : ndarray, shape (n,)
-        Values of the function at the line's points.
+    ``inside``, shape (n,), holds the values of the function at the line's points.
     """
     crossing = np.flatnonzero((inside[:-1] < 0) != (inside[1:] < 0))
     share = inside[crossing] / (inside[crossing] - inside[crossing + 1])

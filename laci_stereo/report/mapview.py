@@ -95,6 +95,11 @@ def nice_step(span: float, count: int) -> float:
     return float(next((step for step in steps if step >= least * (1 - 1e-9)), 10 * steps[0]))
 
 
+def multiples(low: float, high: float, step: float) -> FloatArray:
+    """Return the multiples of a step from ``low`` to ``high``, shape (n,)."""
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step + 0.0  # turns -0.0 into 0.0
+
+
 def _near(corners: FloatArray, low: FloatArray, high: FloatArray) -> bool:
     """Return whether all corners of a box, shape (4, 2), are near the axis-aligned rectangle from low to high."""
     return bool((corners > low - NEAR_BACKGROUND_M).all() and (corners < high + NEAR_BACKGROUND_M).all())

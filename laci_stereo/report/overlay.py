@@ -11,7 +11,7 @@ from laci_stereo.core.result import Calibration
 from laci_stereo.io.maps.lane_map import LaneMap
 from laci_stereo.io.rig.stereo_rig import Lens
 from laci_stereo.report.camera import Camera
-from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, emptiest_corner, touches
+from laci_stereo.report.canvas import LINE_HEIGHT, TEXT, Canvas, Entry, Rect, touches
 from laci_stereo.report.drawn import (
     known_stamps,
     on_ground,
@@ -27,12 +27,6 @@ LANE_WIDTH, SENDER_WIDTH, SENSOR_WIDTH, DOT_RADIUS = 2.6, 4.6, 2.2, 3.2
 """Line widths and radii in units of the canvas. The sensor's box has thinner lines than the sender's, which is drawn
 below it, so that both are visible where they agree."""
 
-PANEL_SHARE = 0.62
-"""Opacity of the panels behind text."""
-
-MARGIN = 14.0
-"""Distance between a panel, its contents and the picture's border, units."""
-
 MOMENTS = (0.1, 0.5, 0.9)
 """Times of the overlays, as fractions of the time in which the vehicle is seen: early, in the middle, late."""
 
@@ -43,19 +37,10 @@ LANE = Stroke(YELLOW, LANE_WIDTH)
 
 
 def overlay_stamps(calibration: Calibration, moments: Sequence[float] = MOMENTS) -> list[float]:
-    """Choose the frames to draw, spread over the time in which the vehicle was seen and used.
+    """Choose the frames to draw, at fractions ``moments`` of the time in which the vehicle was seen and used.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    moments : sequence of float
-        Fractions of that time, from 0 to 1.
-
-    Returns
-    -------
-    list of float
-        Stamps of sightings, ascending, each once. In all of them both the sensor and the messages determine the
-        vehicle's position.
+    Returned are stamps of sightings, ascending, each once. In all of them both the sensor and the messages determine
+    the vehicle's position.
     """
     stamps_s = known_stamps(calibration)
     if len(stamps_s) == 0:
@@ -90,14 +75,13 @@ def draw_overlay(
     """
     canvas = Canvas(image, halo=NIGHT)
     camera = Camera(lens, invert(calibration.T_world_sensor))
-    caption_top = canvas.height - LINE_HEIGHT * 1.2 * TEXT * canvas.unit_px
     lanes = _draw_lanes(canvas, camera, lane_map)
     _draw_grid(canvas, camera, calibration)
     tracks = _draw_tracks(canvas, camera, calibration)
     boxes = _draw_boxes(canvas, camera, calibration, stamp_s)
-    _label_grid(canvas, camera, calibration, caption_top, boxes)
-    _draw_legend(canvas, caption_top, [*tracks, *boxes], lanes)
-    _draw_caption(canvas, caption_top, calibration, stamp_s)
+    _label_grid(canvas, camera, calibration, boxes)
+    _draw_legend(canvas, [*tracks, *boxes], lanes)
+    canvas.caption(_caption(calibration, stamp_s), WHITE)
     return canvas.image
 
 
@@ -117,10 +101,9 @@ def _draw_grid(canvas: Canvas, camera: Camera, calibration: Calibration) -> None
         canvas.lines([piece for line in ground_grid(calibration) for piece in camera.project_line(line)], GRID)
 
 
-def _label_grid(
-    canvas: Canvas, camera: Camera, calibration: Calibration, bottom: float, avoid: Sequence[FloatArray]
-) -> None:
+def _label_grid(canvas: Canvas, camera: Camera, calibration: Calibration, avoid: Sequence[FloatArray]) -> None:
     """Label the grid's lines with their distance ahead, except where there is no room or where the vehicle is."""
+    bottom = canvas.caption_top
     places = camera.project(grid_places(calibration))
     room = LINE_HEIGHT * TEXT * canvas.unit_px
     for distance, (x, y) in zip(GRID_AHEAD, places, strict=True):
@@ -150,7 +133,7 @@ def _draw_boxes(canvas: Canvas, camera: Camera, calibration: Calibration, stamp_
     return sent_px + seen_px
 
 
-def _draw_legend(canvas: Canvas, bottom: float, vehicle: list[FloatArray], lanes: list[FloatArray]) -> None:
+def _draw_legend(canvas: Canvas, vehicle: list[FloatArray], lanes: list[FloatArray]) -> None:
     entries = [
         Entry("vehicle by its CAMs", "line", SENDER),
         Entry("vehicle by the sensor", "dot", Stroke(SENSOR.colour, DOT_RADIUS)),
@@ -158,24 +141,16 @@ def _draw_legend(canvas: Canvas, bottom: float, vehicle: list[FloatArray], lanes
     ]
     if lanes:
         entries.insert(0, Entry("lane map", "line", LANE))
-    margin = MARGIN * canvas.unit_px
-    width, height = (extent + 2 * margin for extent in canvas.legend_size(entries))
     occupied = [np.concatenate([*part, np.zeros((0, 2))]) for part in (vehicle, lanes)]
-    left, top = emptiest_corner((width, height), (0.0, 0.0, canvas.width, bottom), occupied)
-    canvas.shade((left, top, left + width, top + height), PANEL_SHARE)
-    canvas.legend(entries, (left + margin, top + margin), WHITE)
+    canvas.legend_panel(entries, occupied, WHITE)
 
 
-def _draw_caption(canvas: Canvas, top: float, calibration: Calibration, stamp_s: float) -> None:
+def _caption(calibration: Calibration, stamp_s: float) -> str:
     quality = calibration.quality
-    text = (
+    return (
         f"t = {stamp_s:.2f} s, {stations_of(calibration)}, verdict: {quality.verdict}, "
         f"objects placed to ±{quality.track_xy_sigma_m:.2f} m (1σ)"
     )
-    margin = MARGIN * canvas.unit_px
-    canvas.shade((0, top, canvas.width, canvas.height), PANEL_SHARE)
-    size = canvas.fitting(text, canvas.width - 2 * margin)
-    canvas.text(text, (margin, (top + canvas.height) / 2), WHITE, size=size)
 
 
 def _within(rect: Rect, frame: Rect) -> bool:

@@ -50,17 +50,10 @@ class Stroke:
 
 
 def lane_strokes(lane_map: LaneMap | None, colour: Colour, width: float) -> list[tuple[LaneLine, Stroke]]:
-    """Return every line of a map with its stroke, in drawing order.
+    """Return every line of a map with its stroke, in drawing order; ``width`` is that of an ordinary line.
 
     Lines look as they do on the road. Virtual lines, which are not painted on the road, are thin and dotted, and drawn
     below the others, with which they often coincide.
-
-    Parameters
-    ----------
-    lane_map : LaneMap or None
-    colour : tuple of int
-    width : float
-        Width of an ordinary line.
     """
     lines = lane_map.lines if lane_map is not None else ()
     strokes = [(line, _lane_stroke(line, colour, width)) for line in lines]

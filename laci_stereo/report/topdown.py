@@ -22,7 +22,7 @@ from laci_stereo.report.drawn import (
     sighting_at,
     stations_of,
 )
-from laci_stereo.report.mapview import MapView, draw_bar, map_view, nice_step
+from laci_stereo.report.mapview import MapView, draw_bar, map_view, multiples, nice_step
 from laci_stereo.report.style import (
     BLACK,
     BLUE,
@@ -73,18 +73,7 @@ TIE = Stroke(BLACK, 1.2, halo=False)
 
 
 def draw_topdown(calibration: Calibration, lane_map: LaneMap | None = None) -> Raster:
-    """Draw the map of a calibration, north up.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    lane_map : LaneMap or None
-
-    Returns
-    -------
-    ndarray of uint8, shape (1200, 1600, 3)
-        Blue, green, red.
-    """
+    """Draw the map of a calibration, north up: shape (1200, 1600, 3), uint8, in blue, green, red."""
     canvas = Canvas(np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8), halo=WHITE)
     view = map_view(calibration, (PLOT[2] - PLOT[0], PLOT[3] - PLOT[1]))
     with canvas.within(PLOT) as plot:
@@ -125,8 +114,7 @@ def marks_of(calibration: Calibration) -> list[Mark]:
     if len(known_s) == 0:
         return []
     step_s = max(nice_step(float(np.ptp(known_s)) + 1e-9, MARKS), 1.0)
-    wanted = np.arange(np.ceil(known_s[0] / step_s), np.floor(known_s[-1] / step_s) + 1) * step_s
-    nearest = np.abs(known_s[:, None] - wanted).argmin(axis=0)
+    nearest = np.abs(known_s[:, None] - multiples(known_s[0], known_s[-1], step_s)).argmin(axis=0)
     return [_mark(calibration, float(stamp_s)) for stamp_s in known_s[np.unique(nearest)]]
 
 
@@ -154,9 +142,7 @@ def _line_at(view: MapView, axis: int, tick: float) -> FloatArray:
 
 def _ticks(view: MapView, axis: int) -> FloatArray:
     low, high = view.extent_m(axis)
-    step = nice_step(high - low, TICKS)
-    ticks: FloatArray = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
-    return ticks + 0.0  # turns -0.0 into 0.0
+    return multiples(low, high, nice_step(high - low, TICKS))
 
 
 def _draw_map(canvas: Canvas, view: MapView, calibration: Calibration, lane_map: LaneMap | None) -> list[Entry]:

@@ -42,14 +42,7 @@ class PlacedRanging(Placed):
 
 @dataclass(frozen=True)
 class Seeing:
-    """Searches a LiDAR's points for the lines of a map.
-
-    Attributes
-    ----------
-    lines : sequence of LaneLine
-    placed : PlacedRanging
-    around : Surroundings
-    """
+    """Searches a LiDAR's points for the lines of a map."""
 
     lines: Sequence[LaneLine]
     placed: PlacedRanging
@@ -90,20 +83,9 @@ class Seeing:
 def check_scans(
     scans: ScanSequence, placed: Placed, lane_map: LaneMap, map_sigma_m: float = MAP_SIGMA_M
 ) -> Checked | None:
-    """Compare a map with what a LiDAR saw.
+    """Compare a map with what a LiDAR saw; None if the scans have no intensity and the map no kerbs or walls.
 
-    Parameters
-    ----------
-    scans : ScanSequence
-    placed : Placed
-    lane_map : LaneMap
-    map_sigma_m : float
-        Standard deviation of a line's position in the map.
-
-    Returns
-    -------
-    Checked or None
-        None if the scans have no intensity and the map has no kerbs or walls.
+    ``map_sigma_m`` is the standard deviation of a line's position in the map.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from laci_lidar.run import LidarOptions, prepare
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import AtOnce, LidarSettings, Sweep
 from laci_stereo.commands.check import check_free, deliver, map_options, needs_kind, placed_by, say_notes, the_map
-from laci_stereo.commands.options import PATH, Asked, calibrating, parse_background
+from laci_stereo.commands.options import PATH, Asked, axes_option, calibrating, parse_background
 from laci_stereo.commands.program import run_command
 from laci_stereo.core.errors import SettingError
 from laci_stereo.io.axes import parse_axes
@@ -38,12 +38,7 @@ def cli() -> None:
 @click.argument("scans", type=PATH)
 @click.argument("cam", type=PATH)
 @click.option("--topic", help="Topic with the point clouds, where a bag has several.")
-@click.option(
-    "--axes",
-    default="x forward, z up",
-    show_default=True,
-    help="Which way the sensor's axes point, such as 'y forward' or 'z down'.",
-)
+@axes_option
 @click.option("--range-sigma", type=float, metavar="M", help="Noise of a range [default: from the ground].")
 @click.option("--angle-sigma", type=float, metavar="DEG", help="Noise of a bearing [default: from the beams' spacing].")
 @click.option(

@@ -59,13 +59,7 @@ class ScanFolder:
         return cls(path, *in_time(path, names, SCANS))
 
     def read(self, indices: Sequence[int], threads: int) -> Iterator[Scan | None]:
-        """Yield the scans at the indices; None if a scan is unreadable.
-
-        Raises
-        ------
-        ScanError
-            At the end, if more than a fifth of them were unreadable.
-        """
+        """Yield the scans at the indices, see `ScanSequence`."""
         return counted(map_ahead(self._attempt, indices, threads), self.skipped)
 
     def _attempt(self, index: int) -> tuple[str, Scan | ScanError]:

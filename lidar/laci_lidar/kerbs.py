@@ -39,13 +39,7 @@ def find_kerbs(around: Surroundings, placed: Placed, sections: Sections) -> Trac
     """Detect steps across sections of lines.
 
     A section is in view if a step is found there, or if the points are dense and even enough for no step to be missed.
-
-    Parameters
-    ----------
-    around : Surroundings
-    placed : Placed
-        Gives the direction of view: a kerb that faces away casts a shadow on the road.
-    sections : Sections
+    From the sensor's place, a kerb that faces away casts a shadow on the road.
     """
     heights, cell_m = _profiles(around, sections)
     seen = cell_m <= SPARSEST_M

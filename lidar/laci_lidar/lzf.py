@@ -7,13 +7,7 @@ LARGEST_RATIO = 88
 
 
 def decompress(packed: bytes | memoryview, size: int) -> bytes:
-    """Decompress LZF data.
-
-    Parameters
-    ----------
-    packed : bytes
-    size : int
-        Size of the result, bytes.
+    """Decompress LZF data to a result of ``size`` bytes.
 
     Raises
     ------

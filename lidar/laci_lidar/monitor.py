@@ -99,9 +99,7 @@ class LidarFrames:
 
     def learn(self, frames: range) -> LidarScene:
         """Learn the field of view, the noise and the static background from some scans."""
-        assert self._scans is not None
-        quiet = Part(self._scans, frames)
-        return LidarScene(self, LidarRecording(quiet, self._settings))
+        return LidarScene(self, LidarRecording(self.scans(frames), self._settings))
 
     def scans(self, frames: range) -> Part:
         """Return a range of scans."""
@@ -167,13 +165,7 @@ class LidarScene:
 
 
 def stored_settings(path: Path, workers: int) -> LidarSettings:
-    """Return the settings with which the scans of a calibration were read, its axes included.
-
-    Parameters
-    ----------
-    path : Path
-        Path of its ``calibration.json``.
-    workers : int
+    """Return the settings with which the scans of a ``calibration.json`` were read, its axes included.
 
     Raises
     ------

@@ -48,11 +48,7 @@ _SMALLEST_STEEPNESS = 0.05
 class Noise:
     """Standard deviations of a scanner's ranges and bearings.
 
-    Attributes
-    ----------
-    range_sigma_m, angle_sigma_rad : float
-    assumed : str
-        What is assumed rather than estimated, as a sentence; empty if nothing is.
+    ``assumed`` is what is assumed rather than estimated, as a sentence; empty if nothing is.
     """
 
     range_sigma_m: float
@@ -67,7 +63,7 @@ def estimate_angle_sigma(scans: Sequence[FloatArray]) -> float:
     bearing is therefore uniformly distributed over the angle between neighbouring beams, and its standard deviation is
     this angle / sqrt(12).
     """
-    steps = [_steps(_directions(points)) for points in scans]
+    steps = [_neighbours(_directions(points))[2] for points in scans]
     found = np.concatenate(steps) if steps else np.zeros(0)
     if len(found) == 0:
         return SMALLEST_SIGMA_RAD
@@ -123,10 +119,6 @@ def _differences(points: FloatArray, ground: GroundPlane) -> FloatArray:
     sample, neighbour = sample[near], neighbour[near]
     leverage = ground.height_m / steepness[sample] * np.sqrt(1 / steepness[sample] ** 2 - 1)
     return np.stack([residuals[sample] - residuals[neighbour], leverage])
-
-
-def _steps(directions: FloatArray) -> FloatArray:
-    return _neighbours(directions)[2]
 
 
 def _neighbours(directions: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:

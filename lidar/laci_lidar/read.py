@@ -12,7 +12,7 @@ from laci_lidar.errors import ScanError
 from laci_lidar.pcd import is_pcd, read_pcd
 from laci_lidar.ply import is_ply, read_ply
 from laci_lidar.scan import Scan, scan_of
-from laci_stereo.io.file_content import LFS_MAGIC, LFS_POINTER
+from laci_stereo.io.file_content import read_bytes
 
 LARGEST_FILE = 1 << 30
 """Size of a scan with ten million points and ten fields; a larger file is a whole recording."""
@@ -70,13 +70,8 @@ SUFFIXES = frozenset(suffix for known in FORMATS for suffix in known.suffixes)
 def read_scan(path: Path, stamp_ns: int | None = None) -> Scan:
     """Read a scan: PCD, PLY, LAS, LAZ, KITTI's .bin, .npy or .npz.
 
-    The format is recognised by the content, that of KITTI, which has no signature, by the name.
-
-    Parameters
-    ----------
-    path : Path
-    stamp_ns : int or None
-        The scan's Unix time, nanoseconds, to which the points' own times may refer.
+    The format is recognised by the content, that of KITTI, which has no signature, by the name. The points' own times
+    may refer to the scan's Unix time, ``stamp_ns``.
 
     Raises
     ------
@@ -84,26 +79,10 @@ def read_scan(path: Path, stamp_ns: int | None = None) -> Scan:
         If the file is missing, damaged, of another format than its name says, or contains no points in metres.
     """
     what = str(path)
-    content = _content(path)
-    return scan_of(_format(content, path).read(content, what), what, stamp_ns)
-
-
-def _content(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE:
-            raise ScanError(f"{path} has {size} bytes; needed are at most {LARGEST_FILE} for a single scan")
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise ScanError(f"{path} does not exist; needed is a scan") from None
-    except (OSError, ValueError) as problem:
-        found = "is a folder" if path.is_dir() else getattr(problem, "strerror", None) or str(problem)
-        raise ScanError(f"{path} cannot be read: {found}; needed is a scan") from problem
+    content = read_bytes(path, ScanError, "a scan", LARGEST_FILE)
     if not content:
         raise ScanError(f"{path} is empty (0 bytes); needed is a scan")
-    if content.startswith(LFS_MAGIC):
-        raise ScanError(f"{path} is {LFS_POINTER}")
-    return content
+    return scan_of(_format(content, path).read(content, what), what, stamp_ns)
 
 
 def _format(content: bytes, path: Path) -> ScanFormat:

@@ -26,14 +26,7 @@ LOOKED_AT = 5
 
 @dataclass(frozen=True, kw_only=True)
 class LidarOptions(DriveOptions):
-    """The user's options for the calibration of a LiDAR.
-
-    Attributes
-    ----------
-    topic : str or None
-        Topic of a bag; None: the only one with point clouds.
-    scanner : LidarSettings
-    """
+    """The user's options for the calibration of a LiDAR; without a topic, the only one of a bag with point clouds."""
 
     topic: str | None = None
     scanner: LidarSettings = field(default_factory=LidarSettings)
@@ -45,12 +38,7 @@ class LidarOptions(DriveOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class LidarJob(Job):
-    """A task for a LiDAR.
-
-    Attributes
-    ----------
-    recording : LidarRecording
-    """
+    """A task for a LiDAR."""
 
     recording: LidarRecording
 

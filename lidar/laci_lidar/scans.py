@@ -16,13 +16,7 @@ _CAPTURE_SUFFIXES = frozenset({".pcap", ".pcapng"})
 
 
 def open_scans(path: Path, topic: str | None = None) -> ScanSequence:
-    """Open a folder of scans, a ROS 1 bag, a ROS 2 bag or an MCAP file.
-
-    Parameters
-    ----------
-    path : Path
-    topic : str or None
-        Topic of a bag. None: the only one with point clouds.
+    """Open a folder of scans, a ROS 1 bag, a ROS 2 bag or an MCAP file; without a topic, its only one with clouds.
 
     Raises
     ------

@@ -43,12 +43,6 @@ def find_walls(around: Surroundings, placed: Placed, sections: Sections) -> Trac
     """Detect upright surfaces across sections of lines.
 
     A section is in view if something upright is found there, or if the ground behind it is visible.
-
-    Parameters
-    ----------
-    around : Surroundings
-    placed : Placed
-    sections : Sections
     """
     traces = Traces.unseen(len(sections))
     towards = np.sign(np.einsum("ij,ij->i", placed.origin[:2] - sections.xy, sections.left))

@@ -15,16 +15,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from laci_stereo.io.result.calibration_file import schema
-from tests.cli_support import (
-    SMALL_LIMIT,
-    Ran,
-    Site,
-    link_recording,
-    refusal,
-    run,
-    run_installed,
-    snapshot,
-)
+from tests.cli_support import SMALL_LIMIT, Ran, Site, document_in, link_recording, refusal, run, run_installed, snapshot
 from tests.io.support import with_utm
 
 
@@ -38,8 +29,7 @@ class Calibrated:
 
     @property
     def document(self) -> dict[str, Any]:
-        read: dict[str, Any] = json.loads((self.result / "calibration.json").read_text())
-        return read
+        return document_in(self.result)
 
     def check(self, calibration: Path, *options: str | Path) -> Ran:
         return run(["check", *map(str, (calibration, self.site.left, *options))], self.site.root)
@@ -207,7 +197,7 @@ def test_run_without_a_map_says_nothing_of_lanes(calibrated: Calibrated, tmp_pat
     site = Site(folder)
     ran = site.run(out=folder / "bare")
     assert ran.code == 0, ran
-    document = json.loads((folder / "bare" / "calibration.json").read_text())
+    document = document_in(folder / "bare")
     assert document["lane_check"] is None
     assert "Does the map lie" not in (folder / "bare" / "report.html").read_text()
     assert not (folder / "bare" / "check.png").exists()
@@ -223,7 +213,7 @@ def test_map_that_contradicts_a_result_lowers_its_verdict(calibrated: Calibrated
     out = tmp_path / "result"
     ran = calibrated.site.run("--map", moved, *SMALL_LIMIT, out=out)
     assert ran.code == 0, ran
-    document = json.loads((out / "calibration.json").read_text())
+    document = document_in(out)
     assert document["lane_check"]["verdict"] == "fail"
     assert calibrated.document["quality"]["verdict"] == "pass"
     assert document["quality"]["verdict"] == "warn"

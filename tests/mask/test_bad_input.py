@@ -205,7 +205,7 @@ def test_what_is_no_json_is_refused(content: bytes, tmp_path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(MaskError, match="is no JSON"):
         read_contract(path)
-    with pytest.raises(MaskError, match="No such file"):
+    with pytest.raises(MaskError, match="does not exist; needed is a contract"):
         read_contract(tmp_path / "none.json")
 
 

@@ -15,7 +15,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from laci_stereo.mask.contract import read_contract
-from tests.cli_support import Ran, refusal, run, running
+from tests.cli_support import Ran, document_in, refusal, run, running
 from tests.mask import graphs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,7 +77,7 @@ def test_a_network_of_ones_own_from_looking_to_calibrating(tmp_path: Path) -> No
     inputs = [DATA / name for name in ("left", "right", "cam.csv")]
     done = laci(tmp_path, "calibrate", *inputs, "--out", out, "-q", "--vehicle-mask", model)
     assert done.code == 0, done
-    document = json.loads((out / "calibration.json").read_text())
+    document = document_in(out)
     truth = np.array(json.loads((DATA / "truth.json").read_text())["stereo"]["T_world_camera_utm"])
     found = np.array(document["T_utm_sensor"])
     assert np.linalg.norm(found[:2, 3] - truth[:2, 3]) < 0.2

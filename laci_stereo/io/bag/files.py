@@ -41,12 +41,6 @@ class Bag(Protocol):
 def open_bag(path: Path, error: type[InputError]) -> Bag:
     """Open a ROS 1 bag, a folder that ROS 2 recorded, or one of its files.
 
-    Parameters
-    ----------
-    path : Path
-    error : type of InputError
-        The error class to raise if the path is none of these.
-
     Raises
     ------
     InputError
@@ -83,13 +77,7 @@ class WholeBag:
         return sum(count for found, count in self._connections() if found.name == topic)
 
     def messages(self, topic: str, times_ns: Sequence[int] | None = None) -> Iterator[Message]:
-        """Yield a topic's messages in the order of recording: all, or those recorded at the given times.
-
-        Raises
-        ------
-        CutOffError
-            Where the bag is damaged.
-        """
+        """Yield a topic's messages, see `Bag`."""
         windows = [(None, None)] if times_ns is None else [(time, time + 1) for time in times_ns]
         try:
             with self._reader() as reader:
@@ -145,13 +133,7 @@ class DamagedBag:
             return None
 
     def messages(self, topic: str, times_ns: Sequence[int] | None = None) -> Iterator[Message]:
-        """Yield a topic's messages in the order of recording: all, or those recorded at the given times.
-
-        Raises
-        ------
-        CutOffError
-            Where the bag is damaged, after the intact messages.
-        """
+        """Yield a topic's messages, see `Bag`."""
         times = None if times_ns is None else set(times_ns)
         for message in self._all():
             if message.topic.name == topic and (times is None or message.recorded_ns in times):

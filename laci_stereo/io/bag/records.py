@@ -73,15 +73,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class Message:
-    """A message as it was recorded.
-
-    Attributes
-    ----------
-    topic : Topic
-    recorded_ns : int
-        Unix time of recording, nanoseconds.
-    data : bytes
-    """
+    """A message as it was recorded; ``recorded_ns`` is the time of that, Unix, nanoseconds."""
 
     topic: Topic
     recorded_ns: int

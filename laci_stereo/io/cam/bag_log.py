@@ -14,9 +14,9 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.io.bag.files import Bag, open_bag
 from laci_stereo.io.bag.message_types import known_types, types_told
 from laci_stereo.io.bag.records import CutOffError, Message, Topic
-from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE, Quantity
+from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE
 from laci_stereo.io.cam.etsi import Cam, DamagedError, OtherKindError
-from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
+from laci_stereo.io.cam.gnss import Fix, ellipse_95, gnss_messages, recorded_drive
 from laci_stereo.io.cam.received import Packet, Source, read_received
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.stamps import POSSIBLE_NS
@@ -181,7 +181,7 @@ def _fix_topic(path: Path, topics: Sequence[Topic]) -> Topic:
 
 def _read_fixes(path: Path, bag: Bag, topic: Topic) -> CamRecording:
     notes = [f"topic read: {topic.shown}"]
-    fixes: dict[int, tuple[int, Mapping[Quantity, float]]] = {}
+    fixes: dict[int, Fix] = {}
     problems = {}
     unlocated = 0
     for place, message in _messages(path, bag, [topic], notes):
@@ -198,7 +198,7 @@ def _read_fixes(path: Path, bag: Bag, topic: Topic) -> CamRecording:
     return recorded_drive(gnss_messages(path, "message", fixes, problems), notes, "a bag")
 
 
-def _fix(message: Message) -> tuple[int, Mapping[Quantity, float]] | None:
+def _fix(message: Message) -> Fix | None:
     types = known_types(message.topic.ros1)
     read = types.deserialize_ros1 if message.topic.ros1 else types.deserialize_cdr
     try:

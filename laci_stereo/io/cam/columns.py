@@ -132,7 +132,21 @@ AXES = (SEMI_MAJOR, SEMI_MINOR)
 _TOGETHER = ((HEADING,), (SPEED,), (ALTITUDE,), DIMENSIONS, AXES, (ELLIPSE_ORIENTATION,))
 """Columns that hold raw integers either all together or not at all; positions are decided separately."""
 
-QUANTITIES = (*POSITION, HEADING, SPEED, ALTITUDE, *DIMENSIONS, SEMI_MAJOR, SEMI_MINOR, ELLIPSE_ORIENTATION)
+FIELDS: Mapping[Quantity, str] = {
+    LATITUDE: "latitude_deg",
+    LONGITUDE: "longitude_deg",
+    HEADING: "heading_deg",
+    SPEED: "speed_mps",
+    ALTITUDE: "altitude_m",
+    LENGTH: "length_m",
+    WIDTH: "width_m",
+    SEMI_MAJOR: "semi_major_95_m",
+    SEMI_MINOR: "semi_minor_95_m",
+    ELLIPSE_ORIENTATION: "ellipse_orientation_deg",
+}
+"""The field of a `CamLog` that holds each quantity."""
+
+QUANTITIES = tuple(FIELDS)
 COLUMNS: tuple[Column, ...] = (TIMESTAMP, STATION_ID, *QUANTITIES)
 
 Values: TypeAlias = Mapping[Quantity, FloatArray]

@@ -16,18 +16,7 @@ def turned_back(log: CamLog, backward: BoolArray) -> tuple[CamLog, list[str]]:
 
     That is what a CAM's heading is (EN 302 637-2). Some senders report the body's instead: what holds for most of a
     station's messages is taken for all of them. A station that would reverse faster than anybody does is not believed.
-
-    Parameters
-    ----------
-    log : CamLog
-        In any order.
-    backward : ndarray of bool, shape (n,)
-
-    Returns
-    -------
-    log : CamLog
-    notes : list of str
-        One line for each station that drives backwards.
+    The log may be in any order; the notes have one line for each station that drives backwards.
     """
     heading_deg, notes = log.heading_deg.copy(), []
     for station in np.unique(log.station_id[backward]):

@@ -51,7 +51,7 @@ class OtherKindError(Exception):
 
 
 class DamagedError(Exception):
-    """A message that should be a CAM but cannot be read; the text is the reason."""
+    """A message that should be a CAM or a fix but cannot be read; the text is the reason."""
 
 
 class Cam(NamedTuple):

@@ -8,40 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from laci_stereo.core.frames import FloatArray
 from laci_stereo.core.messages.cam import CamLog
-from laci_stereo.io.cam.columns import (
-    ALTITUDE,
-    ANTENNA,
-    COLUMNS,
-    ELLIPSE_ORIENTATION,
-    HEADING,
-    LATITUDE,
-    LENGTH,
-    LONGITUDE,
-    POSITION_OF,
-    SEMI_MAJOR,
-    SEMI_MINOR,
-    SPEED,
-    WIDTH,
-    Quantity,
-)
+from laci_stereo.io.cam.columns import ANTENNA, COLUMNS, FIELDS, POSITION, POSITION_OF
 from laci_stereo.io.stamps import iso_text
-
-
-def _values(log: CamLog) -> dict[Quantity, FloatArray]:
-    return {
-        LATITUDE: log.latitude_deg,
-        LONGITUDE: log.longitude_deg,
-        HEADING: log.heading_deg,
-        SPEED: log.speed_mps,
-        ALTITUDE: log.altitude_m,
-        LENGTH: log.length_m,
-        WIDTH: log.width_m,
-        SEMI_MAJOR: log.semi_major_95_m,
-        SEMI_MINOR: log.semi_minor_95_m,
-        ELLIPSE_ORIENTATION: log.ellipse_orientation_deg,
-    }
 
 
 def to_csv(log: CamLog, *, of_antenna: bool = False) -> str:
@@ -50,7 +19,7 @@ def to_csv(log: CamLog, *, of_antenna: bool = False) -> str:
     With ``of_antenna``, a further column marks the positions as those of an antenna, so that a reader does not take
     them for positions of the CAM reference point.
     """
-    values = [column.tolist() for column in _values(log).values()]
+    values = [getattr(log, field).tolist() for field in FIELDS.values()]
     constant = {POSITION_OF: ANTENNA} if of_antenna else {}
     lines = [",".join(column.name for column in (*COLUMNS, *constant))]
     for stamp, station, *row in zip(log.stamps_ns.tolist(), log.station_id.tolist(), *values, strict=True):
@@ -72,9 +41,7 @@ def to_geojson(log: CamLog) -> str:
         if len(line) > 1
     ]
     columns = [
-        (quantity.name, column.tolist())
-        for quantity, column in _values(log).items()
-        if quantity not in (LATITUDE, LONGITUDE)
+        (quantity.name, getattr(log, field).tolist()) for quantity, field in FIELDS.items() if quantity not in POSITION
     ]
     for i, (stamp, station) in enumerate(zip(log.stamps_ns.tolist(), log.station_id.tolist(), strict=True)):
         known = {name: column[i] for name, column in columns if not math.isnan(column[i])}

@@ -31,15 +31,7 @@ _HAS_GENERATION_TIME = 0x40
 
 
 class Payload(NamedTuple):
-    """The payload of a packet for a BTP port.
-
-    Attributes
-    ----------
-    data : bytes
-    is_signed : bool
-    signed_ns : int or None
-        Unix time of signing, if the packet contains it.
-    """
+    """The payload of a packet for a BTP port; ``signed_ns`` is the Unix time of signing, if the packet contains it."""
 
     data: bytes
     is_signed: bool = False

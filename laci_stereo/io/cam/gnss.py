@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from laci_stereo.io.cam.columns import (
     Quantity,
     Values,
 )
+from laci_stereo.io.cam.etsi import DamagedError
 from laci_stereo.io.cam.recording import CamRecording, Messages, recorded
 
 STATION = 0
@@ -36,17 +36,30 @@ OF_ANTENNA = (
 """Note on the antenna's lever arm: an error of metres that no result reveals, because along a straight road it is
 indistinguishable from a shift of the sensor."""
 
+Fix: TypeAlias = tuple[int, Mapping[Quantity, float]]
+"""Unix time in nanoseconds, and the known quantities."""
+
+Record = TypeVar("Record")
+
 # WGS84
 _SEMI_MAJOR_AXIS_M = 6_378_137.0
 _ECCENTRICITY_SQUARED = 6.694379990141e-3
 
 
-def gnss_messages(
-    path: Path,
-    noun: str,
-    fixes: Mapping[int, tuple[int, Mapping[Quantity, float]]],
-    problems: Mapping[int, str],
-) -> Messages:
+def fixes_in(
+    records: Iterable[tuple[int, Record]], fix: Callable[[Record], Fix]
+) -> tuple[dict[int, Fix], dict[int, str]]:
+    """Return the fixes in numbered records, and why others cannot be read: for what ``fix`` raises `DamagedError`."""
+    fixes, problems = {}, {}
+    for place, record in records:
+        try:
+            fixes[place] = fix(record)
+        except DamagedError as problem:
+            problems[place] = str(problem)
+    return fixes, problems
+
+
+def gnss_messages(path: Path, noun: str, fixes: Mapping[int, Fix], problems: Mapping[int, str]) -> Messages:
     """Return fixes in the form of messages.
 
     Parameters
@@ -54,8 +67,8 @@ def gnss_messages(
     path : Path
     noun : str
         The format's noun for the record of a fix.
-    fixes : mapping of int to tuple of int and mapping of Quantity to float
-        By record number: Unix time in nanoseconds, and the known quantities.
+    fixes : mapping of int to Fix
+        By record number.
     problems : mapping of int to str
         The records that could not be read, with the reason, by record number.
     """
@@ -121,22 +134,14 @@ def _motion(stamps_ns: IntArray, latitude_deg: FloatArray, longitude_deg: FloatA
     _, first, inverse = np.unique(stamps_ns[located], return_index=True, return_inverse=True)
     order = located[first]
     seconds = (stamps_ns[order] - stamps_ns[order[:1]]) / 1e9
-    drives = np.cumsum(np.diff(seconds, prepend=0.0) > MAX_GAP_S).astype(np.int64)
     north, east = np.full(len(order), np.nan), np.full(len(order), np.nan)
-    for start, end in _runs(drives):
-        if end - start >= 2:
-            part = order[start:end]
-            velocity = _velocity(seconds[start:end], latitude_deg[part], longitude_deg[part])
-            north[start:end], east[start:end] = velocity
+    for drive in np.split(np.arange(len(order)), np.flatnonzero(np.diff(seconds) > MAX_GAP_S) + 1):
+        if len(drive) >= 2:
+            fixes = order[drive]
+            north[drive], east[drive] = _velocity(seconds[drive], latitude_deg[fixes], longitude_deg[fixes])
     heading[located] = (np.degrees(np.arctan2(east, north)) % 360.0)[inverse]
     speed[located] = np.hypot(north, east)[inverse]
     return {HEADING: heading, SPEED: speed}
-
-
-def _runs(numbers: IntArray) -> list[tuple[int, int]]:
-    """Return the begin and end indices of runs of equal numbers."""
-    edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
-    return list(pairwise(edges))
 
 
 def _velocity(

@@ -9,7 +9,8 @@ from xml.etree.ElementTree import Element
 
 from laci_stereo.core.errors import CamError
 from laci_stereo.io.cam.columns import ALTITUDE, HEADING, LATITUDE, LONGITUDE, SPEED, Quantity
-from laci_stereo.io.cam.gnss import gnss_messages, recorded_drive
+from laci_stereo.io.cam.etsi import DamagedError
+from laci_stereo.io.cam.gnss import Fix, fixes_in, gnss_messages, recorded_drive
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.safe_xml import XmlError, parse_xml
 from laci_stereo.io.stamps import iso_time, number
@@ -32,10 +33,6 @@ _FIRST_CHARACTERS = 1 << 16
 
 _DEEPEST = 3
 """Levels below a track point that are searched: its extensions, in these a device's own element, in that the values."""
-
-
-class _PointError(Exception):
-    """A track point cannot be read; the text is the reason."""
 
 
 def looks_like_xml(text: str) -> bool:
@@ -64,17 +61,11 @@ def read_cam_gpx(path: Path, text: str) -> CamRecording:
     if _name(root) != "gpx":
         hint = _HINTS.get(_name(root), "")
         raise CamError(f"{path} is XML with the root element {quoted(_name(root))}, no log{hint}; needed is gpx")
-    fixes, problems = {}, {}
-    points = [element for element in root.iter() if _name(element) == "trkpt"]
-    for place, point in enumerate(points, 1):
-        try:
-            fixes[place] = _fix(point)
-        except _PointError as problem:
-            problems[place] = str(problem)
-    return recorded_drive(gnss_messages(path, "point", fixes, problems), [], _FORMAT)
+    points = (element for element in root.iter() if _name(element) == "trkpt")
+    return recorded_drive(gnss_messages(path, "point", *fixes_in(enumerate(points, 1), _fix)), [], _FORMAT)
 
 
-def _fix(point: Element) -> tuple[int, dict[Quantity, float]]:
+def _fix(point: Element) -> Fix:
     values = {LATITUDE: _float("lat", point.get("lat")), LONGITUDE: _float("lon", point.get("lon"))}
     stamp_ns = None
     for element in _within(point, _DEEPEST):
@@ -85,7 +76,7 @@ def _fix(point: Element) -> tuple[int, dict[Quantity, float]]:
         elif name in _TAGS and (element.text or "").strip():
             values[_TAGS[name]] = _float(name, element.text)
     if stamp_ns is None:
-        raise _PointError("it has no time; needed is one as 2025-10-09T08:53:22.25Z")
+        raise DamagedError("it has no time; needed is one as 2025-10-09T08:53:22.25Z")
     return stamp_ns, values
 
 
@@ -100,7 +91,7 @@ def _within(element: Element, deep: int) -> Iterator[Element]:
 def _float(name: str, text: str | None) -> float:
     value = number((text or "").strip())
     if value is None:
-        raise _PointError(f"{name} is {quoted(text or '')}; needed is a number")
+        raise DamagedError(f"{name} is {quoted(text or '')}; needed is a number")
     return float(value)
 
 

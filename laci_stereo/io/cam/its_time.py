@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,32 +22,17 @@ measured, and users' clocks agree to some tenths of a second. A sender that igno
 times as much."""
 
 
-@dataclass(frozen=True)
-class GenerationTimes:
-    """Generation times of messages.
-
-    Attributes
-    ----------
-    stamps_ns : ndarray of int64, shape (n,)
-        Unix time.
-    notes : tuple of str
-        How the clocks of senders and receiver differ.
-    """
-
-    stamps_ns: IntArray
-    notes: tuple[str, ...]
-
-
 def unix_ns(its_us: int) -> int:
     """Return the Unix time, nanoseconds, of a time in microseconds on ETSI's clock."""
     ns = ITS_EPOCH_NS + its_us * 1000
     return ns - 10**9 * int(_leap_seconds(np.array([min(ns, 2**63 - 1)]))[0])
 
 
-def generation_times(received_ns: IntArray, delta_ms: IntArray, stations: IntArray) -> GenerationTimes:
-    """Return generation times: those nearest to the reception that agree with generationDeltaTime.
+def generation_times(received_ns: IntArray, delta_ms: IntArray, stations: IntArray) -> tuple[IntArray, list[str]]:
+    """Return generation times (Unix), shape (n,), and notes on how the clocks of senders and receiver differ.
 
-    ``generationDeltaTime`` is the time of ETSI's clock in milliseconds modulo 65,536 (EN 302 637-2, B.3).
+    They are the times nearest to the reception that agree with ``generationDeltaTime``, the time of ETSI's clock in
+    milliseconds modulo 65,536 (EN 302 637-2, B.3).
 
     Parameters
     ----------
@@ -73,7 +57,7 @@ def generation_times(received_ns: IntArray, delta_ms: IntArray, stations: IntArr
             f"clock of {len(np.unique(stations[forgets]))} stations without the {leap_ns[forgets][0] // 10**9} leap "
             f"seconds since 2004, as {int(forgets.sum())} messages seem so much late; put right"
         )
-    return GenerationTimes(stamps, (*notes, _delay_note(received_ns - stamps)))
+    return stamps, [*notes, _delay_note(received_ns - stamps)]
 
 
 def _delay_note(delay_ns: IntArray) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE, Quantity
 from laci_stereo.io.cam.etsi import Cam, DamagedError, OtherKindError
-from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
+from laci_stereo.io.cam.gnss import ellipse_95, fixes_in, gnss_messages, recorded_drive
 from laci_stereo.io.cam.json_records import parsed, read_cam_records
 from laci_stereo.io.cam.received import Packet, Source, read_received
 from laci_stereo.io.cam.recording import CamRecording
@@ -111,13 +111,7 @@ def _stamp_ns(record: object) -> int:
 
 
 def _read_fixes(path: Path, topic: str, records: list[object]) -> CamRecording:
-    fixes: dict[int, tuple[int, Mapping[Quantity, float]]] = {}
-    problems = {}
-    for place, record in enumerate(records, 1):
-        try:
-            fixes[place] = (_stamp_ns(record), _fix(_at(record, "message")))
-        except DamagedError as problem:
-            problems[place] = str(problem)
+    fixes, problems = fixes_in(enumerate(records, 1), lambda record: (_stamp_ns(record), _fix(_at(record, "message"))))
     notes = [f"topic read: {quoted(topic)}, with the times of recording"]
     return recorded_drive(gnss_messages(path, "message", fixes, problems), notes, _FORMAT)
 

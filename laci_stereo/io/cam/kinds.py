@@ -40,12 +40,7 @@ def choice(value: object) -> tuple[str, object] | None:
 def cam_records(path: Path, records: Sequence[object], kinds: Counter[str]) -> list[tuple[int, object]]:
     """Return the records of JSON that are of a vehicle's CAM or do not tell their kind, each with its number from 1.
 
-    Parameters
-    ----------
-    path : Path
-    records : sequence
-    kinds : Counter
-        Of the messages that are left out; those of the records are added.
+    The kinds of the others are added to ``kinds``, those of messages that are left out.
 
     Raises
     ------

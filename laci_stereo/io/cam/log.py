@@ -16,7 +16,7 @@ from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.cam.rtklib_log import looks_like_rtklib, read_cam_rtklib
 from laci_stereo.io.cam.uper import is_cam
 from laci_stereo.io.file_content import BAG_MAGICS, begins_with, read_content
-from laci_stereo.io.text_file import read_text
+from laci_stereo.io.text_file import text_in
 
 _TEXTS = (
     (looks_like_xml, read_cam_gpx),
@@ -30,10 +30,7 @@ _TEXTS = (
 def read_cam_log(path: Path) -> CamRecording:
     """Read a log of messages: CSV, packet capture, bag, hexadecimal lines, JSON, NMEA, GPX or RTKLIB's solutions.
 
-    Parameters
-    ----------
-    path : Path
-        A file, which may be compressed by gzip, or the folder of a ROS 2 bag.
+    ``path`` is a file, which may be compressed by gzip, or the folder of a ROS 2 bag.
 
     Raises
     ------
@@ -51,7 +48,7 @@ def read_cam_log(path: Path) -> CamRecording:
         return read_cam_capture(path, content)
     if is_cam(content):
         return read_cam_binary(path, content)
-    text = read_text(path, CamError)
+    text = text_in(content, path, CamError)
     for fits, read in _TEXTS:
         if fits(text):
             return read(path, text)

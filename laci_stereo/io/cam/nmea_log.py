@@ -23,6 +23,7 @@ from laci_stereo.io.cam.columns import (
     SPEED,
     Quantity,
 )
+from laci_stereo.io.cam.etsi import DamagedError
 from laci_stereo.io.cam.gnss import gnss_messages, recorded_drive
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.stamps import POSSIBLE_NS, UNIX_EPOCH
@@ -49,10 +50,6 @@ _KM_PER_H_MPS = 1 / 3.6
 _DAY_NS = 86_400 * 10**9
 
 
-class _SentenceError(Exception):
-    """A sentence cannot be read; the text is the reason."""
-
-
 @dataclass
 class _Epoch:
     """The content of all sentences with the same time."""
@@ -74,7 +71,7 @@ class _Drive:
         """Return the epoch of a sentence's time: the latest one, or a new one."""
         found = _TIME.fullmatch(time)
         if found is None:
-            raise _SentenceError(f"its time is {quoted(time)}; needed is hhmmss.ss")
+            raise DamagedError(f"its time is {quoted(time)}; needed is hhmmss.ss")
         hours, minutes, seconds, fraction = found.groups()
         of_day_ns = (int(hours) * 3600 + int(minutes) * 60 + int(seconds)) * 10**9 + int(
             (fraction or "0").ljust(9, "0")
@@ -111,7 +108,7 @@ def read_cam_nmea(path: Path, text: str) -> CamRecording:
             continue
         try:
             _read(drive, place, line)
-        except _SentenceError as problem:
+        except DamagedError as problem:
             problems[place] = str(problem)
     dated = [epoch for epoch in drive.epochs if epoch.day is not None]
     if drive.epochs and not dated:
@@ -135,10 +132,10 @@ def read_cam_nmea(path: Path, text: str) -> CamRecording:
 def _read(drive: _Drive, place: int, line: str) -> None:
     found = _SENTENCE.search(line) if len(line) <= _LONGEST_LINE else None
     if found is None:
-        raise _SentenceError(f"{quoted(line)}; needed is a sentence such as $GPRMC,...*hh")
+        raise DamagedError(f"{quoted(line)}; needed is a sentence such as $GPRMC,...*hh")
     talker, kind, body, checksum = found.groups()
     if checksum is not None and int(checksum, 16) != reduce(xor, f"{talker}{kind},{body}".encode()):
-        raise _SentenceError(f"the checksum of {quoted(found[0].strip())} is wrong")
+        raise DamagedError(f"the checksum of {quoted(found[0].strip())} is wrong")
     if kind in _KINDS:
         cells = body.split(",")
         # Newer versions append cells; a receiver without a fix sends empty ones.
@@ -216,7 +213,7 @@ def _set_motion(epoch: _Epoch, heading_deg: float | None, speed: float | None, u
 def _position(cells: list[str]) -> dict[Quantity, float]:
     latitude, north, longitude, east = cells
     if north not in ("N", "S") or east not in ("E", "W"):
-        raise _SentenceError(f"its position is {quoted(','.join(cells))}; needed is ddmm.mm,N or S,dddmm.mm,E or W")
+        raise DamagedError(f"its position is {quoted(','.join(cells))}; needed is ddmm.mm,N or S,dddmm.mm,E or W")
     return {
         LATITUDE: _angle(latitude) * (1 if north == "N" else -1),
         LONGITUDE: _angle(longitude) * (1 if east == "E" else -1),
@@ -226,7 +223,7 @@ def _position(cells: list[str]) -> dict[Quantity, float]:
 def _angle(cell: str) -> float:
     found = _ANGLE.fullmatch(cell)
     if found is None:
-        raise _SentenceError(f"an angle is {quoted(cell)}; needed are degrees and minutes as dddmm.mm")
+        raise DamagedError(f"an angle is {quoted(cell)}; needed are degrees and minutes as dddmm.mm")
     return int(found[1]) + float(found[2]) / 60
 
 
@@ -241,9 +238,7 @@ def _day(day: str, month: str, year: str) -> int:
         full = number + (0 if len(year) == 4 else 1900 if number >= 80 else 2000)
         days = (datetime(full, int(month), int(day), tzinfo=timezone.utc) - UNIX_EPOCH) // timedelta(days=1)
     except ValueError as problem:
-        raise _SentenceError(
-            f"its date is {quoted(f'{day} {month} {year}')}; needed is day, month and year"
-        ) from problem
+        raise DamagedError(f"its date is {quoted(f'{day} {month} {year}')}; needed is day, month and year") from problem
     if days * 86_400 * 10**9 not in POSSIBLE_NS:
-        raise _SentenceError(f"its date is {quoted(f'{day} {month} {year}')}; needed is one from 1974 to 2254")
+        raise DamagedError(f"its date is {quoted(f'{day} {month} {year}')}; needed is one from 1974 to 2254")
     return days

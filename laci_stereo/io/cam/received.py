@@ -108,14 +108,7 @@ class _Gathered:
 
 
 def read_received(source: Source, packets: Iterable[Packet], notes: Sequence[str] = ()) -> CamRecording:
-    """Return the log of the CAMs among received packets.
-
-    Parameters
-    ----------
-    source : Source
-    packets : iterable of Packet
-    notes : sequence of str
-        Notes on how the file was interpreted.
+    """Return the log of the CAMs among received packets; ``notes`` are on how their file was interpreted.
 
     Raises
     ------
@@ -154,6 +147,5 @@ def _stamps(found: _Gathered, stations: IntArray, good: BoolArray) -> tuple[IntA
         return stamps, ()
     received = np.array(found.received_ns, dtype=np.int64)[good]
     delta = np.array([cam.delta_ms for cam in found.cams], dtype=np.int64)[good]
-    times = generation_times(received, delta, stations[good])
-    stamps[good] = times.stamps_ns
-    return stamps, times.notes
+    stamps[good], notes = generation_times(received, delta, stations[good])
+    return stamps, notes

@@ -12,18 +12,15 @@ from laci_stereo.core.errors import CamError
 from laci_stereo.core.frames import BoolArray, IntArray
 from laci_stereo.core.messages.cam import CamLog
 from laci_stereo.io.cam.columns import (
-    ALTITUDE,
     AXES,
     DIMENSIONS,
-    ELLIPSE_ORIENTATION,
+    FIELDS,
     HEADING,
     LATITUDE,
     LENGTH,
     LONGITUDE,
     POSITION,
     QUANTITIES,
-    SEMI_MAJOR,
-    SEMI_MINOR,
     SPEED,
     WIDTH,
     Values,
@@ -204,20 +201,8 @@ def _possible(messages: Messages, values: Values) -> tuple[Values, list[str]]:
 
 
 def _log(stamps: IntArray, stations: IntArray, values: Values) -> CamLog:
-    return CamLog(
-        stamps_ns=stamps,
-        station_id=stations,
-        latitude_deg=values[LATITUDE],
-        longitude_deg=values[LONGITUDE],
-        heading_deg=values[HEADING] % 360.0,
-        speed_mps=values[SPEED],
-        altitude_m=values[ALTITUDE],
-        length_m=values[LENGTH],
-        width_m=values[WIDTH],
-        semi_major_95_m=values[SEMI_MAJOR],
-        semi_minor_95_m=values[SEMI_MINOR],
-        ellipse_orientation_deg=values[ELLIPSE_ORIENTATION],
-    )
+    values = {**values, HEADING: values[HEADING] % 360.0}
+    return CamLog(stamps, stations, **{field: values[quantity] for quantity, field in FIELDS.items()})
 
 
 def _in_order(messages: Messages, log: CamLog) -> tuple[CamLog, list[str]]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from laci_stereo.core.errors import CamError
-from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE, Quantity
-from laci_stereo.io.cam.gnss import ellipse_95, gnss_messages, recorded_drive
+from laci_stereo.io.cam.columns import ALTITUDE, LATITUDE, LONGITUDE
+from laci_stereo.io.cam.etsi import DamagedError
+from laci_stereo.io.cam.gnss import Fix, ellipse_95, fixes_in, gnss_messages, recorded_drive
 from laci_stereo.io.cam.recording import CamRecording
 from laci_stereo.io.epochs import GPS_LEAP_NS, times_of_weeks
 from laci_stereo.io.stamps import iso_time, number
@@ -22,10 +23,6 @@ _SEPARATOR = re.compile(r"[\s,;]+")
 _PLACES = ("latitude(deg)", "longitude(deg)", "height(m)")
 _DEVIATIONS = ("sdn(m)", "sde(m)", "sdne(m)")
 _TIME_WORDS = 2
-
-
-class _LineError(Exception):
-    """A line cannot be read; the text is the reason."""
 
 
 def looks_like_rtklib(text: str) -> bool:
@@ -48,23 +45,20 @@ def read_cam_rtklib(path: Path, text: str) -> CamRecording:
             f"{path} is {_FORMAT} with times in {scale} and the columns {quoted(' '.join(titles[:3]))}; needed are "
             "GPST or UTC, and latitude and longitude in degrees (out-solformat llh, out-degform deg)"
         )
-    fixes, problems = {}, {}
-    for place, line in enumerate(text.splitlines(), 1):
-        if not line.strip() or line.startswith("%"):
-            continue
-        try:
-            fixes[place] = _fix(_SEPARATOR.split(line.strip()), titles, scale)
-        except _LineError as problem:
-            problems[place] = str(problem)
+    lines = enumerate(text.splitlines(), 1)
+    rows = ((i, _SEPARATOR.split(line.strip())) for i, line in lines if line.strip() and not line.startswith("%"))
+    fixes, problems = fixes_in(rows, lambda words: _fix(words, titles, scale))
     notes = ["times: GPS time, less the 18 leap seconds of UTC"] if scale == "GPST" else []
     return recorded_drive(gnss_messages(path, "line", fixes, problems), notes, _FORMAT)
 
 
-def _fix(words: Sequence[str], titles: Sequence[str], scale: str) -> tuple[int, Mapping[Quantity, float]]:
+def _fix(words: Sequence[str], titles: Sequence[str], scale: str) -> Fix:
     values = {title: number(word) for title, word in zip(titles, words[_TIME_WORDS:], strict=False)}
     latitude, longitude, altitude = (values.get(title) for title in _PLACES)
     if latitude is None or longitude is None or altitude is None:
-        raise _LineError(f"{quoted(' '.join(words))} lacks numbers; needed are those of latitude, longitude and height")
+        raise DamagedError(
+            f"{quoted(' '.join(words))} lacks numbers; needed are those of latitude, longitude and height"
+        )
     place = {LATITUDE: float(latitude), LONGITUDE: float(longitude), ALTITUDE: float(altitude)}
     deviations = [value for title in _DEVIATIONS if (value := values.get(title)) is not None]
     if len(deviations) == len(_DEVIATIONS):
@@ -81,5 +75,7 @@ def _stamp_ns(words: Sequence[str], scale: str) -> int:
         return moment.ns - (GPS_LEAP_NS if scale == "GPST" else 0)
     week = times_of_weeks(words[:1], words[1:], 10**9)[0] if len(words) == _TIME_WORDS else ""
     if not week.isdigit():
-        raise _LineError(f"time is {quoted(' '.join(words))}; needed is a date and time, or a GPS week and its seconds")
+        raise DamagedError(
+            f"time is {quoted(' '.join(words))}; needed is a date and time, or a GPS week and its seconds"
+        )
     return int(week) + (0 if scale == "GPST" else GPS_LEAP_NS)

@@ -46,15 +46,7 @@ def station_ids(table: Table) -> Parsed[IntArray]:
 
 
 def generated(table: Table, stamps: Parsed[IntArray], stations: IntArray) -> Parsed[IntArray]:
-    """Return the messages' times of generation, where a column `GENERATION_DELTA` tells them beside the reception.
-
-    Parameters
-    ----------
-    table : Table
-    stamps : Parsed
-        The rows' times, shape (n,).
-    stations : ndarray of int64, shape (n,)
-    """
+    """Return the messages' times of generation, where a column `GENERATION_DELTA` tells them beside the reception."""
     texts = table.texts(GENERATION_DELTA)
     if texts is None:
         return stamps
@@ -64,10 +56,9 @@ def generated(table: Table, stamps: Parsed[IntArray], stations: IntArray) -> Par
     if len(known) < len(good) or (len(set(known)) < 2 and len(good) > 1):
         note = f"{GENERATION_DELTA.name} is not used: needed are numbers from 0 to {DELTA_PERIOD_MS - 1} that change"
         return Parsed(stamps.values, stamps.problems, (*stamps.notes, note))
-    times = generation_times(stamps.values[good], np.array(known, dtype=np.int64), stations[good])
     values = stamps.values.copy()
-    values[good] = times.stamps_ns
-    return Parsed(values, stamps.problems, (*stamps.notes, *times.notes))
+    values[good], notes = generation_times(stamps.values[good], np.array(known, dtype=np.int64), stations[good])
+    return Parsed(values, stamps.problems, (*stamps.notes, *notes))
 
 
 def backwards(table: Table) -> tuple[BoolArray | None, list[str]]:

@@ -20,7 +20,7 @@ from laci_stereo.io.maps.lanelet2 import read_lanelet2
 from laci_stereo.io.maps.lines import FARTHEST_M, DrawnLine, DrawnMap, parse_map_frame, to_degrees
 from laci_stereo.io.maps.opendrive import read_opendrive
 from laci_stereo.io.safe_xml import XmlError, parse_xml
-from laci_stereo.io.text_file import listed, read_text
+from laci_stereo.io.text_file import listed, text_in
 
 MAP_FILES = ("map.osm", "map.geojson", "map.xodr", "map.dxf", "map.csv")
 FORMATS = "Lanelet2 (.osm), OpenDRIVE (.xodr), GeoJSON, DXF or CSV"
@@ -91,9 +91,10 @@ def read_lane_map(path: Path, to_world: World, crs: str | None = None) -> LaneMa
 
 
 def _read(path: Path, *, prefer_local: bool) -> DrawnMap:
-    if _DXF.match(read_content(path, MapError)[:2000]):
+    content = read_content(path, MapError)
+    if _DXF.match(content[:2000]):
         return read_dxf(path)
-    text = read_text(path, MapError)
+    text = text_in(content, path, MapError)
     start = text.lstrip()[:1]
     if start in ("{", "["):
         return read_geojson(path, text)

@@ -17,14 +17,7 @@ _Positions = Mapping[str, "tuple[float, float] | None"]
 
 
 def read_lanelet2(path: Path, root: Element, *, prefer_local: bool) -> DrawnMap:
-    """Read the ways of a map.
-
-    Parameters
-    ----------
-    path : Path
-    root : Element
-    prefer_local : bool
-        Use ``local_x`` and ``local_y`` where the nodes have both these and degrees.
+    """Read the ways of a map; ``prefer_local``: by ``local_x`` and ``local_y`` where nodes have both these and degrees.
 
     Raises
     ------
@@ -51,7 +44,7 @@ def _ways(root: Element, nodes: _Positions, notes: tuple[str, ...], crs: str | N
         found = [nodes.get(reference.get("ref", "")) for reference in way.iterfind("nd")]
         positions = [position for position in found if position is not None]
         lost += len(found) - len(positions)
-        tags = _tags(way)
+        tags = tags_of(way)
         points = np.array(positions, dtype=np.float64).reshape(-1, 2)
         lines.append(DrawnLine(tags.get("type", ""), tags.get("subtype", ""), points, way.get("id", "")))
     if lost:
@@ -59,7 +52,8 @@ def _ways(root: Element, nodes: _Positions, notes: tuple[str, ...], crs: str | N
     return DrawnMap(tuple(lines), notes, crs)
 
 
-def _tags(element: Element) -> dict[str, str]:
+def tags_of(element: Element) -> dict[str, str]:
+    """Return the tags of a node, a way or a relation."""
     return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
 
 
@@ -76,7 +70,7 @@ def _degrees(path: Path, node: Element) -> tuple[float, float] | None:
 
 
 def _local(path: Path, node: Element) -> tuple[float, float] | None:
-    tags = _tags(node)
+    tags = tags_of(node)
     texts = [tags.get(key) for key in ("local_x", "local_y")]
     if None in texts:
         return None

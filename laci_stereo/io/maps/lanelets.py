@@ -13,8 +13,9 @@ from laci_stereo.core.errors import MapError
 from laci_stereo.core.frames import FloatArray, along_line
 from laci_stereo.io.file_content import read_content
 from laci_stereo.io.maps.lane_map import LaneMap
+from laci_stereo.io.maps.lanelet2 import tags_of
 from laci_stereo.io.safe_xml import XmlError, parse_xml
-from laci_stereo.io.text_file import read_text
+from laci_stereo.io.text_file import text_in
 
 FOR_PEOPLE = frozenset({"crosswalk", "walkway", "shared_walkway", "stairs"})
 """Subtypes of lanelets that no vehicle drives on."""
@@ -69,10 +70,11 @@ def read_lanelets(path: Path, lane_map: LaneMap) -> tuple[Lane, ...]:
     MapError
         If the file cannot be read.
     """
-    if not read_content(path, MapError).lstrip().startswith(b"<"):
+    content = read_content(path, MapError)
+    if not content.lstrip().startswith(b"<"):
         return ()
     try:
-        root = parse_xml(read_text(path, MapError))
+        root = parse_xml(text_in(content, path, MapError))
     except XmlError:
         return ()
     lines = {line.id: line.xy for line in lane_map.lines}
@@ -81,7 +83,7 @@ def read_lanelets(path: Path, lane_map: LaneMap) -> tuple[Lane, ...]:
 
 
 def _lane(relation: Element, lines: dict[str, FloatArray]) -> Lane | None:
-    tags = {tag.get("k", ""): tag.get("v", "") for tag in relation.iterfind("tag")}
+    tags = tags_of(relation)
     if tags.get("type") != "lanelet" or tags.get("subtype", "") in FOR_PEOPLE:
         return None
     sides = []

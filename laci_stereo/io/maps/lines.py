@@ -88,15 +88,8 @@ def parse_map_frame(text: str) -> MapFrame:
 def to_degrees(path: Path, drawn: DrawnMap, world: World, asked: MapFrame | None) -> DrawnMap:
     """Convert the lines of a map to longitude and latitude (WGS84).
 
-    Their coordinate system is the one that the file states, else the one that the user states, else the world's,
-    provided that the lines then lie near the track.
-
-    Parameters
-    ----------
-    path : Path
-    drawn : DrawnMap
-    world : World
-    asked : MapFrame or None
+    Their coordinate system is the one that the file states, else the one that the user states (``asked``), else the
+    world's, provided that the lines then lie near the track.
 
     Raises
     ------

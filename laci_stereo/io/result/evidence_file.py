@@ -6,10 +6,6 @@ which is stored, too.
 
 from __future__ import annotations
 
-import io
-import math
-import warnings
-import zipfile
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +31,8 @@ from laci_stereo.core.tracking.box import Box
 from laci_stereo.core.tracking.sighting import Flaw, Low, Sighting
 from laci_stereo.core.tracking.tracks import Track
 from laci_stereo.core.world import World
+from laci_stereo.io.file_content import read_bytes
+from laci_stereo.io.numpy_file import archived
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
@@ -134,7 +132,8 @@ def read_evidence(path: Path) -> Kept:
     EvidenceError
         If the file is missing, damaged, of another version, or inconsistent.
     """
-    arrays = _load(path)
+    content = read_bytes(path, EvidenceError, f"an evidence file ({FORMAT})", MAX_BYTES)
+    arrays = archived(content, str(path), EvidenceError, most=MAX_BYTES)
     form = _text(path, arrays, "format", ())[0]
     if form != FORMAT:
         raise EvidenceError(f"{path}: format is {form[:40]!r}; needed is {FORMAT}: calibrate again with this version")
@@ -148,50 +147,6 @@ def read_evidence(path: Path) -> Kept:
     if not 0 < drives <= len(arrays):
         raise EvidenceError(f"{path}: holds {drives} drives; needed is at least 1, and all of their arrays")
     return Kept(name, kind, frame, rectified, tuple(_passage(path, arrays, number) for number in range(drives)))
-
-
-def _load(path: Path) -> Arrays:
-    needed = f"needed is an evidence file ({FORMAT})"
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise EvidenceError(f"{path}: {size} bytes; needed are at most {MAX_BYTES}")
-        content = io.BytesIO(path.read_bytes())
-    except FileNotFoundError:
-        raise EvidenceError(f"{path} does not exist; {needed}") from None
-    except (OSError, ValueError) as problem:
-        raise EvidenceError(f"{path} cannot be read: {problem}; {needed}") from problem
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # headers are parsed as Python, which emits warnings on some damage
-            return _unpacked(path, content)
-    except EvidenceError:
-        raise
-    except Exception as problem:  # of many types: the bytes may be anything
-        what = " ".join(str(problem).split())[:100]
-        raise EvidenceError(
-            f"{path} is damaged or no evidence file ({what or type(problem).__name__}); {needed}"
-        ) from None
-
-
-def _unpacked(path: Path, content: io.BytesIO) -> Arrays:
-    with zipfile.ZipFile(content) as members:
-        unpacked = sum(each.file_size for each in members.infolist())
-        if unpacked <= MAX_BYTES:
-            unpacked = max(unpacked, sum(_promised_bytes(members, each) for each in members.infolist()))
-    if unpacked > MAX_BYTES:
-        raise EvidenceError(f"{path}: unpacks to {unpacked} bytes; needed are at most {MAX_BYTES}")
-    content.seek(0)
-    with np.load(content, allow_pickle=False) as archive:
-        return {name: np.asarray(archive[name]) for name in archive.files}
-
-
-def _promised_bytes(members: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """Return the size that an array's header states, bytes: NumPy allocates it before it reads any data."""
-    with members.open(member) as file:
-        first = np.lib.format.read_magic(file) == (1, 0)
-        shape, _, dtype = (np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0)(file)
-    return abs(math.prod(shape)) * dtype.itemsize
 
 
 def _text(path: Path, arrays: Arrays, name: str, shape: tuple[int, ...]) -> list[str]:

@@ -29,15 +29,7 @@ class ExportedFile:
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format of another tool.
-
-    Attributes
-    ----------
-    name : str
-    meaning : str
-        Its content and the tools that read it, in one line.
-    write : callable
-    """
+    """A format of another tool; ``meaning`` is its content and the tools that read it, in one line."""
 
     name: str
     meaning: str

@@ -101,13 +101,7 @@ class Imported:
 
 
 def import_pose(path: Path, options: ImportOptions) -> Imported:
-    """Read a transform that another tool wrote.
-
-    Parameters
-    ----------
-    path : Path
-        A file, or a folder with DAIR-V2X's two files of a camera.
-    options : ImportOptions
+    """Read a transform that another tool wrote, in a file or in a folder with DAIR-V2X's two files of a camera.
 
     Raises
     ------

@@ -69,12 +69,7 @@ class StoredCalibration(Siting):
 
 
 def read_calibration(result: Path) -> StoredCalibration:
-    """Read a stored result.
-
-    Parameters
-    ----------
-    result : Path
-        A result's folder, or its ``calibration.json``.
+    """Read a stored result: its folder, or its ``calibration.json``.
 
     Raises
     ------

@@ -78,20 +78,9 @@ class WrittenPose:
 
 
 def read_pose(path: Path, entry: str | None, kind: str | None) -> tuple[WrittenPose, Statement | None]:
-    """Read the only transform in a file, or the one that ``entry`` names.
+    """Read the only transform in a file, or the one that ``entry`` names, and the statement that exports of ours hold.
 
-    Parameters
-    ----------
-    path : Path
-    entry : str or None
-    kind : str or None
-        One of `KINDS`; None: recognised by the content.
-
-    Returns
-    -------
-    pose : WrittenPose
-    statement : Statement or None
-        The file's statement about itself, if it is an export of this project.
+    ``kind`` is one of `KINDS`; None: recognised by the content.
 
     Raises
     ------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -24,18 +22,17 @@ _COEFFICIENTS: dict[str, tuple[str, ...]] = {
 _PLACE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 
 
-def read_basalt(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_basalt(document: Document, images: ForImages) -> StereoRig | None:
     """Read a calibration; None if the file is in another format.
 
     Raises
     ------
     RigError
     """
-    root = documents[0].root
-    inner = root.get("value0", root)
-    if len(documents) != 1 or not isinstance(inner, dict) or not {"T_imu_cam", "intrinsics"} <= inner.keys():
+    inner = document.root.get("value0", document.root)
+    if not isinstance(inner, dict) or not {"T_imu_cam", "intrinsics"} <= inner.keys():
         return None
-    found = Document(documents[0].name, inner)
+    found = Document(document.name, inner)
     poses, lenses = (_cameras(found, name) for name in ("T_imu_cam", "intrinsics"))
     count = min(len(poses), len(lenses))
     if count < 2:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -20,16 +20,15 @@ _SOCKETS = (1, 2)
 _Cameras = Mapping[int, Document]
 
 
-def read_depthai(documents: Sequence[Document], _images: ForImages) -> StereoRig | None:
+def read_depthai(document: Document, _images: ForImages) -> StereoRig | None:
     """Read a file that ``eepromToJsonFile`` wrote; None if the file is in another format.
 
     Raises
     ------
     RigError
     """
-    document = documents[0]
     listing = document.root.get("cameraData")
-    if len(documents) != 1 or not isinstance(listing, list):
+    if not isinstance(listing, list):
         return None
     cameras = _cameras(document.name, listing)
     left, right = _sockets(document)

@@ -44,14 +44,7 @@ SIZE = Entry("image size", ("imageSize", "size", "resolution"))
 
 @dataclass(frozen=True)
 class Document:
-    """The content of a file, or of a part of it.
-
-    Attributes
-    ----------
-    name : str
-        The file and the part of it, for messages.
-    root : mapping of str to node
-    """
+    """The content of a file, or of a part of it; ``name`` names both in messages."""
 
     name: str
     root: Mapping[str, Node]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,24 +17,24 @@ _CHAIN = Entry("transform from the camera before it", ("T_cn_cnm1",))
 _MODELS: Mapping[str, Model] = {"radtan": "pinhole", "equidistant": "fisheye", "none": "pinhole"}
 
 
-def read_kalibr(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_kalibr(document: Document, images: ForImages) -> StereoRig | None:
     """Read a camchain; None if the file is in another format.
 
     Raises
     ------
     RigError
     """
-    cameras = sorted(name for name in documents[0].root if re.fullmatch(r"cam\d{1,2}", name))
-    chain = [name for name in cameras if isinstance(documents[0].root[name], dict)]
-    if len(documents) != 1 or not chain or not documents[0].part(chain[0]).has("intrinsics", "distortion_model"):
+    cameras = sorted(name for name in document.root if re.fullmatch(r"cam\d{1,2}", name))
+    chain = [name for name in cameras if isinstance(document.root[name], dict)]
+    if not chain or not document.part(chain[0]).has("intrinsics", "distortion_model"):
         return None
     if len(chain) < 2:
-        raise RigError(f"{documents[0].name}: the camchain has {listed(chain)} only; needed are two cameras")
+        raise RigError(f"{document.name}: the camchain has {listed(chain)} only; needed are two cameras")
     first = images.left_camera or 0
     names = (f"cam{first}", f"cam{first + 1}")
     if not set(names) <= set(chain):
         names = (chain[0], chain[1])
-    left, right = (documents[0].part(name) for name in names)
+    left, right = (document.part(name) for name in names)
     T_right_left = right.array(_CHAIN, (4, 4))
     _check_last_row(right.name, T_right_left)
     return StereoRig(

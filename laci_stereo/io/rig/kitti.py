@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 from laci_stereo.core.errors import RigError
 from laci_stereo.io.rig.document import Document, Entry, whole_size
@@ -14,16 +13,15 @@ _PAIRS = ((2, 3), (0, 1))
 """The colour and the grey pair of cameras; all four are side by side."""
 
 
-def read_kitti(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_kitti(document: Document, images: ForImages) -> StereoRig | None:
     """Read a calib_cam_to_cam.txt for raw or, by their size, rectified images; None if the file is in another format.
 
     Raises
     ------
     RigError
     """
-    document = documents[0]
     cameras = {int(name[-1]) for name in document.root if re.fullmatch(r"(?:K|P_rect)_0[0-3]", name)}
-    if len(documents) != 1 or not cameras:
+    if not cameras:
         return None
     (left, right), chosen = _pair(document.name, cameras, images)
     rectified = None
@@ -40,16 +38,15 @@ def read_kitti(documents: Sequence[Document], images: ForImages) -> StereoRig | 
     return StereoRig(left_lens, right_lens, R_right_left, T_right - R_right_left @ T_left, notes, rectified)
 
 
-def read_kitti_rectified(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_kitti_rectified(document: Document, images: ForImages) -> StereoRig | None:
     """Read P0 to P3, the projection matrices of rectified images; None if the file has none.
 
     Raises
     ------
     RigError
     """
-    document = documents[0]
     cameras = {int(name[1]) for name in document.root if re.fullmatch(r"P[0-3]", name)}
-    if len(documents) != 1 or not any(set(pair) <= cameras for pair in _PAIRS):
+    if not any(set(pair) <= cameras for pair in _PAIRS):
         return None
     (left, right), chosen = _pair(document.name, cameras, images)
     if images.size is None:

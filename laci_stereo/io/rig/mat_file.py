@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from laci_stereo.core.errors import RigError
-from laci_stereo.io.file_content import read_content
 from laci_stereo.io.file_storage import Node
 
 TO_STRUCT = "in MATLAB: s = toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
@@ -29,7 +28,8 @@ LARGEST_MATRIX = 10_000
 """Largest number of elements of a matrix: rotations and lenses have a dozen; the corners and errors of the calibration
 images are not needed."""
 
-_SIGNATURE, _HDF5, _VERSION_7_3 = b"MATLAB ", b"\x89HDF", b"MATLAB 7.3"
+_HDF5, _VERSION_7_3 = b"\x89HDF", b"MATLAB 7.3"
+MAT_MAGICS = (b"MATLAB ", _HDF5)
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _STRUCT, _CHAR, _OPAQUE, _NUMERIC = 2, 4, 17, range(6, 16)
@@ -72,25 +72,14 @@ class _Variable:
 _OBJECT = _Variable("", "<object>")
 
 
-def is_mat(path: Path) -> bool:
-    """Return whether a file begins like a MATLAB file."""
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(len(_SIGNATURE))
-    except OSError:
-        return False
-    return start.startswith((_SIGNATURE, _HDF5))
-
-
-def parse_mat(path: Path) -> dict[str, Node]:
-    """Return the variables of a .mat file: matrices as lists of rows, structs as mappings.
+def parse_mat(path: Path, content: bytes) -> dict[str, Node]:
+    """Return the variables in the content of a .mat file: matrices as lists of rows, structs as mappings.
 
     Raises
     ------
     RigError
         If the file is damaged, is of a version that cannot be read, or holds an object instead of a struct.
     """
-    content = read_content(path, RigError)
     if content.startswith((_VERSION_7_3, _HDF5)):
         raise RigError(f"{path} is a MATLAB file of version 7.3 (HDF5); needed is version 7, {TO_STRUCT}")
     try:

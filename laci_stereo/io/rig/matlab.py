@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -24,7 +24,7 @@ _TRANSLATION = Entry("translation of camera 2", ("TranslationOfCamera2",))
 _POSE = Entry("pose of camera 2", ("A", "T"))
 
 
-def read_matlab(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_matlab(document: Document, images: ForImages) -> StereoRig | None:
     """Read stereo parameters as ``toStruct`` returns them; None if the file has none.
 
     MATLAB multiplies row vectors from the left, so its older matrices are transposed; and it counts pixels from one.
@@ -33,7 +33,7 @@ def read_matlab(documents: Sequence[Document], images: ForImages) -> StereoRig |
     ------
     RigError
     """
-    found = _parameters(documents[0]) if len(documents) == 1 else None
+    found = _parameters(document)
     if found is None:
         return None
     left, left_notes = _lens(found.part("CameraParameters1"), images.size)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from laci_stereo.core.errors import RigError
@@ -14,15 +12,14 @@ _ROUNDING_PX = 0.002
 """Largest rounding error of a difference of principal points with three decimals."""
 
 
-def read_middlebury(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_middlebury(document: Document, images: ForImages) -> StereoRig | None:
     """Read a calib.txt; None if the file is in another format.
 
     Raises
     ------
     RigError
     """
-    document = documents[0]
-    if len(documents) != 1 or not document.has("cam0", "cam1", "baseline"):
+    if not document.has("cam0", "cam1", "baseline"):
         return None
     K_left, K_right = (document.array(Entry("camera matrix", (name,)), (3, 3)) for name in ("cam0", "cam1"))
     baseline_m = document.number("baseline", "baseline") / 1000.0

@@ -48,10 +48,9 @@ _USUAL = (
     "calib_cam_to_cam.txt or SN*.conf"
 )
 
-Reader: TypeAlias = Callable[[Sequence[Document], ForImages], StereoRig | None]
+Reader: TypeAlias = Callable[[Document, ForImages], StereoRig | None]
 
-_FORMATS: tuple[Reader, ...] = (
-    read_ros,
+_IN_ONE_FILE: tuple[Reader, ...] = (
     read_kalibr,
     read_kitti,
     read_kitti_rectified,
@@ -60,20 +59,15 @@ _FORMATS: tuple[Reader, ...] = (
     read_basalt,
     read_depthai,
     read_zed,
-    read_opencv,
 )
-"""Readers in the order in which they are tried; a reader returns None for files of another format."""
+"""Readers of formats of a single file, in the order in which they are tried; one returns None for another format."""
 
 
 def calibration_files(given: Path | Sequence[Path], left_folder: Path) -> tuple[Path, ...]:
     """Return the files of a stereo calibration: those given, or those found beside the left images.
 
-    Parameters
-    ----------
-    given : path, or sequence of path
-        One or two files, or a folder that holds them under their usual names; if empty, the folder of ``left_folder``
-        is searched.
-    left_folder : path
+    One or two files are given, or a folder that holds them under their usual names; if nothing is, the folder of
+    ``left_folder`` is searched.
 
     Raises
     ------
@@ -151,7 +145,11 @@ def read_rig(files: Path | Sequence[Path], images: ForImages) -> StereoRig:
 
 
 def _read(documents: Sequence[Document], images: ForImages) -> StereoRig:
-    return next(rig for rig in (read(documents, images) for read in _FORMATS) if rig is not None)
+    if (rig := read_ros(documents, images)) is not None:
+        return rig
+    readers = _IN_ONE_FILE if len(documents) == 1 else ()
+    found = (rig for read in readers if (rig := read(documents[0], images)) is not None)
+    return next(found, None) or read_opencv(documents, images)
 
 
 def _tells_size(documents: Sequence[Document], images: ForImages) -> bool:

@@ -134,15 +134,7 @@ def _camera_in(folder: Path | None) -> int | None:
 
 
 def rectified_pair(left_P: FloatArray, right_P: FloatArray, size: Size, notes: tuple[str, ...]) -> StereoRig:
-    """Return the rig of rectified images from their projection matrices.
-
-    Parameters
-    ----------
-    left_P, right_P : ndarray, shape (3, 4)
-        ``K (I | t)``, with t in metres.
-    size : tuple of int
-    notes : tuple of str
-    """
+    """Return the rig of rectified images from their projection matrices ``K (I | t)``, shape (3, 4), t in metres."""
     left, right = (Lens(P[:, :3].copy(), np.zeros(4), size, "pinhole") for P in (left_P, right_P))
     rig = StereoRig(left, right, np.eye(3), projection_shift(right_P) - projection_shift(left_P), notes)
     return replace(rig, rectified=rig)

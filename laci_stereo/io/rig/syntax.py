@@ -8,12 +8,12 @@ from configparser import Error as ConfigError
 from pathlib import Path
 
 from laci_stereo.core.errors import RigError
-from laci_stereo.io.file_content import begins_with, read_content
+from laci_stereo.io.file_content import read_content
 from laci_stereo.io.file_storage import Node, StorageError, parse_file_storage
 from laci_stereo.io.numpy_file import ARCHIVE_MAGIC, archived
 from laci_stereo.io.rig.document import Document
-from laci_stereo.io.rig.mat_file import is_mat, parse_mat
-from laci_stereo.io.text_file import read_text, shortened
+from laci_stereo.io.rig.mat_file import MAT_MAGICS, parse_mat
+from laci_stereo.io.text_file import shortened, text_in
 
 LARGEST_FILE = 1 << 23
 """Bytes: a calibration with all corners that were detected for it has a tenth of that."""
@@ -38,17 +38,12 @@ def read_document(path: Path) -> Document:
     RigError
         If the file is missing, larger than calibrations are, or in none of these syntaxes.
     """
-    try:
-        length = path.stat().st_size if path.is_file() else 0
-    except (OSError, ValueError):
-        length = 0  # reading the file raises the error
-    if length > LARGEST_FILE:
-        raise RigError(f"{path} has {length} bytes; needed is a stereo calibration, of at most {LARGEST_FILE}")
-    if length and is_mat(path):
-        return Document(str(path), parse_mat(path))
-    if begins_with(path, (ARCHIVE_MAGIC,)):
-        return Document(str(path), _arrays(path))
-    text = read_text(path, RigError)
+    content = read_content(path, RigError, "a stereo calibration", LARGEST_FILE)
+    if content.startswith(MAT_MAGICS):
+        return Document(str(path), parse_mat(path, content))
+    if content.startswith(ARCHIVE_MAGIC):
+        return Document(str(path), _arrays(path, content))
+    text = text_in(content, path, RigError)
     if len(text) > LARGEST_FILE:
         raise RigError(
             f"{path} unpacks to {len(text)} letters; needed is a stereo calibration, of at most {LARGEST_FILE}"
@@ -56,9 +51,9 @@ def read_document(path: Path) -> Document:
     return Document(str(path), _parsed(path, text))
 
 
-def _arrays(path: Path) -> dict[str, Node]:
+def _arrays(path: Path, content: bytes) -> dict[str, Node]:
     """Return the numbers of NumPy's ``.npz``, without large arrays such as corners."""
-    arrays = archived(read_content(path, RigError), str(path), RigError, _LARGEST_ARRAY)
+    arrays = archived(content, str(path), RigError, largest=_LARGEST_ARRAY)
     return {name: _node(array.tolist()) for name, array in arrays.items() if array.dtype.kind in "fiu"}
 
 

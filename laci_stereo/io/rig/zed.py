@@ -6,7 +6,7 @@ millimetres, and RX, CV, RZ are the rotation vector.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,15 +36,14 @@ _FIVE, _EIGHT = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "p1", "p2", "k3", "
 _FISHEYE = ("k1", "k2", "k3", "k4")
 
 
-def read_zed(documents: Sequence[Document], images: ForImages) -> StereoRig | None:
+def read_zed(document: Document, images: ForImages) -> StereoRig | None:
     """Read the calibration for the resolution of the images; None if the file is in another format.
 
     Raises
     ------
     RigError
     """
-    document = documents[0]
-    if len(documents) != 1 or not any(name.startswith("LEFT_CAM_") for name in document.root):
+    if not any(name.startswith("LEFT_CAM_") for name in document.root):
         return None
     size = _size(document.name, images.size)
     mode = _MODES[size]

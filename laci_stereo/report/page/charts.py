@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from laci_stereo.core.frames import FloatArray
-from laci_stereo.report.mapview import nice_step
+from laci_stereo.report.mapview import multiples, nice_step
 from laci_stereo.report.page.shapes import Part, dots, lines
 
 WIDTH, HEIGHT = 720.0, 292.0
@@ -63,16 +63,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Chart:
-    """A scatter chart.
-
-    Attributes
-    ----------
-    title, x_title, y_title : str
-    x_ticks, y_ticks : tuple of Tick
-    zero : float or None
-        y coordinate of the zero line, in units of the chart.
-    series : tuple of Drawn
-    """
+    """A scatter chart; ``zero`` is the y coordinate of the zero line, in units of the chart."""
 
     title: str
     x_title: str
@@ -135,8 +126,7 @@ def _place(values: FloatArray, span: tuple[float, float], ends: tuple[float, flo
 
 
 def _ticks(span: tuple[float, float], count: int, ends: tuple[float, float]) -> tuple[Tick, ...]:
-    step = nice_step(span[1] - span[0], count)
-    values = np.arange(np.ceil(span[0] / step), np.floor(span[1] / step) + 1) * step + 0.0
+    values = multiples(*span, nice_step(span[1] - span[0], count))
     places = _place(values, span, ends)
     return tuple(Tick(float(at), f"{value:g}".replace("-", "−")) for at, value in zip(places, values, strict=True))
 

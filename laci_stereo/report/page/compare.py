@@ -37,18 +37,9 @@ class Pair:
 
 
 def write_compare_page(pairs: Sequence[Pair], shared: str) -> str:
-    """Return the page.
+    """Return the page, as HTML that loads no external resources.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-    shared : str
-        Errors common to all results, which the standard deviations do not include, in words.
-
-    Returns
-    -------
-    str
-        HTML that loads no external resources.
+    ``shared`` tells the errors common to all results, which the standard deviations do not include.
     """
     style = text_of("page.css")
     return template("page.compare.j2").render(pairs=pairs, shared=shared, style=style, policy=policy_for(style, ""))

@@ -38,15 +38,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Matrix:
-    """A transform to be copied.
-
-    Attributes
-    ----------
-    name : str
-    meaning : str
-    text : str
-        The 4x4 matrix as JSON.
-    """
+    """A transform to be copied; ``text`` is the 4x4 matrix as JSON."""
 
     name: str
     meaning: str

@@ -26,17 +26,7 @@ class LineFacts:
 
 @dataclass(frozen=True)
 class LaneFacts:
-    """The lane check, in words.
-
-    Attributes
-    ----------
-    look : str
-        Class of the style sheet: "pass", "fail" or "warn".
-    sentence : str
-    reasons : tuple of str
-    facts : tuple of Fact
-    lines : tuple of LineFacts
-    """
+    """The lane check, in words; ``look`` is a class of the style sheet, "pass", "fail" or "warn"."""
 
     look: str
     sentence: str

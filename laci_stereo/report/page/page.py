@@ -88,20 +88,7 @@ class DrivePage:
 
 
 def write_page(calibration: Calibration, document: Document, made: Made) -> str:
-    """Return the report page.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    document : dict
-        The calibration as written by `to_document`.
-    made : Made
-
-    Returns
-    -------
-    str
-        HTML that loads no external resources.
-    """
+    """Return the report page, as HTML that loads no external resources; ``document`` is that of `to_document`."""
     provenance = made.provenance
     photo = None if made.photographs is None else draw_over(made.photographs, calibration, made.lane_map)
     plan = draw_plan(calibration, made.lane_map)

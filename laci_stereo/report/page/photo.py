@@ -64,15 +64,7 @@ class Photographs:
 
 @dataclass(frozen=True)
 class Shot:
-    """An image with the layers drawn over this image only.
-
-    Attributes
-    ----------
-    stamp_s : float
-    jpeg : str
-        The image as JPEG in base 64.
-    layers : tuple of Layer
-    """
+    """An image, as JPEG in base 64, with the layers drawn over this image only."""
 
     stamp_s: float
     jpeg: str
@@ -118,16 +110,12 @@ def draw_over(photographs: Photographs, calibration: Calibration, lane_map: Lane
 
 def _layers(camera: Camera, calibration: Calibration, lane_map: LaneMap | None) -> tuple[Layer, ...]:
     sent = [on_ground(track) for track in sender_track(calibration)]
-    seen = camera.project(on_ground(thinned(sensor_track(calibration), MOST_DOTS)))
+    seen = on_ground(thinned(sensor_track(calibration), MOST_DOTS))
     layers = [
-        Layer("grid", "Ground grid, 10 m", (Part("grid", _project(camera, ground_grid(calibration))),)),
+        Layer("grid", "Ground grid, 10 m", (_part(camera, "grid", ground_grid(calibration)),)),
         Layer("background", "Background boxes", (_part(camera, "background", background_edges(calibration)),), False),
         Layer("lanes", "Lines of the lane map", tuple(_lanes(camera, lane_map))),
-        Layer(
-            "track",
-            "Vehicle's tracks",
-            (_part(camera, "sent", sent), Part("seen dots", dots(seen[np.isfinite(seen).all(axis=1)]))),
-        ),
+        Layer("track", "Vehicle's tracks", (_part(camera, "sent", sent), Part("seen dots", _dots(camera, seen)))),
     ]
     return tuple(layer for layer in layers if any(part.d for part in layer.parts))
 
@@ -171,11 +159,7 @@ def _dots(camera: Camera, points: FloatArray) -> str:
 
 
 def _part(camera: Camera, look: str, lines_world: Sequence[FloatArray]) -> Part:
-    return Part(look, _project(camera, lines_world))
-
-
-def _project(camera: Camera, lines_world: Sequence[FloatArray]) -> str:
-    return lines(piece for line in lines_world for piece in camera.project_line(line))
+    return Part(look, lines(piece for line in lines_world for piece in camera.project_line(line)))
 
 
 def _grid_labels(camera: Camera, calibration: Calibration) -> tuple[Label, ...]:

@@ -18,7 +18,7 @@ from laci_stereo.report.drawn import (
     sender_box,
     sender_track,
 )
-from laci_stereo.report.mapview import MapView, map_view, nice_step
+from laci_stereo.report.mapview import MapView, map_view, multiples, nice_step
 from laci_stereo.report.page.shapes import Label, Layer, Part, dots, lines, thinned
 from laci_stereo.report.style import lane_strokes, look_of
 from laci_stereo.report.topdown import marks_of, position_ellipse
@@ -129,9 +129,8 @@ def draw_plan(calibration: Calibration, lane_map: LaneMap | None) -> Plan:
 
 def _grid(view: MapView, step_m: float) -> list[FloatArray]:
     low, high = _shown(view)
-    across = [np.arange(np.ceil(low[axis] / step_m), np.floor(high[axis] / step_m) + 1) * step_m for axis in (0, 1)]
-    upright = [np.array([[x, low[1]], [x, high[1]]]) for x in across[0]]
-    return upright + [np.array([[low[0], y], [high[0], y]]) for y in across[1]]
+    upright = [np.array([[x, low[1]], [x, high[1]]]) for x in multiples(low[0], high[0], step_m)]
+    return upright + [np.array([[low[0], y], [high[0], y]]) for y in multiples(low[1], high[1], step_m)]
 
 
 def _shown(view: MapView) -> tuple[FloatArray, FloatArray]:

@@ -105,14 +105,7 @@ def _lay(model: DriveModel, x: FloatArray, shares: FloatArray) -> Laid:
 
 @dataclass(frozen=True)
 class CentreOffsets:
-    """Offsets of the sensor's box centres from the vehicle's centres by the messages.
-
-    Attributes
-    ----------
-    stamps_s : ndarray, shape (n,)
-    ahead_m, left_m : ndarray, shape (n,)
-        Offsets along the vehicle's axes.
-    """
+    """Offsets of the sensor's box centres from the vehicle's by the messages, along its axes, shape (n,) each."""
 
     stamps_s: FloatArray
     ahead_m: FloatArray

@@ -40,8 +40,15 @@ def exported(folder: Path, sited: Siting, form: str) -> Path:
     return folder if len(written) > 1 else folder / written[0].name
 
 
-def taken(path: Path, **options: object) -> Imported:
+def taken(path: Path, text: str | None = None, **options: object) -> Imported:
+    """Import a file, with this text if it is to be written first."""
+    if text is not None:
+        path.write_text(text)
     return import_pose(path, ImportOptions(**{"kind": "lidar", "crs": "EPSG:32632", **options}))  # type: ignore[arg-type]
+
+
+def assert_stands(found: Siting, T_utm_sensor: FloatArray) -> None:
+    np.testing.assert_allclose(found.T_utm_sensor, T_utm_sensor, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("form", [each.name for each in FORMATS if each.name != "proj"])
@@ -190,20 +197,16 @@ WRITTEN = {
 
 @pytest.mark.parametrize("text", WRITTEN.values(), ids=WRITTEN.keys())
 def test_what_other_tools_write(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "mast.txt"
-    path.write_text(text)
-    found = taken(path, origin=ORIGIN, centre=tuple(centre_utm())).siting
-    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    found = taken(tmp_path / "mast.txt", text, origin=ORIGIN, centre=tuple(centre_utm())).siting
+    assert_stands(found, LIDAR.T_utm_sensor)
     np.testing.assert_allclose(in_utm(found), in_utm(LIDAR), rtol=0, atol=1e-5)
     assert (found.name, found.kind) == ("mast", "lidar")
 
 
 @pytest.mark.parametrize("name", ["euler", "euler_deg", "euler_angles", "euler_xyz", "rotation"])
 def test_three_angles_in_an_order_that_nobody_knows_are_refused(tmp_path: Path, name: str) -> None:
-    path = tmp_path / "mast.yaml"
-    path.write_text(yaml.safe_dump({"translation": T.tolist(), name: [0.1, 0.2, 0.3]}))
     with pytest.raises(CalibrationFileError, match=rf"{name} is three numbers, whose order .* rpy or ypr .*_wxyz"):
-        taken(path, origin=ORIGIN)
+        taken(tmp_path / "mast.yaml", yaml.safe_dump({"translation": T.tolist(), name: [0.1, 0.2, 0.3]}), origin=ORIGIN)
 
 
 def test_a_quaternions_order_is_noted_where_no_name_tells_it(tmp_path: Path) -> None:
@@ -219,10 +222,8 @@ def centre_utm() -> FloatArray:
 
 def test_utm_needs_no_origin_and_an_inverse_is_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "T.txt"
-    path.write_text(rows(LIDAR.T_utm_sensor))
-    np.testing.assert_allclose(taken(path).siting.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
-    path.write_text(rows(invert(LIDAR.T_utm_sensor)))
-    found = taken(path, direction="map-to-sensor").siting
+    assert_stands(taken(path, rows(LIDAR.T_utm_sensor)).siting, LIDAR.T_utm_sensor)
+    found = taken(path, rows(invert(LIDAR.T_utm_sensor)), direction="map-to-sensor").siting
     np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-7)
 
 
@@ -230,9 +231,8 @@ def test_an_altitude_is_counted_from_the_ground(tmp_path: Path) -> None:
     path = tmp_path / "T.txt"
     T_utm = LIDAR.T_utm_sensor.copy()
     T_utm[2, 3] += 478.0
-    path.write_text(rows(T_utm))
     with pytest.raises(CalibrationFileError, match=r"484\.5 m above the ground; needed .* --origin E,N,Z"):
-        taken(path)
+        taken(path, rows(T_utm))
     found = taken(path, origin=(0.0, 0.0, 478.0)).siting
     assert found.T_world_sensor[2, 3] == pytest.approx(6.5)
 
@@ -240,11 +240,10 @@ def test_an_altitude_is_counted_from_the_ground(tmp_path: Path) -> None:
 def test_of_several_transforms_one_is_named(tmp_path: Path) -> None:
     path = tmp_path / "kit.yaml"
     kit = {name: {**XYZ, "roll": 0.0, "pitch": 0.0, "yaw": yaw} for name, yaw in (("left", 0.3), ("right", -0.3))}
-    path.write_text(yaml.safe_dump({"map": kit}))
     with pytest.raises(
         CalibrationFileError, match=r"it holds 2 transforms, map/left, map/right; needed is --entry NAME"
     ):
-        taken(path, origin=ORIGIN)
+        taken(path, yaml.safe_dump({"map": kit}), origin=ORIGIN)
     with pytest.raises(
         CalibrationFileError, match="holds no 'middle'; needed is --entry with one of map/left, map/right"
     ):
@@ -314,31 +313,27 @@ STATED: dict[str, Callable[[FloatArray, str, str], str]] = {
 @pytest.mark.parametrize("form", STATED)
 def test_the_direction_that_a_file_states_is_its_own(tmp_path: Path, form: str, world: str) -> None:
     """In ROS a transform takes points of the child's frame to the parent's."""
-    path = tmp_path / "mast.txt"
     for T, frames, way in (
         (T_NEAR, (world, "lidar"), "sensor-to-map"),
         (invert(T_NEAR), ("lidar", world), "map-to-sensor"),
     ):
-        path.write_text(STATED[form](T, *frames))
-        imported = taken(path, origin=NEAR_ORIGIN)
-        np.testing.assert_allclose(imported.siting.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+        imported = taken(tmp_path / "mast.txt", STATED[form](T, *frames), origin=NEAR_ORIGIN)
+        assert_stands(imported.siting, LIDAR.T_utm_sensor)
         assert f", {way}, as the file says" in imported.notes[0]
 
 
 @pytest.mark.parametrize("frame", ["/map", "site_4/map", "map_frame", "utm_32n", "World"])
 def test_frames_of_maps_go_by_several_names(tmp_path: Path, frame: str) -> None:
-    path = tmp_path / "mast.txt"
-    path.write_text(by_name(invert(T_NEAR), "mapping_lidar", frame))
-    found = taken(path, origin=NEAR_ORIGIN).siting
-    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    found = taken(tmp_path / "mast.txt", by_name(invert(T_NEAR), "mapping_lidar", frame), origin=NEAR_ORIGIN).siting
+    assert_stands(found, LIDAR.T_utm_sensor)
 
 
 def test_a_pose_in_the_frame_of_a_map_is_the_sensors(tmp_path: Path) -> None:
-    path = tmp_path / "mast.txt"
     pose = {"position": T_NEAR[:3, 3].tolist(), "orientation": quaternion_of(T_NEAR)}
-    path.write_text(json.dumps({"header": {"frame_id": "map"}, "pose": pose}))
-    found = taken(path, origin=NEAR_ORIGIN).siting
-    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    found = taken(
+        tmp_path / "mast.txt", json.dumps({"header": {"frame_id": "map"}, "pose": pose}), origin=NEAR_ORIGIN
+    ).siting
+    assert_stands(found, LIDAR.T_utm_sensor)
 
 
 def test_a_frame_below_the_maps_is_the_sensors(tmp_path: Path) -> None:
@@ -346,19 +341,15 @@ def test_a_frame_below_the_maps_is_the_sensors(tmp_path: Path) -> None:
     path = tmp_path / "kit.yaml"
     angles = dict(zip(("roll", "pitch", "yaw"), [float(ROLL), float(PITCH), float(YAW)], strict=True))
     pose = {**dict(zip("xyz", T_NEAR[:3, 3].tolist(), strict=True)), **angles}
-    path.write_text(yaml.safe_dump({"map": {"lidar": pose}}))
-    found = taken(path, origin=NEAR_ORIGIN).siting
-    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
-    path.write_text(yaml.safe_dump({"lidar": {"map": pose}}))
+    found = taken(path, yaml.safe_dump({"map": {"lidar": pose}}), origin=NEAR_ORIGIN).siting
+    assert_stands(found, LIDAR.T_utm_sensor)
     with pytest.raises(SettingError, match="needed is --direction sensor-to-map or map-to-sensor"):
-        taken(path, origin=NEAR_ORIGIN)
+        taken(path, yaml.safe_dump({"lidar": {"map": pose}}), origin=NEAR_ORIGIN)
 
 
 def test_the_name_of_a_file_states_what_is_not_in_it(tmp_path: Path) -> None:
-    path = tmp_path / "map_to_lidar.txt"
-    path.write_text(rows(invert(T_NEAR)))
-    imported = taken(path, origin=NEAR_ORIGIN)
-    np.testing.assert_allclose(imported.siting.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    imported = taken(tmp_path / "map_to_lidar.txt", rows(invert(T_NEAR)), origin=NEAR_ORIGIN)
+    assert_stands(imported.siting, LIDAR.T_utm_sensor)
     assert "the direction is told by the file's name alone" in imported.notes
 
 
@@ -376,9 +367,8 @@ def test_the_name_of_a_file_states_what_is_not_in_it(tmp_path: Path) -> None:
 )
 def test_a_direction_that_is_not_stated_is_asked_for_where_both_are_possible(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mast.txt"
-    path.write_text(text)
     with pytest.raises(SettingError, match=r"does not say which way .* leads") as no:
-        taken(path, origin=NEAR_ORIGIN)
+        taken(path, text, origin=NEAR_ORIGIN)
     (line,) = str(no.value).splitlines()
     assert "at x 40.00, y -200.00, z 6.50 m, upright" in line
     assert line.endswith("needed is --direction sensor-to-map or map-to-sensor")
@@ -390,9 +380,8 @@ def test_of_a_lidar_that_hangs_upside_down_the_direction_is_asked_for(tmp_path: 
     T = T_NEAR.copy()
     T[:3, :3] = Rotation.from_euler("ZX", [114.7, 180.0], degrees=True).as_matrix()
     path = tmp_path / "mast.txt"
-    path.write_text(rows(T))
     with pytest.raises(SettingError, match=r"upside down, .* needed is --direction sensor-to-map or"):
-        taken(path, origin=NEAR_ORIGIN)
+        taken(path, rows(T), origin=NEAR_ORIGIN)
     imported = taken(path, origin=NEAR_ORIGIN, direction="sensor-to-map")
     np.testing.assert_allclose(imported.siting.T_utm_sensor[:3, :3], T[:3, :3], rtol=0, atol=1e-12)
     assert not any("tilted" in note for note in imported.notes)
@@ -406,11 +395,9 @@ def test_no_transform_is_read_the_wrong_way_round_in_silence(
     T = sited.T_utm_sensor
     origin = (T[0, 3] - east, T[1, 3] - north)
     T[:2, 3] = east, north
-    path = tmp_path / "T.txt"
     kind = "stereo" if sited.kind == "stereo" else "lidar"
-    path.write_text(rows(invert(T)))
     with pytest.raises(InputError, match="needed is --direction"):
-        taken(path, kind=kind, crs=sited.world.crs, origin=origin)
+        taken(tmp_path / "T.txt", rows(invert(T)), kind=kind, crs=sited.world.crs, origin=origin)
 
 
 def camera(yaw_deg: float, down_deg: float, roll_deg: float) -> FloatArray:
@@ -426,11 +413,9 @@ def test_cameras_in_other_axes_are_refused(tmp_path: Path) -> None:
     open_gl, transposed = T.copy(), camera(100.0, 15.0, 1.0)
     open_gl[:3, :3] = T[:3, :3] @ np.diag([1.0, -1.0, -1.0])
     transposed[:3, :3] = transposed[:3, :3].T
-    path = tmp_path / "T.txt"
     for wrong in (open_gl, transposed, camera(30.0, 15.0, 180.0), camera(30.0, 15.0, -95.0)):
-        path.write_text(rows(wrong))
         with pytest.raises(CalibrationFileError, match=r"upside down, rolled .* needed is .* x right, y down") as no:
-            taken(path, kind="stereo")
+            taken(tmp_path / "T.txt", rows(wrong), kind="stereo")
         (line,) = str(no.value).splitlines()
         assert "the rotation is transposed" in line
         assert "x, y, z, w" in line
@@ -440,11 +425,10 @@ def test_a_cameras_quaternion_in_the_wrong_order_is_refused(tmp_path: Path) -> N
     T = camera(114.7, 15.0, 0.8)
     x, y, z, w = quaternion_of(T)
     path = tmp_path / "T.yaml"
-    path.write_text(yaml.safe_dump({"translation": T[:3, 3].tolist(), "quaternion": [x, y, z, w]}))
-    np.testing.assert_allclose(taken(path, kind="stereo").siting.T_utm_sensor, T, rtol=0, atol=1e-8)
-    path.write_text(yaml.safe_dump({"translation": T[:3, 3].tolist(), "quaternion": [w, x, y, z]}))
+    right = yaml.safe_dump({"translation": T[:3, 3].tolist(), "quaternion": [x, y, z, w]})
+    assert_stands(taken(path, right, kind="stereo").siting, T)
     with pytest.raises(CalibrationFileError, match=r"whether a quaternion is in the order x, y, z, w"):
-        taken(path, kind="stereo")
+        taken(path, yaml.safe_dump({"translation": T[:3, 3].tolist(), "quaternion": [w, x, y, z]}), kind="stereo")
 
 
 @pytest.mark.parametrize(
@@ -463,10 +447,8 @@ def test_of_cameras_as_few_are_mounted_is_warned(
     tmp_path: Path, down_deg: float, roll_deg: float, warning: str | None
 ) -> None:
     T = camera(114.7, down_deg, roll_deg)
-    path = tmp_path / "T.txt"
-    path.write_text(rows(T))
-    imported = taken(path, kind="stereo")
-    np.testing.assert_allclose(imported.siting.T_utm_sensor, T, rtol=0, atol=1e-8)
+    imported = taken(tmp_path / "T.txt", rows(T), kind="stereo")
+    assert_stands(imported.siting, T)
     said = [note for note in imported.notes if "the rotation is transposed" in note]
     assert bool(said) == (warning is not None)
     assert warning is None or said[0].startswith(warning)
@@ -480,20 +462,16 @@ def test_of_lidars_that_are_neither_upright_nor_upside_down_is_warned(
 ) -> None:
     T = LIDAR.T_utm_sensor
     T[:3, :3] = Rotation.from_euler("ZX", [114.7, tilt_deg], degrees=True).as_matrix()
-    path = tmp_path / "T.txt"
-    path.write_text(rows(T))
-    imported = taken(path, direction="sensor-to-map")
-    np.testing.assert_allclose(imported.siting.T_utm_sensor, T, rtol=0, atol=1e-8)
+    imported = taken(tmp_path / "T.txt", rows(T), direction="sensor-to-map")
+    assert_stands(imported.siting, T)
     assert any("would be tilted 46 deg: if it is not so, its axes" in note for note in imported.notes) == warned
 
 
 def test_of_several_publishers_none_is_taken(tmp_path: Path) -> None:
-    path = tmp_path / "both.launch"
     one = f"static_transform_publisher {by_position(T_NEAR, 'map', 'lidar', True)} 100\n"
     for other in (one, by_name(T_NEAR, "map", "lidar")):
-        path.write_text(one + other)
         with pytest.raises(CalibrationFileError, match="it starts several static_transform_publisher; needed is"):
-            taken(path, origin=NEAR_ORIGIN)
+            taken(tmp_path / "both.launch", one + other, origin=NEAR_ORIGIN)
 
 
 def scaled(factor: float) -> FloatArray:
@@ -533,10 +511,8 @@ WRONG = {
 
 @pytest.mark.parametrize(("text", "message"), WRONG.items(), ids=[str(i) for i in range(len(WRONG))])
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "mast.txt"
-    path.write_text(text)
     with pytest.raises(CalibrationFileError, match=message) as refused:
-        taken(path, origin=ORIGIN)
+        taken(tmp_path / "mast.txt", text, origin=ORIGIN)
     assert len(str(refused.value).splitlines()) == 1
     assert "mast.txt" in str(refused.value)
 
@@ -567,31 +543,26 @@ def test_what_a_file_says_at_length_is_quoted_in_short(tmp_path: Path, told: str
 
 def test_a_transform_the_wrong_way_round_is_recognised(tmp_path: Path) -> None:
     path = tmp_path / "T.txt"
-    path.write_text(rows(LIDAR.T_utm_sensor))
     with pytest.raises(CalibrationFileError, match="upright; needed is --direction sensor-to-map"):
-        taken(path, direction="map-to-sensor")
-    path.write_text(rows(invert(LIDAR.T_utm_sensor)))
+        taken(path, rows(LIDAR.T_utm_sensor), direction="map-to-sensor")
     with pytest.raises(CalibrationFileError, match="upright; needed is --direction map-to-sensor"):
-        taken(path)
+        taken(path, rows(invert(LIDAR.T_utm_sensor)))
 
 
 def test_what_is_asked_for_stands_above_what_a_name_means_to_us(tmp_path: Path) -> None:
     """Others call the way from b to a T_b_a."""
     path = tmp_path / "T.json"
-    path.write_text(json.dumps({"T_lidar_map": LIDAR.T_utm_sensor.tolist()}))
     with pytest.raises(CalibrationFileError, match="needed is --direction sensor-to-map"):
-        taken(path)
+        taken(path, json.dumps({"T_lidar_map": LIDAR.T_utm_sensor.tolist()}))
     found = taken(path, direction="sensor-to-map").siting
-    np.testing.assert_allclose(found.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    assert_stands(found, LIDAR.T_utm_sensor)
 
 
 def test_millimetres_are_recognised(tmp_path: Path) -> None:
-    path = tmp_path / "T.txt"
     T_utm = LIDAR.T_utm_sensor.copy()
     T_utm[:3, 3] *= 1000.0
-    path.write_text(rows(T_utm))
     with pytest.raises(CalibrationFileError, match=r"needed are UTM coordinates in metres: is it in millimetres\?"):
-        taken(path)
+        taken(tmp_path / "T.txt", rows(T_utm))
 
 
 @pytest.mark.parametrize(
@@ -605,10 +576,8 @@ def test_millimetres_are_recognised(tmp_path: Path) -> None:
     ],
 )
 def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path, options: dict[str, object], message: str) -> None:
-    path = tmp_path / "T.txt"
-    path.write_text(rows(T_MAP))
     with pytest.raises(InputError, match=message):
-        taken(path, **{"origin": ORIGIN, **options})
+        taken(tmp_path / "T.txt", rows(T_MAP), **{"origin": ORIGIN, **options})
 
 
 def test_what_file_and_option_say_must_agree(tmp_path: Path) -> None:
@@ -649,8 +618,7 @@ def test_a_camera_of_rectified_images_stays_one(tmp_path: Path, form: str, recti
 
 def test_of_foreign_files_the_user_says_that_images_are_rectified(tmp_path: Path) -> None:
     path = tmp_path / "T.txt"
-    path.write_text(rows(STEREO.T_utm_sensor))
-    assert taken(path, kind="stereo").siting.frame.startswith("raw left camera")
+    assert taken(path, rows(STEREO.T_utm_sensor), kind="stereo").siting.frame.startswith("raw left camera")
     found = taken(path, kind="stereo", rectified=True).siting
     assert found.frame == RECTIFIED_FRAME
     with pytest.raises(SettingError, match="the sensor is lidar; needed is a stereo camera of rectified images"):
@@ -661,13 +629,11 @@ def test_of_foreign_files_the_user_says_that_images_are_rectified(tmp_path: Path
 
 @pytest.mark.parametrize("crs", ["EPSG:25832", "epsg:32632", "WGS 84 / UTM zone 32N"])
 def test_any_utm_zone_goes_into_a_result(tmp_path: Path, crs: str) -> None:
-    path = tmp_path / "T.txt"
-    path.write_text(rows(LIDAR.T_utm_sensor))
-    imported = taken(path, crs=crs)
+    imported = taken(tmp_path / "T.txt", rows(LIDAR.T_utm_sensor), crs=crs)
     (tmp_path / "result.json").write_text(to_text(imported_document(imported, {}, {})))
     stored = read_calibration(tmp_path / "result.json")
     assert stored.world.crs == ("EPSG:25832" if crs == "EPSG:25832" else "EPSG:32632")
-    np.testing.assert_allclose(stored.T_utm_sensor, LIDAR.T_utm_sensor, rtol=0, atol=1e-8)
+    assert_stands(stored, LIDAR.T_utm_sensor)
 
 
 def test_a_camera_in_axes_of_a_body_is_refused(tmp_path: Path) -> None:
@@ -675,10 +641,8 @@ def test_a_camera_in_axes_of_a_body_is_refused(tmp_path: Path) -> None:
     forward_left_up = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     T = SITINGS[0].T_utm_sensor
     T[:3, :3] = T[:3, :3] @ forward_left_up.T
-    path = tmp_path / "T.txt"
-    path.write_text(rows(T))
     with pytest.raises(CalibrationFileError, match=r"look [5-9]\d deg up; needed is the pose of its optical frame"):
-        taken(path, kind="stereo")
+        taken(tmp_path / "T.txt", rows(T), kind="stereo")
 
 
 def test_of_two_files_that_make_a_camera_one_is_refused(tmp_path: Path) -> None:
@@ -707,9 +671,9 @@ def test_a_result_needs_no_import(tmp_path: Path) -> None:
 
 
 def test_rounded_numbers_are_brought_to_the_nearest_rotation(tmp_path: Path) -> None:
-    path = tmp_path / "T.txt"
-    path.write_text("\n".join(" ".join(f"{value:.3f}" for value in row) for row in LIDAR.T_utm_sensor))
-    found = taken(path).siting.T_world_sensor[:3, :3]
+    found = taken(
+        tmp_path / "T.txt", "\n".join(" ".join(f"{value:.3f}" for value in row) for row in LIDAR.T_utm_sensor)
+    ).siting.T_world_sensor[:3, :3]
     np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(found, LIDAR.T_world_sensor[:3, :3], atol=1e-3)
 
@@ -750,10 +714,8 @@ def test_any_file_is_read_or_refused(tmp_path: Path, form: str) -> None:
     ids=range(12),
 )
 def test_large_and_malicious_files_are_refused_soon(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "any"
-    path.write_text(text)
     with pytest.raises(CalibrationFileError):
-        taken(path)
+        taken(tmp_path / "any", text)
 
 
 @needs_shared

@@ -257,7 +257,7 @@ def test_what_is_no_calibration_file(tmp_path: Path) -> None:
             path.write_bytes(content)
         with pytest.raises(RigError, match=rf"stereo\.yaml {message}"):
             read_stereo_calibration(path)
-    with pytest.raises(RigError, match="is a folder; needed is a file"):
+    with pytest.raises(RigError, match="is a folder; needed is a stereo calibration"):
         read_stereo_calibration(tmp_path)
 
 
