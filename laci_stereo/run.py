@@ -314,7 +314,9 @@ def _unsteady_s(stamps_ns: IntArray) -> float:
     """Return the standard deviation of the errors of a steady camera's times, seconds; 0 if they show none.
 
     An error makes the interval before an image longer by what it makes the one after it shorter. So its variance is
-    minus the covariance of successive intervals, which is zero for a camera that is released irregularly.
+    minus the covariance of successive intervals, which is zero for a camera that is released irregularly. Where images
+    are left out regularly, intervals two apart are correlated as much; with errors they are not, but for a third by
+    chance.
 
     Parameters
     ----------
@@ -322,15 +324,14 @@ def _unsteady_s(stamps_ns: IntArray) -> float:
         Ascending.
     """
     intervals_s = np.diff(stamps_ns) / 1e9
-    if len(intervals_s) < 2:
+    if len(intervals_s) < 3:
         return 0.0
     # Images that are missing are no errors: a pause counts as one of them.
     off_s = np.minimum(intervals_s, 2.0 * np.median(intervals_s))
     off_s -= off_s.mean()
-    products = -off_s[1:] * off_s[:-1]
-    variance = float(products.mean())
-    surely = variance * np.sqrt(len(products)) > STEADILY * float(np.mean(off_s**2))
-    return float(np.sqrt(variance)) if surely else 0.0
+    square, beside, two_apart = (float(np.mean(off_s[step:] * off_s[: len(off_s) - step])) for step in range(3))
+    surely = -beside * np.sqrt(len(off_s)) > STEADILY * square and abs(two_apart) < -0.75 * beside
+    return float(np.sqrt(-beside)) if surely else 0.0
 
 
 def _unsteady(late_s: float) -> tuple[str, ...]:

@@ -143,6 +143,10 @@ def half_missing(rng: np.random.Generator) -> FloatArray:
     return np.sort(rng.choice(0.2 * np.arange(94), 47, replace=False))
 
 
+def every_fourth_missing(_: np.random.Generator) -> FloatArray:
+    return 0.2 * (np.arange(47) + np.arange(47) // 3)
+
+
 def released_irregularly(rng: np.random.Generator) -> FloatArray:
     return np.cumsum(rng.uniform(0.1, 0.3, 47))
 
@@ -155,6 +159,7 @@ def late_by(late_s: float, rng: np.random.Generator) -> FloatArray:
     ("moments", "late_ms", "doubted"),
     [
         (half_missing, None, False),
+        (every_fourth_missing, None, False),
         (released_irregularly, None, False),
         (partial(late_by, 0.002), None, False),
         (partial(late_by, 0.02), 20.0, False),
