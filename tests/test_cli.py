@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,9 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import laci_stereo
+from laci_stereo.core.frames import FloatArray
+from laci_stereo.run import Options, prepare
+from laci_stereo.stereo.settings import StereoSettings
 from tests.cli_support import (
     DEMONSTRATION,
     SMALL_LIMIT,
@@ -135,6 +139,50 @@ def test_exposures_that_are_apart_are_told(site: Site, later_ms: float, told: bo
     found = np.array(document["T_utm_sensor"])
     truth = np.array(json.loads((DEMONSTRATION / "truth.json").read_text())["stereo"]["T_world_camera_utm"])
     assert np.linalg.norm((found - truth)[:2, 3]) < 0.3
+
+
+def half_missing(rng: np.random.Generator) -> FloatArray:
+    return np.sort(rng.choice(0.2 * np.arange(94), 47, replace=False))
+
+
+def every_fourth_missing(_: np.random.Generator) -> FloatArray:
+    return 0.2 * (np.arange(47) + np.arange(47) // 3)
+
+
+def released_irregularly(rng: np.random.Generator) -> FloatArray:
+    return np.cumsum(rng.uniform(0.1, 0.3, 47))
+
+
+def late_by(late_s: float, rng: np.random.Generator) -> FloatArray:
+    return np.sort(0.2 * np.arange(47) + rng.exponential(late_s, 47))
+
+
+@pytest.mark.parametrize(
+    ("moments", "late_ms", "doubted"),
+    [
+        (half_missing, None, False),
+        (every_fourth_missing, None, False),
+        (released_irregularly, None, False),
+        (partial(late_by, 0.002), None, False),
+        (partial(late_by, 0.02), 20.0, False),
+        (partial(late_by, 0.06), 60.0, True),
+    ],
+)
+def test_times_of_arrival_are_told(
+    tmp_path: Path, moments: Callable[[np.random.Generator], FloatArray], late_ms: float | None, doubted: bool
+) -> None:
+    """A camera that is released irregularly, or whose images are lost, has right times all the same."""
+    link_recording(DEMONSTRATION, tmp_path)
+    stamps_ns = 1_760_000_002_200_000_000 + np.rint(1e9 * moments(np.random.default_rng(7))).astype(np.int64)
+    for folder in ("left", "right"):
+        for path, stamp_ns in zip(images(tmp_path / folder), stamps_ns, strict=True):
+            path.rename(path.with_name(f"new_{stamp_ns}.jpg"))
+    camera = StereoSettings(turn_deg=(0.0, 0.0, 0.0))
+    job = prepare(tmp_path / "left", tmp_path / "right", tmp_path / "cam.csv", Options(camera=camera))
+    notes = [re.match(r"the images' times err by (\d+) ms", note) for note in job.provenance.notes]
+    found = [float(words[1]) for words in notes if words]
+    assert found == pytest.approx([] if late_ms is None else [late_ms], rel=0.4)
+    assert bool(job.doubts) == doubted
 
 
 def test_height_that_the_ground_contradicts_is_named(site: Site) -> None:

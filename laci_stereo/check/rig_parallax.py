@@ -111,7 +111,8 @@ class Parallax:
     trend_px : tuple of float
         Parallax in the middle of the image, and its change across the width and across the height.
     behind_px : float
-        The largest amount by which a cell's median disparity is below zero beyond noise (three standard deviations).
+        The largest amount by which a cell's median disparity is below zero beyond noise (three standard deviations),
+        of the cells with enough matches in each pair.
     cells : Cells
     turn : Turn
     rows_turn : RowsTurn
@@ -153,7 +154,9 @@ def measure(points: Rectified) -> Parallax:
     floor = FLOOR_PX / np.maximum(np.sqrt((design**2).mean(axis=0)), 1e-9)
     sigma = np.sqrt(np.diag(covariance) + floor**2)
     flat, _ = _robust_fit(_plane_rows(points), parallax, points.cell, np.inf)
-    behind = -cells.disparity_px - 3 * cells.sigma_px
+    # One mismatch along a row, as in a row of windows, is found again in each pair: so many points must be different.
+    enough = cells.count >= FEWEST_IN_CELL * len(np.unique(points.pair))
+    behind = np.where(enough, -cells.disparity_px - 3 * cells.sigma_px, 0.0)
     return Parallax(
         median_px=float(np.median(parallax)),
         high_px=float(np.percentile(np.abs(parallax), 95)),
