@@ -13,9 +13,9 @@ from laci_stereo.check.images import Checked, check_images
 from laci_stereo.check.result import placed_by
 from laci_stereo.check.rig_turn import MOST_LOOKS, RightTurn, find_turn
 from laci_stereo.core.errors import CalibrationError, MatchError
-from laci_stereo.core.frames import IntArray, Raster
+from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
-from laci_stereo.core.settings import SYNCHRONISED_S
+from laci_stereo.io.arrivals import PASSING_MPS, Arrivals
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
 from laci_stereo.io.maps.lane_map import find_lane_map
@@ -38,13 +38,6 @@ pixel at 30 m with a focal length of 1000, where the matcher errs by 0.2."""
 
 TRIGGERED_S = 0.010
 """Times that differ by more are not those of one trigger: synchronised clocks differ by this much."""
-
-PASSING_MPS = 15.0
-"""Speed of a vehicle in a town."""
-
-STEADILY = 2.0
-"""Standard deviations: intervals of a camera that is released irregularly look like a steady one's with wrong times in
-one recording of thirty."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,9 +184,8 @@ def prepare(
     recording = _recording(left, pairs, rig, options, mask)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
-    late_s = _unsteady_s(np.array([pair.stamp_ns for pair in pairs.pairs]))
-    unsteady = _unsteady(late_s)
-    of_pairs = _notes(pairs) + apart + unsteady
+    arrivals = Arrivals.of("images", np.array([pair.stamp_ns for pair in pairs.pairs]))
+    of_pairs = _notes(pairs) + apart + arrivals.notes
     return StereoJob(
         recording=recording,
         drive=drive,
@@ -219,8 +211,7 @@ def prepare(
         failures=turn.failures,
         doubts=turn.doubts
         + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ())
-        # In the fewest frames that suffice, the errors' mean is then above what is assumed of the clocks.
-        + (unsteady if late_s > SYNCHRONISED_S * np.sqrt(options.core.match.min_frames) else ()),
+        + arrivals.doubts(options.core.match),
     )
 
 
@@ -306,42 +297,5 @@ def _apart(pairs: Pairs, baseline_m: float) -> tuple[str, ...]:
         f"most): a vehicle at {PASSING_MPS:g} m/s drives {PASSING_MPS * largest_s:.2f} m from one to the other, which "
         f"counts as disparity, where the baseline is {baseline_m:.2f} m; give both one time if one trigger releases "
         "both"
-    )
-    return (words,)
-
-
-def _unsteady_s(stamps_ns: IntArray) -> float:
-    """Return the standard deviation of the errors of a steady camera's times, seconds; 0 if they show none.
-
-    An error makes the interval before an image longer by what it makes the one after it shorter. So its variance is
-    minus the covariance of successive intervals, which is zero for a camera that is released irregularly. Where images
-    are left out regularly, intervals two apart are correlated as much; with errors they are not, but for a third by
-    chance.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n,)
-        Ascending.
-    """
-    intervals_s = np.diff(stamps_ns) / 1e9
-    if len(intervals_s) < 3:
-        return 0.0
-    # Images that are missing are no errors: a pause counts as one of them.
-    off_s = np.minimum(intervals_s, 2.0 * np.median(intervals_s))
-    off_s -= off_s.mean()
-    square, beside, two_apart = (float(np.mean(off_s[step:] * off_s[: len(off_s) - step])) for step in range(3))
-    surely = -beside * np.sqrt(len(off_s)) > STEADILY * square and abs(two_apart) < -0.75 * beside
-    return float(np.sqrt(-beside)) if surely else 0.0
-
-
-def _unsteady(late_s: float) -> tuple[str, ...]:
-    """Return by how much the images' times err, if it is more than synchronised clocks differ."""
-    if late_s <= SYNCHRONISED_S:
-        return ()
-    words = (
-        f"the images' times err by {1e3 * late_s:.0f} ms (one standard deviation): an interval that is too long is "
-        f"followed by one that is too short, as with times of arrival; a vehicle at {PASSING_MPS:g} m/s drives "
-        f"{PASSING_MPS * late_s:.2f} m meanwhile, which the uncertainty does not include; needed are the times of "
-        "exposure"
     )
     return (words,)

@@ -9,6 +9,7 @@ from pathlib import Path
 from laci_lidar.check import check_scans
 from laci_lidar.errors import ScanError
 from laci_lidar.recording import LidarRecording
+from laci_lidar.scan import Scan
 from laci_lidar.scans import open_scans
 from laci_lidar.sequence import ScanSequence
 from laci_lidar.settings import LidarSettings, Sweep
@@ -16,6 +17,7 @@ from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.subsampling import spread
+from laci_stereo.io.arrivals import Arrivals
 from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
@@ -93,6 +95,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Lida
         options.name or scans.absolute().name,
     )
     drive = read_drive(cam, options.lane_map or find_lane_map(scans), recording.span_ns, options)
+    arrivals = _arrivals(sequence)
     return LidarJob(
         recording=recording,
         drive=drive,
@@ -103,9 +106,10 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Lida
             frame="as in the scans",
             inputs={str(scans): len(sequence), **drive.files},
             config=options.config(),
-            notes=sequence.notes + drive.notes,
+            notes=sequence.notes + arrivals.notes + drive.notes,
         ),
         inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
+        doubts=arrivals.doubts(options.core.match),
     )
 
 
@@ -116,14 +120,26 @@ def _check_untimed(scans: ScanSequence) -> None:
     ------
     ScanError
     """
-    looked_at = spread(range(len(scans)), LOOKED_AT)
+    if any(scan.offset_s is not None for scan in _looked_at(scans)):
+        raise ScanError(
+            f"{scans.path}: the points have times of their own, and --sweep tells others; needed is no --sweep, or "
+            "--sweep none where scans were motion-compensated"
+        )
+
+
+def _arrivals(scans: ScanSequence) -> Arrivals:
+    """Return the errors of the scans' times, which points with Unix times of their own do not have."""
+    found = Arrivals.of("scans", scans.stamps_ns)
+    if found.notes and any(scan.clock == "Unix" for scan in _looked_at(scans)):
+        return Arrivals("scans", 0.0)
+    return found
+
+
+def _looked_at(scans: ScanSequence) -> list[Scan]:
+    """Return some of the scans, but for unusable ones."""
+    indices = spread(range(len(scans)), LOOKED_AT)
     # The sequence is not read to its end, where it raises if many scans are unusable.
-    for scan in islice(scans.read(looked_at, 1), len(looked_at)):
-        if scan is not None and scan.offset_s is not None:
-            raise ScanError(
-                f"{scans.path}: the points have times of their own, and --sweep tells others; needed is no --sweep, or "
-                "--sweep none where scans were motion-compensated"
-            )
+    return [scan for scan in islice(scans.read(indices, 1), len(indices)) if scan is not None]
 
 
 def _background(asked: tuple[int, int] | Path | None) -> ScanSequence | range | None:
