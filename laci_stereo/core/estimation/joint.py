@@ -100,6 +100,10 @@ class JointFit:
         covariance includes what the position would be with them.
     nearer : Correction or None
         Correction to be added to all inverse distances of a matcher, 1/m: the error that all disparities share.
+    drives : tuple of Evidence
+        The drives as they were used, with fewer points; empty by the paper's method.
+    by_prior : ndarray, shape (3, p)
+        How errors of the priors move yaw and position, see `Solved`.
     """
 
     match: PlanarMatch
@@ -121,12 +125,19 @@ class JointFit:
     perhaps_unset: Correction | None = None
     perhaps_optics: bool = False
     nearer: Correction | None = None
+    drives: tuple[Evidence, ...] = ()
+    by_prior: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
+
+    def moved_to(self, place: FloatArray) -> FloatArray:
+        """Return by what the errors of yaw, x and y at a place of the level frame follow from those at the centre."""
+        arm = rotate_xy(self.match.yaw_rad, place - self.centre_level)
+        moved: FloatArray = np.eye(3)
+        moved[1:, 0] = -arm[1], arm[0]
+        return moved
 
     def covariance_about(self, place: FloatArray) -> FloatArray:
         """Return the covariance of yaw, x and y, shape (3, 3), about a place of the level frame, shape (2,)."""
-        arm = rotate_xy(self.match.yaw_rad, place - self.centre_level)
-        moved = np.eye(3)
-        moved[1:, 0] = -arm[1], arm[0]
+        moved = self.moved_to(place)
         covariance: FloatArray = moved @ self.covariance @ moved.T
         covariance[1:, 1:] += self.covariance_by_optics(place[None])
         return covariance
@@ -241,6 +252,8 @@ def fit_jointly(
         perhaps_unset=next((rival.clock for rival in rivals if rival.clock), None),
         perhaps_optics=any(rival.clock is None for rival in rivals),
         nearer=_nearer(solved, drives, settings),
+        drives=tuple(fine),
+        by_prior=solved.by_prior,
     )
 
 
