@@ -93,8 +93,8 @@ class JointFit:
         The priors that were used: wider than those given where a mistake was found in the messages or the calibration.
     perhaps_unset : Correction or None
         The clock offset of a drive, if clocks that were never set are more likely than the priors that were used but
-        the estimate is not significant, or if they are an alternative to wrong `optics`, which look alike. The
-        covariance includes what the position would be with it.
+        the estimate is not significant, or if they are an alternative to wrong `optics` or to images of different
+        moments, which look alike. The covariance includes what the position would be with it.
     perhaps_optics : bool
         Wrong optics would explain the points about as well as the time between left and right images, and the
         covariance includes what the position would be with them.
@@ -226,7 +226,8 @@ def fit_jointly(
     expected = [np.append(clock_s, m.prior.sigmas[1:]) for clock_s, m in zip(clocks_s, thinned.models, strict=True)]
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
     # A rival that was accepted in the end is in the estimate.
-    unset = settings.clock_sigma_s == given.clock_sigma_s and (settings is given or optics)
+    by_sensor = optics or settings.apart_sigma_s > given.apart_sigma_s
+    unset = settings.clock_sigma_s == given.clock_sigma_s and (settings is given or by_sensor)
     rivals = tuple(rival for rival in rivals if (unset if rival.clock else not optics))
     points = sum(fitness.rows for fitness in solved.fitness)
     return JointFit(

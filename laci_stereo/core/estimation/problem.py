@@ -277,7 +277,7 @@ class Problem:
         )
 
     def log_prior(self, x: FloatArray, precision: FloatArray) -> float:
-        """Return the log prior density of a place, up to a constant."""
+        """Return the log prior density of a place, up to a constant that only depends on the precision."""
         away = x - self.mean
         return -float(away @ precision @ away) / 2
 
