@@ -11,7 +11,7 @@ from laci_stereo.core.alike import check_alike
 from laci_stereo.core.common_ground import along_ground, lay, merge_grounds
 from laci_stereo.core.conclusion import conclude
 from laci_stereo.core.errors import MatchError
-from laci_stereo.core.estimation.agreement import LeftOut, all_agree, fit_together
+from laci_stereo.core.estimation.agreement import LeftOut, all_agree, estimates_of, fit_together
 from laci_stereo.core.estimation.evidence import Evidence, evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
@@ -153,7 +153,7 @@ def _fit_alone(passages: Sequence[Passage], drives: Sequence[Evidence], settings
         return [_fit_one(passages[0], drives[0], settings, mistakes=True)]
     held = [(passage, drive.thinned(HELD_ROWS)) for passage, drive in zip(passages, drives, strict=True)]
     alone = [_fit_one(*each, settings, mistakes=False) for each in held]
-    if all_agree(alone):
+    if all_agree(estimates_of(alone, [passage.station_id for passage in passages])):
         return alone
     return [_fit_one(*each, settings, mistakes=True) for each in held]
 

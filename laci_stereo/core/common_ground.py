@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from laci_stereo.core.errors import CombineError
-from laci_stereo.core.estimation.consensus import Estimates
+from laci_stereo.core.estimation.consensus import Estimates, uncorrelated
 from laci_stereo.core.estimation.passage import Passage, utc
 from laci_stereo.core.frames import FloatArray, invert, planar
 from laci_stereo.core.ground.merge import Chart
@@ -86,7 +86,7 @@ def merge_grounds(passages: Sequence[Passage]) -> MergedGround:
     planes = [passages[numbers[0]].ground for numbers in drives]
     sway = np.diag([SWAY_RAD, SWAY_RAD, GROWTH_M]) ** 2
     covariances = np.array([chart.covariance(plane) + sway for plane in planes])
-    grounds = _Grounds(chart.values(planes), covariances, passages, drives)
+    grounds = _Grounds(chart.values(planes), uncorrelated(covariances), passages, drives)
     kept, objections = _one_ground(grounds)
     mean, covariance = grounds.mean(kept)
     merged = chart.plane(mean, grounds.excess(kept) * len(kept) * covariance)

@@ -10,11 +10,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from laci_stereo.core.errors import CombineError
-from laci_stereo.core.estimation.consensus import Estimates
+from laci_stereo.core.estimation.consensus import Estimates, uncorrelated
 from laci_stereo.core.estimation.evidence import Evidence
 from laci_stereo.core.estimation.joint import JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage, utc
-from laci_stereo.core.frames import wrap
+from laci_stereo.core.estimation.problem import Problem
+from laci_stereo.core.estimation.scanner_turn import FIXED, Turn
+from laci_stereo.core.frames import FloatArray, wrap
 from laci_stereo.core.matching import PlanarMatch
 from laci_stereo.core.settings import JointSettings
 
@@ -26,6 +28,10 @@ UNEVEN = 1e-2
 
 LEAST_LOG_ODDS = float(np.log(100.0))
 """Log odds by which one group of drives that agree must be likelier than another one."""
+
+MOST_COMMON = 1.0 - 1e-4
+"""Largest fraction of the standard deviation of an estimate that may be due to its prior, so that the covariance of
+several estimates stays regular."""
 
 LEAST_RIVALS, RIVAL_SHARE = 2, 0.5
 """Drives that contradict the others, but agree with one another, are wrong alike, or right: as after the sensor was
@@ -116,14 +122,15 @@ def fit_together(
     CombineError
         See `agreeing`.
     """
-    kept, left_out = agreeing([passage.name for passage in passages], alone)
+    stations = [passage.station_id for passage in passages]
+    estimates = estimates_of(alone, stations)
+    kept, left_out = agreeing([passage.name for passage in passages], estimates)
     kept.sort(key=lambda i: float(np.trace(alone[i].covariance[1:, 1:])))
-    fit, estimates = alone[kept[0]], estimates_of(alone)
+    fit = alone[kept[0]]
     if len(kept) > 1:
         offsets = [alone[i].time_offsets_s[0] if start is None else passages[i].time_offset_s for i in kept]
-        stations = [passages[i].station_id for i in kept]
-        begin, close = start or fit.match, start is None
-        fit = fit_jointly([drives[i] for i in kept], begin, offsets, settings, stations=stations, close=close)
+        begin, close, senders = start or fit.match, start is None, [stations[i] for i in kept]
+        fit = fit_jointly([drives[i] for i in kept], begin, offsets, settings, stations=senders, close=close)
         fit = replace(fit, covariance=estimates.excess(kept) * fit.covariance)
     used = tuple(replace(passages[i], time_offset_s=s) for i, s in zip(kept, fit.time_offsets_s, strict=True))
     objections = [_left_behind(passages, kept, left_out)] if left_out else []
@@ -135,7 +142,7 @@ def fit_together(
     return Together(used, tuple(drives[i] for i in kept), fit, left_out, tuple(objections))
 
 
-def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int], tuple[LeftOut, ...]]:
+def agreeing(names: Sequence[str], estimates: Estimates) -> tuple[list[int], tuple[LeftOut, ...]]:
     """Return the largest group of drives that agree, and the others, which contradict it.
 
     Raises
@@ -144,17 +151,17 @@ def agreeing(names: Sequence[str], alone: Sequence[JointFit]) -> tuple[list[int]
         If no majority agrees, another selection would agree as well, or so many others agree with one another that it
         is not clear which group is right.
     """
-    estimates = estimates_of(alone)
-    if _agree(estimates, range(len(alone))):
-        return list(range(len(alone))), ()
+    everyone = list(range(len(estimates)))
+    if _agree(estimates, everyone):
+        return everyone, ()
     groups = sorted(_groups(estimates), key=lambda group: _cost(estimates, group))
     kept = groups[0]
-    gone = [i for i in range(len(alone)) if i not in kept]
+    gone = [i for i in everyone if i not in kept]
     found = tuple(_left_out(names[i], i, kept, estimates) for i in gone)
-    if 2 * len(kept) <= len(alone):
+    if 2 * len(kept) <= len(everyone):
         worst = max(found, key=lambda each: each.sigmas)
         raise CombineError(
-            f"no majority of the {len(alone)} drives ({', '.join(names)}) agrees: {worst.name} alone is "
+            f"no majority of the {len(everyone)} drives ({', '.join(names)}) agrees: {worst.name} alone is "
             f"{worst.shift_m:.2f} m and {worst.turn_deg:.2f} deg ({worst.sigmas:.1f} sigma) off; needed are more "
             "drives that agree"
         )
@@ -195,17 +202,47 @@ def _left_behind(passages: Sequence[Passage], kept: Sequence[int], left_out: Seq
     return words
 
 
-def all_agree(alone: Sequence[JointFit]) -> bool:
+def all_agree(estimates: Estimates) -> bool:
     """Tell whether none of several drives contradicts the others, and they differ no more than they should."""
-    return _agree(estimates_of(alone), range(len(alone)))
+    return _agree(estimates, range(len(estimates)))
 
 
-def estimates_of(alone: Sequence[JointFit]) -> Estimates:
-    """Return yaw, x and y by each drive alone, in the middle of all drives."""
+def estimates_of(alone: Sequence[JointFit], stations: Sequence[int]) -> Estimates:
+    """Return yaw, x and y by each drive alone, in the middle of all drives.
+
+    What drives have in common, such as the sensor's clock and its range bias, or a sender's vehicle, moves their
+    estimates alike, or against each other if they go opposite ways. `Recordings` derives it from their times and
+    ``stations``, the sender of each.
+    """
     place = np.mean([fit.centre_level for fit in alone], axis=0)
     first = alone[0].match.yaw_rad
     values = [[first + float(wrap(fit.match.yaw_rad - first)), *fit.match(place[None])[0]] for fit in alone]
-    return Estimates(np.array(values), np.array([fit.covariance_about(place) for fit in alone]))
+    own = np.array([fit.covariance_about(place) for fit in alone])
+    covariance = uncorrelated(own)
+    if all(fit.drives for fit in alone):
+        moved = np.array(_by_common(alone, stations, place, own))
+        each = range(len(alone))
+        covariance = np.einsum("nis,mjs->nimj", moved, moved)
+        covariance[each, :, each] = own
+    return Estimates(np.array(values), covariance)
+
+
+def _by_common(
+    alone: Sequence[JointFit], stations: Sequence[int], place: FloatArray, own: FloatArray
+) -> list[FloatArray]:
+    """Return how independent errors that drives share move their estimates of yaw, x and y, shape (3, errors) each.
+
+    They account for no more of each estimate's own covariance than `MOST_COMMON`.
+    """
+    first, drives = alone[0], [fit.drives[0] for fit in alone]
+    problem = Problem(drives, np.zeros(4), np.zeros(2), first.settings, Turn(first.turn, FIXED), stations)
+    found = []
+    for fit, errors, covariance in zip(alone, problem.prior_errors(), own, strict=True):
+        root = np.linalg.cholesky(covariance)
+        by_prior = np.linalg.solve(root, fit.moved_to(place) @ fit.by_prior)
+        left, shares, right = np.linalg.svd(by_prior, full_matrices=False)
+        found.append(root @ (left * np.minimum(shares, MOST_COMMON)) @ right @ errors)
+    return found
 
 
 def _agree(estimates: Estimates, chosen: Sequence[int]) -> bool:

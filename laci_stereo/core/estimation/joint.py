@@ -93,13 +93,17 @@ class JointFit:
         The priors that were used: wider than those given where a mistake was found in the messages or the calibration.
     perhaps_unset : Correction or None
         The clock offset of a drive, if clocks that were never set are more likely than the priors that were used but
-        the estimate is not significant, or if they are an alternative to wrong `optics`, which look alike. The
-        covariance includes what the position would be with it.
+        the estimate is not significant, or if they are an alternative to wrong `optics` or to images of different
+        moments, which look alike. The covariance includes what the position would be with it.
     perhaps_optics : bool
         Wrong optics would explain the points about as well as the time between left and right images, and the
         covariance includes what the position would be with them.
     nearer : Correction or None
         Correction to be added to all inverse distances of a matcher, 1/m: the error that all disparities share.
+    drives : tuple of Evidence
+        The drives as they were used, with fewer points; empty by the paper's method.
+    by_prior : ndarray, shape (3, p)
+        How errors of the priors move yaw and position, see `Solved`.
     """
 
     match: PlanarMatch
@@ -121,12 +125,19 @@ class JointFit:
     perhaps_unset: Correction | None = None
     perhaps_optics: bool = False
     nearer: Correction | None = None
+    drives: tuple[Evidence, ...] = ()
+    by_prior: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
+
+    def moved_to(self, place: FloatArray) -> FloatArray:
+        """Return by what the errors of yaw, x and y at a place of the level frame follow from those at the centre."""
+        arm = rotate_xy(self.match.yaw_rad, place - self.centre_level)
+        moved: FloatArray = np.eye(3)
+        moved[1:, 0] = -arm[1], arm[0]
+        return moved
 
     def covariance_about(self, place: FloatArray) -> FloatArray:
         """Return the covariance of yaw, x and y, shape (3, 3), about a place of the level frame, shape (2,)."""
-        arm = rotate_xy(self.match.yaw_rad, place - self.centre_level)
-        moved = np.eye(3)
-        moved[1:, 0] = -arm[1], arm[0]
+        moved = self.moved_to(place)
         covariance: FloatArray = moved @ self.covariance @ moved.T
         covariance[1:, 1:] += self.covariance_by_optics(place[None])
         return covariance
@@ -215,7 +226,8 @@ def fit_jointly(
     expected = [np.append(clock_s, m.prior.sigmas[1:]) for clock_s, m in zip(clocks_s, thinned.models, strict=True)]
     optics = _optics(solved) if settings.optics_sigma >= WRONG_OPTICS else ()
     # A rival that was accepted in the end is in the estimate.
-    unset = settings.clock_sigma_s == given.clock_sigma_s and (settings is given or optics)
+    by_sensor = optics or settings.apart_sigma_s > given.apart_sigma_s
+    unset = settings.clock_sigma_s == given.clock_sigma_s and (settings is given or by_sensor)
     rivals = tuple(rival for rival in rivals if (unset if rival.clock else not optics))
     points = sum(fitness.rows for fitness in solved.fitness)
     return JointFit(
@@ -241,6 +253,8 @@ def fit_jointly(
         perhaps_unset=next((rival.clock for rival in rivals if rival.clock), None),
         perhaps_optics=any(rival.clock is None for rival in rivals),
         nearer=_nearer(solved, drives, settings),
+        drives=tuple(fine),
+        by_prior=solved.by_prior,
     )
 
 

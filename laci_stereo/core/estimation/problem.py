@@ -63,6 +63,9 @@ class Solved:
     x : ndarray, shape (p,)
     covariance, precision : ndarray, shape (p, p)
         Posterior covariance, and the precision of the priors there.
+    by_prior : ndarray, shape (3, p)
+        By how much one standard deviation of each error of the priors moves yaw and position. These
+        errors are uncorrelated (Cholesky).
     fitness : tuple of Fitness
         Of each drive.
     chosen : tuple of Chosen
@@ -72,6 +75,7 @@ class Solved:
     x: FloatArray
     covariance: FloatArray
     precision: FloatArray
+    by_prior: FloatArray
     fitness: tuple[Fitness, ...]
     chosen: tuple[Chosen, ...]
 
@@ -149,6 +153,16 @@ class Problem:
             precision[np.ix_(one, other)] = self.senders[i, j] * roots[i].T @ roots[j]
         return precision
 
+    def prior_errors(self) -> list[FloatArray]:
+        """Return the errors of the priors of each drive, in standard deviations, by independent ones that all share.
+
+        Rows of a drive's matrix are the errors of its parameters as in `Solved.by_prior`; its rows, and those of
+        another drive's, are as correlated as their errors.
+        """
+        prior = np.asarray(np.linalg.inv(self._precision), dtype=np.float64)
+        root = np.linalg.cholesky(prior)
+        return [np.linalg.solve(np.linalg.cholesky(prior[np.ix_(each, each)]), root[each]) for each in self._places()]
+
     def at_rest(self, offsets: Sequence[float]) -> FloatArray:
         """Return the vector with every parameter at its prior mean, except the clock offsets."""
         x: FloatArray = self.mean.copy()
@@ -219,7 +233,8 @@ class Problem:
                 break
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         covariance = self._covariance(inverse, precision, fitness, rows)
-        return Solved(x, covariance, precision, tuple(fitness), tuple(chosen))
+        by_prior: FloatArray = np.linalg.solve(np.linalg.cholesky(np.linalg.inv(precision)), inverse[:, :3]).T
+        return Solved(x, covariance, precision, by_prior, tuple(fitness), tuple(chosen))
 
     def _climb(
         self,
@@ -262,7 +277,7 @@ class Problem:
         )
 
     def log_prior(self, x: FloatArray, precision: FloatArray) -> float:
-        """Return the log prior density of a place, up to a constant."""
+        """Return the log prior density of a place, up to a constant that only depends on the precision."""
         away = x - self.mean
         return -float(away @ precision @ away) / 2
 

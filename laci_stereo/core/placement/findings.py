@@ -50,7 +50,8 @@ def against_sensor(fit: JointFit, settings: JointSettings) -> list[str]:
     if fit.apart and _unexpectedly_apart(fit, settings):
         found.append(f"{_apart(fit, fit.apart)}; trigger both cameras at once")
     if fit.perhaps_unset:
-        found.append(_perhaps_unset(fit.perhaps_unset, fit))
+        by_sensor = bool(fit.optics) or _unexpectedly_apart(fit, settings)
+        found.append(_perhaps_unset(fit.perhaps_unset, by_sensor=by_sensor))
     return found
 
 
@@ -134,9 +135,9 @@ def _apart(fit: JointFit, apart: Correction) -> str:
     )
 
 
-def _perhaps_unset(clock: Correction, fit: JointFit) -> str:
-    """Return in words that an unset clock would explain the points better, or as wrong optics do."""
-    fits = "explain it too" if fit.optics else "fit better"
+def _perhaps_unset(clock: Correction, *, by_sensor: bool) -> str:
+    """Return in words that an unset clock would explain the points better, or as well as an error of the sensor."""
+    fits = "explain it too" if by_sensor else "fit better"
     return (
         f"a clock offset of {1e3 * clock.value:.0f} +- {1e3 * clock.after:.0f} ms would {fits}; unless the clocks are "
         "known to be synchronised: --clock unknown"

@@ -10,7 +10,7 @@ import numpy as np
 from laci_stereo.core.association.choice import Choice
 from laci_stereo.core.association.hypotheses import BOXES_S
 from laci_stereo.core.errors import CombineError, MatchError
-from laci_stereo.core.estimation.agreement import agreeing, fit_together
+from laci_stereo.core.estimation.agreement import agreeing, estimates_of, fit_together
 from laci_stereo.core.estimation.evidence import Evidence, evidence_of
 from laci_stereo.core.estimation.joint import HELD_ROWS, JointFit, fit_jointly
 from laci_stereo.core.estimation.passage import Passage
@@ -124,7 +124,11 @@ def _registered(
     used, _, fits = zip(*registered, strict=True)
     for other, alone, wrong_words in contradicted:
         try:
-            agreeing([passage.name for passage in (*used, other)], [*fits, alone])
+            both = *used, other
+            agreeing(
+                [passage.name for passage in both],
+                estimates_of([*fits, alone], [passage.station_id for passage in both]),
+            )
         except CombineError as error:
             objections.append(f"{_unused(other)}: {wrong_words}; {error}")
         else:

@@ -239,6 +239,15 @@ def test_a_clock_that_looks_like_wrong_optics_is_in_the_covariance(offset_s: flo
     assert fit.perhaps_unset.value == pytest.approx(offset_s, abs=0.03)
 
 
+def test_a_clock_that_looks_like_images_of_different_moments_is_in_the_covariance() -> None:
+    seen = evidence(BRAKING, sigma_m=0.2, per_frame=15, offset_s=0.15)
+    fit = fit_jointly([replace(seen, window_rad=0.005, cameras=CAMERAS)], TRUTH)
+    assert fit.apart is not None
+    assert fit.perhaps_unset is not None
+    off = error(fit)
+    assert off @ np.linalg.solve(fit.covariance, off) < 9.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_senders_of_one_recording_tell_its_clock_together(seed: int) -> None:
