@@ -95,7 +95,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Lida
         options.name or scans.absolute().name,
     )
     drive = read_drive(cam, options.lane_map or find_lane_map(scans), recording.span_ns, options)
-    arrivals = _arrivals(sequence)
+    arrivals = arrivals_of(sequence)
     return LidarJob(
         recording=recording,
         drive=drive,
@@ -127,7 +127,7 @@ def _check_untimed(scans: ScanSequence) -> None:
         )
 
 
-def _arrivals(scans: ScanSequence) -> Arrivals:
+def arrivals_of(scans: ScanSequence) -> Arrivals:
     """Return the errors of the scans' times, which points with Unix times of their own do not have."""
     found = Arrivals.of("scans", scans.stamps_ns)
     if found.notes and any(scan.clock == "Unix" for scan in _looked_at(scans)):

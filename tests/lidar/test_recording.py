@@ -4,12 +4,14 @@ import json
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 from laci_lidar.axes import forward_left_up
 from laci_lidar.errors import ScanError
 from laci_lidar.recording import SURVEY_FRAMES, LidarRecording, group_scans
+from laci_lidar.run import arrivals_of
 from laci_lidar.scan import Scan
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
@@ -354,3 +356,16 @@ def test_every_format_gives_the_same_place_to_a_millimetre(
         written = open_scans(write_folder(tmp_path / "scans", columns, form, stamps))
     apart_m = np.linalg.norm(seen_on_map(LidarRecording(written)) - from_memory, axis=1)
     assert apart_m.max() < 1e-3
+
+
+@pytest.mark.parametrize(("clock", "told"), [("stamp", True), ("Unix", False)])
+def test_times_of_arrival_are_told(clock: Literal["stamp", "Unix"], told: bool) -> None:
+    """Points with Unix times of their own do not depend on them."""
+    late_ns = np.random.default_rng(1).exponential(0.04e9, 60).astype(np.int64)
+    some = [replace(scan, clock=clock) for scan in scans(60)]
+    stamps_ns = np.sort(EPOCH_NS + np.arange(60) * PERIOD_NS + late_ns)
+    found = arrivals_of(Listed(some, stamps_ns))
+    assert bool(found.notes) == told
+    assert found.sigma_s == (pytest.approx(0.04, rel=0.4) if told else 0.0)
+    steady = arrivals_of(listed(some))
+    assert not steady.notes
