@@ -131,7 +131,10 @@ class PointCloudSource(Protocol):
         """Yield every frame in the order of time; points that the source knows to be static may be missing."""
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield some whole frames from all of the recording, preferably those in which little moves."""
+        """Yield some whole frames from all of the recording, preferably those in which little moves.
+
+        Their points determine the ground: of frames with few points there should be more.
+        """
 
 
 def empty_cloud(stamp_ns: int) -> PointCloud:
