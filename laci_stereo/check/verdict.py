@@ -107,7 +107,10 @@ def _wrong(error: PlanarError) -> str:
     sure_m = float(np.sqrt(CONTRADICTION * (towards @ error.covariance[:2, :2] @ towards)))
     sure_rad = float(np.sqrt(CONTRADICTION * error.covariance[2, 2]))
     if shift_m >= max(TOO_FAR_M, sure_m) or abs(turn_rad) >= max(TOO_FAR_RAD, sure_rad):
-        return f"{off}, though the calibration claims to be no better than that"
+        return (
+            f"{off}, which the calibration's own uncertainty allows, but needed are less than {100 * TOO_FAR_M:.0f} cm "
+            f"and {np.degrees(TOO_FAR_RAD):.1f} deg"
+        )
     return ""
 
 
