@@ -50,15 +50,14 @@ def read_bytes(path: Path, error: type[InputError], needed: str = "a file", larg
         Of the class ``error``, if the file is missing, a folder, unreadable, too large or a pointer of Git LFS.
     """
     try:
-        size = path.stat().st_size
-        if largest is not None and size > largest:
+        if largest is not None and (size := path.stat().st_size) > largest:
             raise error(f"{path} has {size} bytes; needed is {needed}, of at most {largest}")
         content = path.read_bytes()
     except FileNotFoundError:
         raise error(f"{path} does not exist; needed is {needed}") from None
-    except IsADirectoryError:
-        raise error(f"{path} is a folder; needed is {needed}") from None
     except (OSError, ValueError) as problem:
+        if path.is_dir():  # which Windows does not tell
+            raise error(f"{path} is a folder; needed is {needed}") from None
         why = getattr(problem, "strerror", None) or problem
         raise error(f"{path} cannot be read: {why}; needed is {needed}") from problem
     if content.startswith(LFS_MAGIC):

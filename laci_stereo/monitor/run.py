@@ -18,8 +18,7 @@ from laci_stereo.core.cloud import MAX_BAD_SHARE
 from laci_stereo.core.errors import ImageError, LaciError, OutputError
 from laci_stereo.core.frames import FloatArray, planar, transform
 from laci_stereo.core.settings import Settings
-from laci_stereo.core.subsampling import spread
-from laci_stereo.core.tracking.background import BACKGROUND_FRAMES, Background, learn_background
+from laci_stereo.core.tracking.background import Background, learn_background
 from laci_stereo.core.tracking.sighting import find_vehicles
 from laci_stereo.core.world import World
 from laci_stereo.monitor.checkpoint import State, check_same, read_state, sha256_of, write_state
@@ -252,8 +251,7 @@ class Monitor:
         core = self.plan.core
         try:
             scene = self.frames.learn(frames)
-            survey = spread(list(scene.survey()), BACKGROUND_FRAMES)
-            clouds = [transform(self.plan.T_level_sensor, cloud.points) for cloud in survey]
+            clouds = [transform(self.plan.T_level_sensor, cloud.points) for cloud in scene.survey()]
             background = learn_background(
                 clouds, float(self.plan.T_level_sensor[2, 3]), core.background, core.cluster, core.box
             )

@@ -23,6 +23,7 @@ from laci_lidar.settings import LidarSettings, Sweep
 from laci_stereo.core.cloud import PointCloud
 from laci_stereo.core.errors import CalibrationFileError
 from laci_stereo.core.frames import Axes, IntArray
+from laci_stereo.core.tracking.background import BACKGROUND_FRAMES
 from laci_stereo.monitor.frames import Arrivals
 
 
@@ -152,8 +153,8 @@ class LidarScene:
     unusable: int = 0
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield whole frames, uniformly spaced."""
-        return self.recording.survey()
+        """Yield whole frames, uniformly spaced, as many as the background needs."""
+        return self.recording.whole_frames(BACKGROUND_FRAMES)
 
     def section(self, frames: range) -> Iterator[PointCloud]:
         """Yield a range of scans as clouds."""

@@ -30,11 +30,6 @@ from laci_stereo.io.text_file import listed
 
 log = logging.getLogger(__name__)
 
-SURVEY_FRAMES = BACKGROUND_FRAMES
-"""Least number of whole frames of a survey, uniformly spaced. Of a scanner with few lasers, as many more are surveyed
-as the ground needs: twenty scans of eight lasers have 20,000 points, and their noise tilts the road by as much as its
-waves do."""
-
 NOISE_SCANS = 5
 """Number of scans from which the noise is estimated: each has thousands of points on the ground."""
 
@@ -142,10 +137,16 @@ class LidarRecording:
         return self._clouds(self.scans, self._frames)
 
     def survey(self) -> Iterator[PointCloud]:
-        """Yield some of the frames, uniformly spaced, or of those without moving objects if these are known."""
-        needed = math.ceil(GROUND_POINTS / (self.scanner.points * self.settings.accumulate))
-        frames = spread(self._quiet_frames, max(SURVEY_FRAMES, needed))
-        return (cloud for cloud in self._clouds(self._quiet, frames) if len(cloud))
+        """Yield some whole frames, as many as the ground needs, and at least those that the background needs.
+
+        Twenty scans of eight lasers have 20,000 points, and their noise tilts the road by as much as its waves do.
+        """
+        for_ground = math.ceil(GROUND_POINTS / (self.scanner.points * self.settings.accumulate))
+        return self.whole_frames(max(BACKGROUND_FRAMES, for_ground))
+
+    def whole_frames(self, most: int) -> Iterator[PointCloud]:
+        """Yield at most so many frames, uniformly spaced, of those without moving objects if these are known."""
+        return (cloud for cloud in self._clouds(self._quiet, spread(self._quiet_frames, most)) if len(cloud))
 
     @cached_property
     def scanner(self) -> Scanner:
@@ -158,7 +159,7 @@ class LidarRecording:
         GroundError
             If the noise of ranges is not set, and no ground is found.
         """
-        indices = np.unique([frame[len(frame) // 2] for frame in spread(self._quiet_frames, SURVEY_FRAMES)])
+        indices = np.unique([frame[len(frame) // 2] for frame in spread(self._quiet_frames, BACKGROUND_FRAMES)])
         sampled = indices[evenly(len(indices), NOISE_SCANS)]
         kept: list[FloatArray] = []
         counts: list[int] = []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from laci_lidar.axes import forward_left_up
 from laci_lidar.errors import ScanError
-from laci_lidar.recording import SURVEY_FRAMES, LidarRecording, group_scans
+from laci_lidar.recording import LidarRecording, group_scans
 from laci_lidar.run import arrivals_of
 from laci_lidar.scan import Scan
 from laci_lidar.scans import open_scans
@@ -20,6 +20,7 @@ from laci_stereo.core.calibrate import calibrate
 from laci_stereo.core.errors import SettingError
 from laci_stereo.core.frames import FloatArray, invert, rigid, transform
 from laci_stereo.core.observe import GROUND_POINTS
+from laci_stereo.core.tracking.background import BACKGROUND_FRAMES
 from laci_stereo.io.axes import parse_axes
 from laci_stereo.io.cam.csv_log import read_cam_csv
 from tests.io.support import SHARED, needs_shared
@@ -186,7 +187,7 @@ def test_unreadable_scans_are_empty_frames_until_they_are_too_many():
 def test_the_survey_is_spread_or_what_is_told_to_be_quiet():
     sequence = listed(scans(50, offset=False, layers=100))
     spread = [cloud.stamp_ns for cloud in LidarRecording(sequence, EXACT).survey()]
-    assert len(spread) == SURVEY_FRAMES
+    assert len(spread) == BACKGROUND_FRAMES
     assert (spread[0], spread[-1]) == (sequence.stamps_ns[0], sequence.stamps_ns[-1])
     assert np.ptp(np.diff(spread)) <= PERIOD_NS
     told = LidarRecording(sequence, EXACT, background=range(10, 14)).survey()
@@ -205,7 +206,7 @@ def test_of_sparse_scans_the_survey_has_as_many_as_the_ground_needs(accumulate: 
     sparse = scans(150, offset=False)
     recording = LidarRecording(listed(sparse), replace(EXACT, accumulate=accumulate))
     counts = [len(cloud) for cloud in recording.survey()]
-    assert SURVEY_FRAMES < len(counts) < len(recording)
+    assert BACKGROUND_FRAMES < len(counts) < len(recording)
     assert GROUND_POINTS <= sum(counts) < GROUND_POINTS + max(counts)
     few = LidarRecording(listed(sparse[:30]), EXACT)
     assert len(list(few.survey())) == 30
