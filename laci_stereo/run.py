@@ -15,13 +15,13 @@ from laci_stereo.check.rig_turn import MOST_LOOKS, RightTurn, find_turn
 from laci_stereo.core.errors import CalibrationError, MatchError
 from laci_stereo.core.frames import Raster
 from laci_stereo.core.result import Calibration
-from laci_stereo.io.arrivals import PASSING_MPS, Arrivals
 from laci_stereo.io.background import check_frames
 from laci_stereo.io.images import ImageFolder, Pairs, StereoPair, first_size, pair_images
 from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
 from laci_stereo.io.rig.stereo_calibration import calibration_files, read_stereo_calibration
 from laci_stereo.io.rig.stereo_rig import RAW_FRAME, RECTIFIED_FRAME, StereoRig
+from laci_stereo.io.stamp_errors import PASSING_MPS, StampErrors
 from laci_stereo.job import DriveOptions, Job, Result, read_drive, sha256
 from laci_stereo.mask.contract import contract_beside
 from laci_stereo.mask.network import MaskOptions
@@ -184,8 +184,8 @@ def prepare(
     recording = _recording(left, pairs, rig, options, mask)
     unpaired = pairs.unpaired_left + pairs.unpaired_right
     apart = _apart(pairs, recording.rectification.baseline_m)
-    arrivals = Arrivals.of("images", np.array([pair.stamp_ns for pair in pairs.pairs]))
-    of_pairs = _notes(pairs) + apart + arrivals.notes
+    stamps = StampErrors.of("images", np.array([pair.stamp_ns for pair in pairs.pairs]))
+    of_pairs = _notes(pairs) + apart + stamps.notes
     return StereoJob(
         recording=recording,
         drive=drive,
@@ -211,7 +211,7 @@ def prepare(
         failures=turn.failures,
         doubts=turn.doubts
         + (apart if np.median(pairs.apart_ns) > 1e9 * TRIGGERED_S else ())
-        + arrivals.doubts(options.core.match),
+        + stamps.doubts(options.core.match),
     )
 
 

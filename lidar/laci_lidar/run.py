@@ -17,9 +17,9 @@ from laci_stereo.check.images import Checked
 from laci_stereo.check.result import placed_by
 from laci_stereo.core.result import Calibration
 from laci_stereo.core.subsampling import spread
-from laci_stereo.io.arrivals import Arrivals
 from laci_stereo.io.maps.lane_map import find_lane_map
 from laci_stereo.io.result.calibration_file import Provenance
+from laci_stereo.io.stamp_errors import StampErrors
 from laci_stereo.job import DriveOptions, Job, Result, read_drive
 
 LOOKED_AT = 5
@@ -95,7 +95,7 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Lida
         options.name or scans.absolute().name,
     )
     drive = read_drive(cam, options.lane_map or find_lane_map(scans), recording.span_ns, options)
-    arrivals = arrivals_of(sequence)
+    stamps = stamp_errors(sequence)
     return LidarJob(
         recording=recording,
         drive=drive,
@@ -106,10 +106,10 @@ def prepare(scans: Path, cam: Path, options: LidarOptions | None = None) -> Lida
             frame="as in the scans",
             inputs={str(scans): len(sequence), **drive.files},
             config=options.config(),
-            notes=sequence.notes + arrivals.notes + drive.notes,
+            notes=sequence.notes + stamps.notes + drive.notes,
         ),
         inputs=f"{len(sequence)} scans, {len(drive.messages)} CAMs",
-        doubts=arrivals.doubts(options.core.match),
+        doubts=stamps.doubts(options.core.match),
     )
 
 
@@ -127,11 +127,11 @@ def _check_untimed(scans: ScanSequence) -> None:
         )
 
 
-def arrivals_of(scans: ScanSequence) -> Arrivals:
+def stamp_errors(scans: ScanSequence) -> StampErrors:
     """Return the errors of the scans' times, which points with Unix times of their own do not have."""
-    found = Arrivals.of("scans", scans.stamps_ns)
+    found = StampErrors.of("scans", scans.stamps_ns)
     if found.notes and any(scan.clock == "Unix" for scan in _looked_at(scans)):
-        return Arrivals("scans", 0.0)
+        return StampErrors("scans", 0.0)
     return found
 
 

@@ -11,7 +11,7 @@ import pytest
 from laci_lidar.axes import forward_left_up
 from laci_lidar.errors import ScanError
 from laci_lidar.recording import LidarRecording, group_scans
-from laci_lidar.run import arrivals_of
+from laci_lidar.run import stamp_errors
 from laci_lidar.scan import Scan
 from laci_lidar.scans import open_scans
 from laci_lidar.settings import LidarSettings, Sweep
@@ -365,8 +365,8 @@ def test_times_of_arrival_are_told(clock: Literal["stamp", "Unix"], told: bool) 
     late_ns = np.random.default_rng(1).exponential(0.04e9, 60).astype(np.int64)
     some = [replace(scan, clock=clock) for scan in scans(60)]
     stamps_ns = np.sort(EPOCH_NS + np.arange(60) * PERIOD_NS + late_ns)
-    found = arrivals_of(Listed(some, stamps_ns))
+    found = stamp_errors(Listed(some, stamps_ns))
     assert bool(found.notes) == told
     assert found.sigma_s == (pytest.approx(0.04, rel=0.4) if told else 0.0)
-    steady = arrivals_of(listed(some))
+    steady = stamp_errors(listed(some))
     assert not steady.notes

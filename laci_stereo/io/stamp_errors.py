@@ -1,4 +1,4 @@
-"""Whether the times of images or scans are those of their arrival at a computer, which err from one to the next."""
+"""Errors of the times of images or scans, as where these are times of arrival at a computer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEAST_INTERVALS = 3
 
 
 @dataclass(frozen=True)
-class Arrivals:
+class StampErrors:
     """Errors of the times of images or scans.
 
     Attributes
@@ -36,7 +36,7 @@ class Arrivals:
     sigma_s: float
 
     @staticmethod
-    def of(what: str, stamps_ns: IntArray) -> Arrivals:
+    def of(what: str, stamps_ns: IntArray) -> StampErrors:
         """Estimate the errors from the intervals between the stamps, shape (n,), ascending.
 
         An error makes the interval before an image longer by what it makes the one after it shorter. So its variance is
@@ -46,13 +46,13 @@ class Arrivals:
         """
         intervals_s = np.diff(stamps_ns) / 1e9
         if len(intervals_s) < LEAST_INTERVALS:
-            return Arrivals(what, 0.0)
+            return StampErrors(what, 0.0)
         # Images that are missing are no errors: a pause counts as one of them.
         off_s = np.minimum(intervals_s, 2.0 * np.median(intervals_s))
         off_s -= off_s.mean()
         square, beside, two_apart = (float(np.mean(off_s[step:] * off_s[: len(off_s) - step])) for step in range(3))
         surely = -beside * np.sqrt(len(off_s)) > STEADILY * square and abs(two_apart) < -0.75 * beside
-        return Arrivals(what, float(np.sqrt(-beside)) if surely else 0.0)
+        return StampErrors(what, float(np.sqrt(-beside)) if surely else 0.0)
 
     @property
     def notes(self) -> tuple[str, ...]:
